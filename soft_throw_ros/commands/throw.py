@@ -247,8 +247,7 @@ def _release(engine: Engine, phase: float, speed_ratio: float, fastest: float) -
 
 _OF_THROW = (
     'ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer', 'recontacts',
-    'last_energy_transfer', 'peak_strain', 'peak_plate_strain', 'peak_contact_strain',
-    'peak_acceleration', 'peak_plate_force',
+    'last_energy_transfer', 'peak_strain',
 )
 """Predictions with the name of an attribute of `Throw`."""
 
@@ -261,6 +260,10 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         'ejection_phase': throw.ejection_time * rig.engine.frequency,
         'last_ejection_time': throw.last_release.time,
         'last_ejection_speed': throw.last_release.velocity,
+        'peak_plate_strain': throw.loads.plate_strain,
+        'peak_contact_strain': throw.loads.contact_strain,
+        'peak_acceleration': throw.loads.acceleration,
+        'peak_plate_force': throw.loads.plate_force,
         'plate_work': throw.energies.plate_work,
     }
     if model != 'cells_glued':  # where the layer is thrown, too
@@ -273,8 +276,8 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         }
     if rig.gravity:
         result['apex_height'] = throw.apex_height
-    if throw.heat:
-        result['heat'] = throw.heat
+    if throw.energies.heat:
+        result['heat'] = throw.energies.heat
     return result
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +36,13 @@ _CHECKS = {
     'strain_ratio': checks.require_not_negative_array,
     'constant_loss': checks.require_not_negative_array,
 }
+
+
+MAX_PERIODS = 16.0
+"""Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
+
+_MAX_CROSSINGS = 4096.0
+"""Longest wait of steppers for a release, in crossings of the wave. [-]"""
 
 
 class ThrowUnresolvedError(ValueError):
@@ -64,6 +72,12 @@ def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tupl
 def describe_ratios(ratios: Iterable[float]) -> str:
     """Format the ratios of one throw for a message; trailing ratios may be missing."""
     return ', '.join(f'{name} {value:g}' for name, value in zip(_CHECKS, ratios, strict=False))
+
+
+def longest_wait(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
+    """Return the time until which steppers follow throws without a release [crossings]."""
+    longest = np.maximum(speed_ratio, 2.0 * math.pi * np.sqrt(mass_ratio))
+    return np.minimum(1.0 + MAX_PERIODS * longest, _MAX_CROSSINGS)
 
 
 def in_threads(

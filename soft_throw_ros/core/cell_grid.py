@@ -47,6 +47,16 @@ BODY = np.dtype(
 )
 """A sheet or an elastic projectile, to be cut into cells of one kind."""
 
+PLACE = np.dtype(
+    [
+        ('cell', 'i8'),  # at the height
+        ('beside', 'i8'),  # its neighbour, or the cell itself if it has none
+        ('weight', 'f8'),  # of the neighbour for quantities in the middle of cells [-]
+        ('part', 'f8'),  # share of the cell below the height [-]
+    ]
+)
+"""From where to read the layer at a height."""
+
 MAX_PROJECTILE_CELLS = 1 << 15
 """Most cells of an elastic projectile."""
 
@@ -76,33 +86,28 @@ class Grid(NamedTuple):
         sheets = self.bodies.size - (self.projectile_cells > 0)
         return self.bodies['count'][:sheets].astype(np.int64)
 
-    def places(self, points: int) -> list[tuple[int, int, float, float]]:
+    def places(self, points: int) -> NDArray[np.void]:
         """
-        Return a stencil for each of some even heights from plate to top.
+        Return a `PLACE` for each of some even heights from plate to top.
 
-        A stencil is the cell at the height, a neighbour in the same sheet, the weight of the
-        neighbour for quantities in the middle of cells (0 without a neighbour), and the part of
-        the cell below the height. At the end of a sheet it extrapolates.
+        The neighbour is in the same sheet; at the end of a sheet it serves to extrapolate.
         """
         counts = self.counts
         sheets = np.repeat(np.arange(counts.size), counts)
-        lengths = self.bodies['thickness'][: counts.size] / counts
-        tops = np.cumsum(np.repeat(lengths, counts))
-        heights = np.append(0.0, tops)
-        stencils = []
-        for height in np.linspace(0.0, tops[-1], points).tolist():
-            cell = min(int(np.searchsorted(heights, height, side='right')), tops.size) - 1
-            low, high = heights[cell:cell + 2]
-            part = float((height - low) / (high - low))
-            ahead = 1 if part > 0.5 else -1
-            beside = [
-                other
-                for other in (cell + ahead, cell - ahead)
-                if 0 <= other < tops.size and sheets[other] == sheets[cell]
-            ]
-            other = beside[0] if beside else cell
-            stencils.append((cell, other, (part - 0.5) * (other - cell), part))
-        return stencils
+        lengths = (self.bodies['thickness'][: counts.size] / counts)[sheets]
+        bounds = np.append(0.0, np.cumsum(lengths))
+        heights = np.linspace(0.0, bounds[-1], points)
+        cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
+        part = (heights - bounds[cell]) / lengths[cell]
+        ahead = np.where(part > 0.5, 1, -1)
+        neighbours = np.pad(sheets, 1, constant_values=-1)
+        beside = cell
+        for other in (cell - ahead, cell + ahead):
+            beside = np.where(neighbours[other + 1] == sheets[cell], other, beside)
+        places = np.empty(points, PLACE)
+        places['cell'], places['beside'] = cell, beside
+        places['weight'], places['part'] = (part - 0.5) * (beside - cell), part
+        return places
 
 
 def _fastest_waves(bodies: NDArray[np.void]) -> Floats:

@@ -60,6 +60,7 @@ from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
+from soft_throw_ros.core.cell_grid import PLACE
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, Record, reduction
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.plate_kernels import (
@@ -103,9 +104,6 @@ _SHOCK = 1.0
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
 
-_USUAL_NODES = 66
-"""Nodes of the default grid; its march is compiled without checks for overlapping arrays. [-]"""
-
 _static_stretch = part(static_stretch)
 
 
@@ -127,34 +125,30 @@ class Row(NamedTuple):
     stiffness: int = 11  # of a linear link [N/m]
     third_modulus: int = 12  # third of E S, of a neo-Hookean link [N]
     min_stretch: int = 13  # smallest stretch ratio with the neo-Hookean law [-]
-    linear_stiffness: int = 14  # tension over stretch, of any link [N/m]
-    constant_tension: int = 15  # constant tension of any link [N]
-    inverse_square_factor: int = 16  # tension times length^2 [N m2]
-    rest_length: int = 17  # of a neo-Hookean link, 1 for others [m]
-    min_length: int = 18  # length at min_stretch, 1 for linear links [m]
-    shock_viscosity: int = 19  # artificial, over a square of a velocity [N s2/m2]
-    maxwell_stiffness: int = 20  # of the Maxwell elements [N/m]
-    viscosity: int = 23  # of a link, in flight and in contact [N s/m]
-    coupling: int = 25  # share of a link in the matrix of masses, in flight and in contact [kg]
-    elimination_factor: int = 27  # of a link: momentum that a neighbour gets [-]
-    inverse_pivot: int = 29  # velocity over momentum of an eliminated node [1/kg]
-    momentum_factor: int = 31  # mass of a node if it is coupled, otherwise 1 [kg]
-    impulse_factor: int = 33  # half a step, over the mass if it is not coupled [s]
-    inverse_length: int = 35  # of a cell of the layer, 0 for other links [1/m]
-    rest_height: int = 36  # of a node of the layer [m]
-    static_load: int = 37  # weight that a cell of the layer carries at rest [N]
-    static_strain: int = 38  # compression of a cell at rest [-]
-    peak_strain: int = 39  # largest magnitude of the strain of a cell [-]
-    implicit_stiffness: int = 40  # of a cell that is too fast for the step [kg]
-    position: int = 41  # displacement at the time asked for [m]
-    speed: int = 42  # velocity at the time asked for [m/s]
-    force: int = 43  # force through a cell at the time asked for, positive in compression [N]
+    constant_tension: int = 14  # of a neo-Hookean link [N]
+    shock_viscosity: int = 15  # artificial, over a square of a velocity [N s2/m2]
+    maxwell_stiffness: int = 16  # of the Maxwell elements [N/m]
+    viscosity: int = 19  # of a link, in flight and in contact [N s/m]
+    coupling: int = 21  # share of a link in the matrix of masses, in flight and in contact [kg]
+    elimination_factor: int = 23  # of a link: momentum that a neighbour gets [-]
+    inverse_pivot: int = 25  # velocity over momentum of an eliminated node [1/kg]
+    momentum_factor: int = 27  # mass of a node if it is coupled, otherwise 1 [kg]
+    impulse_factor: int = 29  # half a step, over the mass if it is not coupled [s]
+    inverse_length: int = 31  # of a cell of the layer, 0 for other links [1/m]
+    rest_height: int = 32  # of a node of the layer [m]
+    static_load: int = 33  # weight that a cell of the layer carries at rest [N]
+    static_strain: int = 34  # compression of a cell at rest [-]
+    peak_strain: int = 35  # largest magnitude of the strain of a cell [-]
+    implicit_stiffness: int = 36  # of a cell that is too fast for the step [kg]
+    position: int = 37  # displacement at the time asked for [m]
+    speed: int = 38  # velocity at the time asked for [m/s]
+    force: int = 39  # force through a cell at the time asked for, positive in compression [N]
 
 
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-ROWS = 44
+ROWS = 40
 """Number of rows."""
 
 # A stepper has three records: the state at a step of the grid, the state at the requested time,
@@ -168,8 +162,6 @@ RECORD = np.dtype(
         ('cells', 'i8'),  # number of cells of the layer
         ('first_node', 'i8'),  # lowest node of the layer
         ('contact_link', 'i8'),
-        ('is_lossy', '?'),
-        ('is_viscous', '?'),
         ('is_massless', '?'),
         ('is_curved', '?'),  # a sheet is neo-Hookean
         ('has_maxwell', '?'),
@@ -193,7 +185,7 @@ RECORD = np.dtype(
         ('known', 'i8'),  # highest node whose motion is given
         ('first', 'i8'),  # first and last of the nodes that are coupled
         ('end', 'i8'),
-        ('middle', 'i8'),  # node at which the elimination from both ends meets
+        ('middle', 'i8'),  # node at which the eliminations from both ends meet
         ('first_stiff', 'i8'),  # first and last link that is too fast for the step
         ('last_stiff', 'i8'),
         # the plate
@@ -227,15 +219,9 @@ RECORD = np.dtype(
         ('edge_strains', 'f8', (2,)),  # [-]
         ('acceleration', 'f8'),  # [m/s2]
         ('plate_force', 'f8'),  # [N]
-        ('first_work', 'f8'),  # [J]
-        # energy
         ('power', 'f8'),  # of the plate [W]
-        ('heating', 'f8'),  # [W]
-        ('maxwell_heating', 'f8'),  # [W]
-        ('work_before', 'f8'),  # a step ago [J]
-        ('heat_before', 'f8'),
+        ('work_before', 'f8'),  # of the plate, a step ago [J]
         ('work', 'f8'),  # of the plate [J]
-        ('heat', 'f8'),  # with the energy of springs if a sheet is neo-Hookean [J]
         # at `time`
         ('surface', 'f8'),  # height of the top against rest [m]
         ('state', 'f8', (7,)),
@@ -243,9 +229,6 @@ RECORD = np.dtype(
     align=True,
 )
 """State of a throw by cells."""
-
-PLACE = np.dtype([('cell', 'i8'), ('beside', 'i8'), ('weight', 'f8'), ('part', 'f8')])
-"""From where to read the layer at a height, see `cell_grid.Grid.places`."""
 
 
 @part
@@ -311,7 +294,7 @@ def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
         nodes[ROW.impulse_factor + case, j] = 0.5 * step
         if not is_coupled:
             nodes[ROW.impulse_factor + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
-    middle = (first + end) // 2
+    middle = first + 2 * ((end - first) // 4)
     system = s.systems[case]
     system[0], system[1], system[2], system[3] = known, first, end, middle
     if first <= end:
@@ -342,64 +325,47 @@ def _eliminate(nodes, case, first, merge, end, rigid):
 
 
 @inlined
-def _go_up(nodes, x, factor, j, a, here, next_):
-    """Substitute two nodes upwards, without a longer dependency chain than for one node."""
-    one = np.uintp(1)
-    s, t = nodes[factor, j - one], nodes[factor, j]
-    nodes[x, j], nodes[x, j + one] = here + s * a, next_ + t * here + t * s * a
-    return nodes[x, j + one]
-
-
-@inlined
-def _go_down(nodes, x, factor, j, a, here, next_):
-    """Substitute two nodes downwards."""
-    one = np.uintp(1)
-    s, t = nodes[factor, j], nodes[factor, j - one]
-    nodes[x, j], nodes[x, j - one] = here + s * a, next_ + t * here + t * s * a
-    return nodes[x, j - one]
+def _two_terms(a, factor, here, next_factor, next_):
+    """Return two terms of a recurrence, without a longer dependency chain than for one."""
+    return here + factor * a, next_ + next_factor * here + next_factor * factor * a
 
 
 @inlined
 def _substitute(nodes, x, case, first, middle, end):
     """
-    Solve for row x, from both ends to the middle and back, side by side.
+    Solve for row x, from both ends to the middle and back, side by side and two nodes at a time.
 
     Each direction is a chain of operations that wait for each other. Thomas's algorithm, a single
     chain, makes steps with loss take twice the time.
     """
+    factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
     # Unsigned, since numba asks of any other index whether it counts from the end
     one, two = np.uintp(1), np.uintp(2)
-    first, middle = np.uintp(first), np.uintp(middle)
-    factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
-    length = middle - first
-    top = middle + length  # of chains of one length
-    if end > int(top):
-        nodes[x, top] += nodes[factor, top] * nodes[x, top + one]
-    odd = length & one  # the outermost node of each chain, if it is one too many
+    middle, length = np.uintp(middle), np.uintp(middle - first)
+    low, high = middle - length, middle + length  # of chains of one length, which is even
     a, b = 0.0, 0.0
-    if odd:
-        a, b = nodes[x, first], nodes[x, top]
-    for i in range(odd, length, two):
-        j, k = first + i, top - i
-        a = _go_up(nodes, x, factor, j, a, nodes[x, j], nodes[x, j + one])
-        b = _go_down(nodes, x, factor, k, b, nodes[x, k], nodes[x, k - one])
+    for k in range(end, int(high), -1):
+        b = nodes[x, k] = nodes[x, k] + nodes[factor, k] * b
+    for i in range(np.uintp(0), length, two):
+        j, k = low + i, high - i
+        s, t = nodes[factor, j - one], nodes[factor, j]
+        nodes[x, j], a = _two_terms(a, s, nodes[x, j], t, nodes[x, j + one])
+        nodes[x, j + one] = a
+        s, t = nodes[factor, k], nodes[factor, k - one]
+        nodes[x, k], b = _two_terms(b, s, nodes[x, k], t, nodes[x, k - one])
+        nodes[x, k - one] = b
     a = nodes[x, middle] + nodes[factor, middle - one] * a + nodes[factor, middle] * b
-    a *= nodes[pivot, middle]
-    b = nodes[x, middle] = a
+    a = b = nodes[x, middle] = nodes[pivot, middle] * a
     for i in range(one, length, two):
         j, k = middle - i, middle + i
         y, z = nodes[pivot, j] * nodes[x, j], nodes[pivot, j - one] * nodes[x, j - one]
-        a = _go_down(nodes, x, factor, j, a, y, z)
+        nodes[x, j], a = _two_terms(a, nodes[factor, j], y, nodes[factor, j - one], z)
+        nodes[x, j - one] = a
         y, z = nodes[pivot, k] * nodes[x, k], nodes[pivot, k + one] * nodes[x, k + one]
-        b = _go_up(nodes, x, factor, k, b, y, z)
-    if odd:
-        nodes[x, first] = nodes[pivot, first] * nodes[x, first] + nodes[factor, first] * a
-        b = nodes[pivot, top] * nodes[x, top] + nodes[factor, top - one] * b
-        nodes[x, top] = b
-    if end > int(top):
-        nodes[x, top + one] = (
-            nodes[pivot, top + one] * nodes[x, top + one] + nodes[factor, top] * nodes[x, top]
-        )
+        nodes[x, k], b = _two_terms(b, nodes[factor, k - one], y, nodes[factor, k], z)
+        nodes[x, k + one] = b
+    for k in range(int(high) + 1, end + 1):
+        b = nodes[x, k] = nodes[pivot, k] * nodes[x, k] + nodes[factor, k - 1] * b
 
 
 @inlined
@@ -440,15 +406,11 @@ def _choose_system(s):
 
 @part
 def _prepare_links(s, nodes, omega):
-    """Complete links that are cut, and constants of their materials."""
+    """Find out which materials there are, and prepare the Maxwell elements."""
     for j in range(nodes.shape[1] - 1):
         s.is_curved = s.is_curved or nodes[ROW.third_modulus, j] > 0.0
-        s.is_viscous = s.is_viscous or nodes[ROW.viscosity, j] > 0.0
-        nodes[ROW.linear_stiffness, j] = nodes[ROW.stiffness, j]
-        nodes[ROW.rest_length, j] = nodes[ROW.min_length, j] = 1.0  # divisors of linear links
         for element in range(3):
             s.has_maxwell = s.has_maxwell or nodes[ROW.maxwell_stiffness + element, j] > 0.0
-    s.is_lossy = s.is_viscous or s.is_curved or s.has_maxwell
     for element in range(3):
         s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
         half = 0.5 * s.step * s.maxwell_rates[element]
@@ -462,7 +424,7 @@ def _prepare_contact(s, nodes):
     last, link = nodes.shape[1] - 1, s.contact_link
     s.is_massless = link > 0 and nodes[ROW.mass, link] == 0.0
     s.relaxation_rate = math.inf
-    if s.is_massless and s.is_viscous:
+    if s.is_massless and nodes[ROW.viscosity, 0] > 0.0:
         s.relaxation_rate = nodes[ROW.stiffness, 0] / nodes[ROW.viscosity, 0]
     # A dashpot that takes half of the momentum of a free end in half a step ends its alternation
     if link > 0:
@@ -488,11 +450,11 @@ def _prepare_contact(s, nodes):
 
 
 @inlined
-def _inverse_square(length, shortest):
-    """Compute one over the square of a length, and below the shortest along the tangent."""
-    inverse = 1.0 / max(length, shortest)
-    ratio = length * inverse
-    return inverse * inverse * (3.0 - (ratio + ratio))
+def _neo_hookean_stress(ratio, least):
+    """Compute the stress of a stretch ratio over E / 3, and below the least along the tangent."""
+    inverse = 1.0 / max(ratio, least)
+    share = ratio * inverse
+    return ratio - inverse * inverse * (3.0 - (share + share))
 
 
 @part
@@ -507,14 +469,10 @@ def _prepare_rest(s, nodes):
         nodes[ROW.static_load, j] = carried
         inverse, modulus = nodes[ROW.inverse_length, j], nodes[ROW.third_modulus, j]
         if modulus > 0.0:
-            nodes[ROW.static_strain, j] = 1.0 - _static_stretch(carried / modulus)
+            ratio = _static_stretch(carried / modulus)
+            nodes[ROW.static_strain, j] = 1.0 - ratio
+            nodes[ROW.constant_tension, j] = -modulus * _neo_hookean_stress(ratio, 0.0)
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
-            nodes[ROW.linear_stiffness, j] = modulus * inverse
-            nodes[ROW.inverse_square_factor, j] = modulus / (inverse * inverse)
-            nodes[ROW.rest_length, j] = (1.0 - nodes[ROW.static_strain, j]) / inverse
-            nodes[ROW.min_length, j] = nodes[ROW.min_stretch, j] / inverse
-            square = _inverse_square(nodes[ROW.rest_length, j], 0.0)
-            nodes[ROW.constant_tension, j] = nodes[ROW.inverse_square_factor, j] * square
         else:
             nodes[ROW.static_strain, j] = carried / nodes[ROW.stiffness, j] * inverse
     for j in range(s.first_node, top):
@@ -527,10 +485,25 @@ def _prepare_rest(s, nodes):
 
 
 @kernel
-def prepare(core: Any, nodes: Any, bodies: Any, omega: float) -> None:
-    """Complete the third record from step, cells, masses and gravity, and cut the bodies."""
+def prepare(
+    core: Any, nodes: Any, bodies: Any, step: float, mass: float, gravity: float, omega: float,
+    peak_force: float, is_elastic: bool, is_on_projectile: bool,
+) -> None:
+    """Complete the third record, which has the plate's motion already, and cut the bodies."""
     s = core[2]
-    s.rate = 2.0 / s.step
+    s.step, s.rate, s.mass, s.gravity = step, 2.0 / step, mass, gravity
+    s.release_threshold = -FORCE_NOISE * peak_force
+    sheets = bodies.size - (1 if is_elastic else 0)
+    for n in range(sheets):
+        s.cells += int(bodies[n].count)
+    s.first_node, s.contact_link = (1, 0) if is_on_projectile else (0, s.cells)
+    s.face_node_mass = 0.5 * mass / bodies[sheets].count if is_elastic else mass
+    for end in range(2):
+        edge = s.first_node + (s.cells - 1 if end == 1 else 0)
+        s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
+        if bodies[sheets - 1 if end == 1 else 0].count > 1:
+            s.edge_cells[end, 1] = edge + (1 - 2 * end)
+            s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
     s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     cut(s, nodes, bodies)
@@ -541,7 +514,7 @@ def prepare(core: Any, nodes: Any, bodies: Any, omega: float) -> None:
 
 @inlined
 def _elastic_tension(s, nodes):
-    """Compute the elastic tension of all links, and the heating of Maxwell elements."""
+    """Compute the elastic tension of all links."""
     now = s.index & 1
     if s.is_curved:
         _neo_hookean_tension(s, nodes)
@@ -550,7 +523,7 @@ def _elastic_tension(s, nodes):
             stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
             nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch  # E u_y, Eq. (2)
     if s.has_maxwell:
-        s.maxwell_heating = _update_maxwell(s, nodes)
+        _update_maxwell(s, nodes)
 
 
 @reduction
@@ -559,17 +532,18 @@ def _neo_hookean_tension(s, nodes):
     now, fastest = s.index & 1, -s.fastest_shock
     for j in range(nodes.shape[1] - 1):
         stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
-        square = _inverse_square(nodes[ROW.rest_length, j] + stretch, nodes[ROW.min_length, j])
-        pull = nodes[ROW.constant_tension, j] - nodes[ROW.inverse_square_factor, j] * square
+        ratio = 1.0 - nodes[ROW.static_strain, j] + nodes[ROW.inverse_length, j] * stretch
+        stress = _neo_hookean_stress(ratio, nodes[ROW.min_stretch, j])
+        pull = nodes[ROW.constant_tension, j] + nodes[ROW.third_modulus, j] * stress
         closing = min(nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j], 0.0)
         shock = nodes[ROW.shock_viscosity, j] * closing * max(closing, fastest)
-        nodes[ROW.tension + now, j] = nodes[ROW.linear_stiffness, j] * stretch + pull - shock
+        nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch + pull - shock
 
 
 @reduction
 def _update_maxwell(s, nodes):
-    """Add the tension of the Maxwell elements, by the trapezoidal rule; return their heating."""
-    now, heat_0, heat_1, heat_2 = s.index & 1, 0.0, 0.0, 0.0
+    """Add the tension of the Maxwell elements, by the trapezoidal rule."""
+    now = s.index & 1
     decay_0, decay_1, decay_2 = s.maxwell_decay[0], s.maxwell_decay[1], s.maxwell_decay[2]
     gain_0, gain_1, gain_2 = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
     row, stiffness = ROW.maxwell_stretch, ROW.maxwell_stiffness
@@ -581,14 +555,9 @@ def _update_maxwell(s, nodes):
         second = decay_1 * nodes[row + 1, j] + gain_1 * change
         third = decay_2 * nodes[row + 2, j] + gain_2 * change
         nodes[row, j], nodes[row + 1, j], nodes[row + 2, j] = first, second, third
-        pull_0 = nodes[stiffness, j] * first
-        pull_1, pull_2 = nodes[stiffness + 1, j] * second, nodes[stiffness + 2, j] * third
-        nodes[ROW.tension + now, j] += pull_0 + pull_1 + pull_2
-        heat_0 += pull_0 * first
-        heat_1 += pull_1 * second
-        heat_2 += pull_2 * third
-    rates = s.maxwell_rates
-    return rates[0] * heat_0 + rates[1] * heat_1 + rates[2] * heat_2
+        tension = nodes[stiffness, j] * first
+        tension += nodes[stiffness + 1, j] * second + nodes[stiffness + 2, j] * third
+        nodes[ROW.tension + now, j] += tension
 
 
 @inlined
@@ -651,7 +620,7 @@ def _creep(s, nodes, now, stretch):
     stretch = (stretch - free) * math.exp(-s.relaxation_rate * s.step)
     nodes[ROW.displacement, 1] = nodes[ROW.displacement, 0] + free + stretch
     nodes[ROW.velocity, 1] = (nodes[ROW.displacement, 1] - s.below_before) / s.step
-    rate = s.relaxation_rate * stretch if s.is_lossy else 0.0
+    rate = s.relaxation_rate * stretch if s.relaxation_rate < math.inf else 0.0
     nodes[ROW.mean_velocity + now, 1] = nodes[ROW.mean_velocity + now, 0] - rate
 
 
@@ -753,8 +722,6 @@ def _handle_landing(s, nodes, events):
         for k in range(s.collision_nodes[0], j + 1):
             u[k] -= (1.0 - part_above) * overlap
             v[k] -= (1.0 - part_above) * approach
-    else:
-        s.work += s.collision_masses[1] * approach * v[0]
     for k in range(j + 1, s.collision_nodes[1] + 1):
         u[k] += part_above * overlap
         v[k] += part_above * approach
@@ -780,7 +747,7 @@ def _march(s, nodes, path, events, goal):
         s.index += 1
         s.event_time = math.inf
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
-        s.work_before, s.heat_before = s.work, s.heat
+        s.work_before = s.work
         if s.plate_kind == DAMPED:
             _apply_plate_motion(s, nodes, path)
         else:
@@ -802,43 +769,14 @@ def _march(s, nodes, path, events, goal):
             if not leaves:
                 break
             _handle_release(s, nodes, events)  # and compute the step again, in flight
-        power = -s.on_plate_now * nodes[ROW.mean_velocity + (s.index & 1), 0]
-        s.work += 0.5 * step * (s.power + power)
-        s.power = power
-        if s.is_lossy:
-            heating = s.maxwell_heating
-            if s.is_curved:
-                heating = _stress_power(nodes, s.index & 1, joint)
-            if s.is_viscous:
-                heating += _heating(nodes, s.index & 1)
-            s.heat += 0.5 * step * (s.heating + heating)
-            s.heating = heating
         if s.events == 0:
             _compare_loads(s, nodes)
-        elif s.events == 1 and s.event_time < math.inf:  # the first release was in this step
-            part = s.event_time / step - (s.index - 1)
-            s.first_work = s.work_before + part * (s.work - s.work_before)
-
-
-@reduction
-def _stress_power(nodes, now, joint):
-    """Compute the power of all tensions in cells but the viscous ones."""
-    total = 0.0
-    for j in range(nodes.shape[1] - 1):
-        rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
-        total += nodes[ROW.tension + now, j] * rate
-    rate = nodes[ROW.mean_velocity + now, joint + 1] - nodes[ROW.mean_velocity + now, joint]
-    return total - nodes[ROW.tension + now, joint] * rate  # the weight, in flight
-
-
-@reduction
-def _heating(nodes, now):
-    """Compute the power that viscosity turns to heat in the layer."""
-    total = 0.0
-    for j in range(nodes.shape[1] - 1):
-        rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
-        total += nodes[ROW.viscosity + 1, j] * rate * rate
-    return total
+        elif s.events > 1 or s.event_time == math.inf:
+            continue
+        power = -s.on_plate_now * nodes[ROW.mean_velocity + (s.index & 1), 0]
+        duration = min(s.index * step, s.event_time) - (s.index - 1) * step
+        s.work += duration * (s.power + 0.5 * duration / step * (power - s.power))
+        s.power = power
 
 
 @part
@@ -900,10 +838,7 @@ def _advance(core, nodes, path, events, time):
         goal -= 1
     if goal * step > grid.horizon:
         return BEYOND_HORIZON
-    if nodes.shape[1] == _USUAL_NODES:  # a constant, so that no loop checks for overlap
-        _march(grid, nodes, path, events, goal)
-    else:
-        _march(grid, nodes, path, events, goal)
+    _march(grid, nodes, path, events, goal)
     if grid.events > events.shape[0]:
         return TOO_MANY_EVENTS
     piece = s.piece  # the grid's may be further on
@@ -913,10 +848,10 @@ def _advance(core, nodes, path, events, time):
     s.fraction = 1.0
     if goal > 0:
         s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
-    s.work = s.work_before + s.fraction * (s.work - s.work_before)
-    s.heat = s.heat_before + s.fraction * (s.heat - s.heat_before)
     on_plate, on_projectile, weight = s.on_plate_now, s.on_projectile_now, 1.0
     if time < s.event_time:  # the event is still to come
+        until = min(max(s.event_time / step - (goal - 1), 1e-9), 1.0)
+        s.work = s.work_before + s.fraction / until * (s.work - s.work_before)
         if s.event_time < math.inf:
             s.contact = not s.contact
             s.events -= 1
@@ -939,16 +874,7 @@ def _move_nodes(s, nodes):
     """Interpolate all nodes, and the forces through all cells, at the requested time."""
     now, part = s.index & 1, s.fraction if s.index > 0 else 1.0
     before = 1 - now
-    back, bend = (part - 1.0) * s.step, (part - 1.0) * s.step * part / 3.0
-    from_old, from_new = 2.0 * part - part * part - 2.0 / 3.0, part * part - 1.0 / 3.0
-    for j in range(nodes.shape[1]):  # as `_motion`
-        u, v = nodes[ROW.displacement, j], nodes[ROW.velocity, j]
-        first = v - nodes[ROW.mean_velocity + before, j]
-        second = nodes[ROW.mean_velocity + now, j] - v
-        turn = first * (2.0 - part) + second * (1.0 + part)
-        nodes[ROW.position, j] = u + back * v + bend * turn
-        nodes[ROW.speed, j] = v + from_old * first + from_new * second
-    for j in range(s.contact_link, s.contact_link + 2):
+    for j in range(nodes.shape[1]):
         nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, part)
     nodes[ROW.position, 0], nodes[ROW.speed, 0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
     case = 1 if s.contact else 0
@@ -995,15 +921,14 @@ def _elastic_energy(ratio, least):
 
 
 @kernel
-def energies(core: Any, nodes: Any) -> tuple[float, float]:
-    """Add up kinetic and potential energy against rest, and the energy of all springs."""
+def stored_energy(core: Any, nodes: Any) -> float:
+    """Add up kinetic and potential energy against rest."""
     s = core[1]
     _move_nodes(s, nodes)
     position, speed = nodes[ROW.position], nodes[ROW.speed]
     weight = s.carried_mass * s.gravity
-    moving = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
-    moving += weight * (position[0] + position[s.contact_link + 1] - position[s.contact_link])
-    total = 0.0
+    total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
+    total += weight * (position[0] + position[s.contact_link + 1] - position[s.contact_link])
     rest = 1.0 - s.fraction if s.index > 0 else 0.0
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
@@ -1013,15 +938,14 @@ def energies(core: Any, nodes: Any) -> tuple[float, float]:
             elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j], least)
             elastic -= _elastic_energy(start, least)
             total += nodes[ROW.third_modulus, j] / nodes[ROW.inverse_length, j] * elastic
-            constant = nodes[ROW.constant_tension, j] - nodes[ROW.third_modulus, j] * start
-            total += constant * stretch
+            total += nodes[ROW.constant_tension, j] * stretch
         for element in range(3):  # which go on by their last rate
             memory = nodes[ROW.maxwell_stretch + element, j]
             change = nodes[ROW.previous_stretch, j] - stretch
             memory -= change - rest * s.step * s.maxwell_rates[element] * memory
             total += 0.5 * nodes[ROW.maxwell_stiffness + element, j] * memory**2
-        moving += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
-    return moving, total
+        total += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
+    return total  # type: ignore[no-any-return]
 
 
 @kernel
@@ -1048,28 +972,15 @@ def reset(core: Any, nodes: Any) -> None:
 
 @kernel
 def prepare_ratios(
-    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float, cells: int,
-    projectile_cells: int, is_on_projectile: bool,
+    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float, is_elastic: bool,
+    is_on_projectile: bool,
 ) -> None:
-    """Make a record at rest in units of layer mass, crossing time and amplitude."""
+    """Prepare the third record in units of layer mass, crossing time and amplitude."""
     mu, kappa, zeta, gravity = ratios
     omega = 2.0 * math.pi / kappa
-    s = core[2]
-    s.step, s.cells = step, cells
-    s.first_node, s.contact_link = (1, 0) if is_on_projectile else (0, cells)
-    s.mass = mu
-    s.face_node_mass = 0.5 * mu / projectile_cells if projectile_cells > 0 else mu
-    s.gravity = gravity * omega * omega
-    s.release_threshold = -FORCE_NOISE * omega
-    write_underdamped(s, path, omega, omega, zeta, s.step)
-    top_sheet = bodies.size - (2 if projectile_cells > 0 else 1)
-    for end in range(2):
-        edge = s.first_node + (cells - 1 if end == 1 else 0)
-        s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
-        if bodies[top_sheet if end == 1 else 0].count > 1:
-            s.edge_cells[end, 1] = edge + (1 - 2 * end)
-            s.edge_weights[end] = -0.5
-    prepare(core, nodes, bodies, omega)
+    write_underdamped(core[2], path, omega, omega, zeta, step)
+    weight = gravity * omega * omega
+    prepare(core, nodes, bodies, step, mu, weight, omega, omega, is_elastic, is_on_projectile)
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]

@@ -25,7 +25,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.batch import broadcast_ratios, in_threads
+from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
 from soft_throw_ros.core.cell_grid import (
     crossing_time,
     make_bodies,
@@ -36,9 +36,6 @@ from soft_throw_ros.core.cell_grid import (
 )
 from soft_throw_ros.core.cell_kernels import (
     advance_compiled,
-    energies,
-    FORCE_NOISE,
-    PLACE,
     prepare,
     prepare_ratios,
     read_layer_compiled,
@@ -46,6 +43,7 @@ from soft_throw_ros.core.cell_kernels import (
     reset,
     ROW,
     ROWS,
+    stored_energy,
 )
 from soft_throw_ros.core.models import CELL_MODELS
 from soft_throw_ros.core.plate import PlateMotion
@@ -66,12 +64,6 @@ MAX_CELLS = 4096
 
 MAX_UPDATE_RATE = 6e7
 """Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
-
-MAX_PERIODS = 16.0
-"""Longest wait of `first_throws` for a release, in periods of plate or projectile. [-]"""
-
-MAX_CROSSINGS = 4096.0
-"""Longest wait of `first_throws` for a release, in crossings of the wave. [-]"""
 
 MAX_CROSSING_RATIO = 32.0
 """Largest crossing time of a projectile in `first_throws`, over that of the layer. [-]"""
@@ -218,9 +210,8 @@ def first_throws(
 
     Parameters
     ----------
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
-        Ratios :math:`\mu = m / (\rho_s S L_s)`, :math:`\kappa = c_s / (L_s f)`, :math:`\zeta` of
-        the plate, and :math:`g / (A \omega^2)`; broadcast against each other. [-]
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, unresolved, threads
+        As for `closed_form.first_releases`, and so are shapes and results.
     loss_tangent : array_like
         Loss tangent of the layer at the plate's frequency, :math:`\eta \omega / E_s`. [-]
     crossing_ratio : array_like
@@ -238,10 +229,6 @@ def first_throws(
     cells : int, optional
         Number of cells of the layer, from 8 to `MAX_CELLS`; by default chosen for each throw, at
         least 64, for errors of 1e-4. Errors are of second order, but of first order in shocks.
-    unresolved : {'raise', 'nan'}
-        Whether a throw without a release raises an error, or is NaN.
-    threads : int, optional
-        Largest number of threads, all cores if not given. The number does not change the results.
 
     Returns
     -------
@@ -253,8 +240,7 @@ def first_throws(
     ValueError
         If a ratio is out of range, or an option is not one of its values.
     ThrowUnresolvedError
-        If a projectile does not leave within `MAX_PERIODS` and `MAX_CROSSINGS`, unless
-        `unresolved` is 'nan'.
+        If a projectile does not leave by `batch.longest_wait`, unless `unresolved` is 'nan'.
 
     Examples
     --------
@@ -287,7 +273,7 @@ def first_throws(
         raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
     rows = np.ascontiguousarray(ratios.T)
     results = _throw_all(rows, stack, cells, glued_to == 'projectile', threads)
-    return FirstThrows.collect(results.T, ratios, shape, unresolved, f'{MAX_PERIODS:g} periods')
+    return FirstThrows.collect(results.T, ratios, shape, unresolved)
 
 
 def _throw_all(
@@ -313,9 +299,7 @@ def _throw_all(
     bodies['count'] = counts
     projectile_cells = np.maximum(MIN_PROJECTILE_CELLS, (rows[:, 5] / steps).astype(np.int64))
     projectile_cells[rows[:, 5] == 0.0] = 0
-    mu, kappa = rows[:, 0], rows[:, 1]
-    periods = MAX_PERIODS * np.maximum(kappa, 2.0 * math.pi * np.sqrt(mu))
-    latest = np.minimum(1.0 + periods, MAX_CROSSINGS)
+    latest = longest_wait(rows[:, 0], rows[:, 1])
 
     def run(part: int, parts: int) -> None:
         core, path, no_events = np.zeros(3, RECORD), np.empty((2, BLOCK)), np.empty((0, 4))
@@ -330,7 +314,7 @@ def _throw_all(
                 spring = ratios[0] / ratios[5] ** 2
                 own = np.concatenate([own, make_projectile(bar, ratios[0], spring)])
             prepare_ratios(
-                core, nodes, path, own, ratios[:4], steps[n], count, bar, is_on_projectile
+                core, nodes, path, own, ratios[:4], steps[n], bar > 0, is_on_projectile
             )
             numbers[:2] = numbers[2]
             reset(core, nodes)
@@ -341,7 +325,7 @@ def _throw_all(
                 strain = max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max())
                 if ratios[6] > 0.0:
                     strain *= omega / ratios[6]
-                work = grid['first_work'] / (ratios[0] * omega**2)
+                work = grid['work'] / (ratios[0] * omega**2)
                 results[n] = (
                     grid['event_time'] / ratios[1], grid['event_velocity'] / omega,
                     strain / omega, grid['acceleration'] / omega**2,
@@ -352,20 +336,12 @@ def _throw_all(
     return results
 
 
-def _aligned_zeros(rows: int, columns: int) -> Floats:
-    """Return a table aligned with the lines of the cache, which is 5 % faster."""
-    room = np.zeros(rows * columns + 8)
-    start = -room.ctypes.data % 64 // 8
-    return room[start:start + rows * columns].reshape(rows, columns)
-
-
 class CellStepper(Stepper):
     """
     A throw by cells; the layer may be a stack, and have loss.
 
     An event carries the velocity of the common centre of mass of projectile and a glued layer, and
-    `state` that of the projectile's lower face. `stored_energy` and `heat` add up to `work_so_far`
-    to second order, and to first after landings.
+    `state` that of the projectile's lower face. `stored_energy` is that of now, at any time.
 
     Parameters
     ----------
@@ -423,22 +399,16 @@ class CellStepper(Stepper):
         self.model = model
         self.cells = int(grid.counts.sum())
         self.step = grid.step
-        self._nodes = _aligned_zeros(ROWS, self.cells + grid.projectile_cells + 2)
-        self._places = np.array(grid.places(field_points), PLACE)
-        first_node = 1 if model == 'cells_glued' else 0
+        self._nodes = np.zeros((ROWS, self.cells + grid.projectile_cells + 2))
+        self._places = grid.places(field_points)
         for name in ('cell', 'beside'):
-            self._places[name] += first_node
-        start = self._make_records(RECORD, motion, grid.step)
-        start['step'], start['cells'] = grid.step, self.cells
-        start['first_node'], start['contact_link'] = first_node, 0 if first_node else self.cells
-        mass, count = rig.projectile.mass, grid.projectile_cells
-        start['mass'], start['face_node_mass'] = mass, 0.5 * mass / count if count else mass
-        start['gravity'] = rig.gravity
-        start['release_threshold'] = -FORCE_NOISE * rig.engine.speed_scale * rig.layer.impedance
-        edges = self._places[[0, -1]]
-        start['edge_cells'] = np.stack((edges['cell'], edges['beside']), axis=1)
-        start['edge_weights'] = edges['weight']
-        prepare(self._core, self._nodes, grid.bodies, rig.engine.angular_frequency)
+            self._places[name] += model == 'cells_glued'
+        self._make_records(RECORD, motion, grid.step)
+        prepare(
+            self._core, self._nodes, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
+            rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
+            grid.projectile_cells > 0, model == 'cells_glued',
+        )
         self._bind()
         self.reset()
 
@@ -480,21 +450,13 @@ class CellStepper(Stepper):
         return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
 
     @property
-    def work_so_far(self) -> float:
-        """Work of the plate from the start to now [J]."""
+    def plate_work(self) -> float:
+        """Work of the plate up to the first release, or up to now before the release [J]."""
         return float(self._core[1]['work'])
-
-    @property
-    def heat(self) -> float:
-        """Heat of internal loss until now [J]."""
-        heat, core = float(self._core[1]['heat']), self._core
-        if core[1]['is_curved']:  # the tensions have done that much work on the springs, too
-            heat = max(0.0, heat - energies(core, self._nodes)[1])
-        return heat
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""
-        return float(sum(energies(self._core, self._nodes)))
+        return float(stored_energy(self._core, self._nodes))
 
 
 def warm_up() -> None:

@@ -25,12 +25,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
-from soft_throw_ros.core.rig import Engine
+from soft_throw_ros.core.rig import check_fields, Engine
 
 if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a motion is sampled
     from scipy.interpolate import PPoly
@@ -80,12 +79,7 @@ class Underdamped:
     damping_ratio: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, check in (
-            ('frequency', checks.require_positive),
-            ('amplitude', checks.require_positive),
-            ('damping_ratio', checks.require_in_unit_interval),
-        ):
-            object.__setattr__(self, name, check(name, getattr(self, name)))
+        check_fields(self, damping_ratio='in_unit_interval')
 
     @classmethod
     def of(cls, engine: Engine) -> Underdamped:
@@ -191,7 +185,8 @@ class SampledMotion:
         object.__setattr__(self, 'states', states)
         from scipy.interpolate import PPoly
 
-        object.__setattr__(self, '_path', PPoly(_quintics(times, states), times))
+        coefficients = quintic(np.diff(times), *states[:-1].T, *states[1:].T)
+        object.__setattr__(self, '_path', PPoly(coefficients[::-1], times))
 
     @classmethod
     def from_positions(cls, times: ArrayLike, positions: ArrayLike) -> SampledMotion:
@@ -276,20 +271,21 @@ def require_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Flo
     return times, values
 
 
-def _quintics(times: Floats, states: Floats) -> Floats:
-    """Return the coefficients, highest order first, of the quintics that join states."""
-    D, rise = np.diff(times), np.diff(states[:, 0])
-    v, w = states[:-1, 1] * D, states[1:, 1] * D
-    q, r = states[:-1, 2] * D**2, states[1:, 2] * D**2
-    return np.stack(
-        [
-            (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5,
-            (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4,
-            (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3,
-            0.5 * states[:-1, 2],
-            states[:-1, 1],
-            states[:-1, 0],
-        ]
+def quintic(
+    D: Any, height: Any, velocity: Any, acceleration: Any, new_height: Any, new_velocity: Any,
+    new_acceleration: Any,
+) -> tuple[Any, ...]:
+    """Return the coefficients, lowest order first, of a quintic between states D apart."""
+    rise = new_height - height
+    v, w = velocity * D, new_velocity * D
+    q, r = acceleration * D * D, new_acceleration * D * D
+    return (
+        height,
+        velocity,
+        0.5 * acceleration,
+        (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3,
+        (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4,
+        (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5,
     )
 
 

@@ -29,7 +29,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import kernel, part, Record
-from soft_throw_ros.core.plate import motion_of, PlateMotion
+from soft_throw_ros.core.plate import motion_of, PlateMotion, quintic
 from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
@@ -44,6 +44,8 @@ BLOCK = 256
 """Steps of an underdamped plate from one exact evaluation to the next, by rotations. [-]"""
 
 _ROWS = 7
+
+_quintic = part(quintic)
 
 PLATE = [
     ('plate_kind', 'i8'),
@@ -182,15 +184,11 @@ def append_states(last: Floats, pieces: int, path: Floats, times: Floats, states
     """Append states (height, velocity, acceleration), joined by quintics; count all pieces."""
     for n in range(times.size):
         if last[0] >= 0.0:
-            piece = path[:, pieces % path.shape[1]]
-            D = times[n] - last[0]
-            rise = states[n, 0] - last[1]
-            v, w = last[2] * D, states[n, 1] * D
-            q, r = last[3] * D * D, states[n, 2] * D * D
-            piece[0], piece[1], piece[2], piece[3] = last[0], last[1], last[2], 0.5 * last[3]
-            piece[4] = (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3
-            piece[5] = (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4
-            piece[6] = (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5
+            piece, new = path[:, pieces % path.shape[1]], states[n]
+            piece[0] = last[0]
+            piece[1], piece[2], piece[3], piece[4], piece[5], piece[6] = _quintic(
+                times[n] - last[0], last[1], last[2], last[3], new[0], new[1], new[2]
+            )
             pieces += 1
         last[0], last[1], last[2], last[3] = times[n], states[n, 0], states[n, 1], states[n, 2]
     return pieces

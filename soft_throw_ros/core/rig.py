@@ -20,10 +20,12 @@ can be simulated.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 import math
 from typing import Any, TYPE_CHECKING
 
+import numpy as np
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.material import (
     LARGEST_STRAIN,
@@ -50,7 +52,7 @@ STANDARD_GRAVITY = 9.81
 _CHOICES = {'stress_strain_law': STRESS_STRAIN_LAWS, 'loss': LOSSES}
 
 
-def _check(part: object, **kinds: str) -> None:
+def check_fields(part: object, **kinds: str) -> None:
     """Check every field of a frozen dataclass in place: positive unless `kinds` names another."""
     for item in fields(part):  # type: ignore[arg-type]
         kind = kinds.get(item.name, 'positive')
@@ -95,7 +97,7 @@ class Engine:
     motion: SampledMotion | None = None
 
     def __post_init__(self) -> None:
-        _check(self, damping_ratio='in_unit_interval', motion='part')
+        check_fields(self, damping_ratio='in_unit_interval', motion='part')
 
     @property
     def angular_frequency(self) -> float:
@@ -148,14 +150,14 @@ class Layer:
     loss: str = 'kelvin_voigt'
 
     def __post_init__(self) -> None:
-        _check(self, loss_tangent='not_negative')
+        check_fields(self, loss_tangent='not_negative')
         if self.loss == 'constant':
             require_constant_loss(self.loss_tangent)
 
     @property
     def section(self) -> float:
         """:math:`S` [m2]."""
-        return 0.25 * math.pi * self.diameter**2
+        return float(section_of(self.diameter))
 
     @property
     def mass(self) -> float:
@@ -349,7 +351,7 @@ class Projectile:
     youngs_modulus: float = 3.6e9
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -390,7 +392,7 @@ class Rig:
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self) -> None:
-        _check(self, engine='part', layer='part', projectile='part', gravity='not_negative')
+        check_fields(self, engine='part', layer='part', projectile='part', gravity='not_negative')
 
     @property
     def mass_ratio(self) -> float:
@@ -452,30 +454,14 @@ class Rig:
     @property
     def crossing_ratio(self) -> float:
         """Return the time of a wave through the projectile over that through the layer [-]."""
-        projectile = self.projectile
-        spring = projectile.youngs_modulus * self.layer.section / projectile.length
-        return math.sqrt(projectile.mass / spring) / self.crossing_time
-
-    @property
-    def strain_ratio(self) -> float:
-        r""":math:`A \omega / c_s` if the layer is not linear, else 0 [-]."""
-        is_linear = self.layer.stress_strain_law == 'linear'
-        return 0.0 if is_linear else self.engine.speed_scale / self.layer.wave_speed
+        return float(ratios_of(self, values_of(self))['crossing_ratio'])
 
     @property
     def cell_ratios(self) -> dict[str, Any]:
         """Return the dimensionless arguments of `cell_stepper.first_throws`."""
-        layer = self.layer
-        return {
-            'mass_ratio': self.mass_ratio,
-            'speed_ratio': self.speed_ratio,
-            'damping_ratio': self.engine.damping_ratio,
-            'gravity_ratio': self.gravity_ratio,
-            'loss_tangent': layer.loss_tangent,
-            'strain_ratio': self.strain_ratio,
-            'constant_loss': layer.loss == 'constant',
-            'stack': layer if isinstance(layer, Stack) else None,
-        }
+        ratios = ratios_of(self, values_of(self))
+        del ratios['crossing_ratio']
+        return {**ratios, 'stack': self.layer if isinstance(self.layer, Stack) else None}
 
     def check_for_waves(self) -> None:
         """
@@ -487,21 +473,58 @@ class Rig:
             If the layer is a stack, is not linear, or has internal loss.
 
         """
-        if not self.layer.is_uniform:
-            raise ValueError(
-                'the travelling-wave model needs a layer of one material, got '
-                f'{self.layer!r}; finite differences take a stack'
-            )
-        if self.layer.stress_strain_law != 'linear':
-            raise ValueError(
-                'layer.stress_strain_law must be linear for the travelling-wave model, '
-                f'got {self.layer.stress_strain_law}; finite differences take it'
-            )
-        if self.layer.loss_tangent > 0.0:
-            raise ValueError(
-                'layer.loss_tangent must be 0 for the travelling-wave model, which is lossless, '
-                f'got {self.layer.loss_tangent:g}; finite differences take it'
-            )
+        layer, need = self.layer, ''
+        if not layer.is_uniform:
+            need = f'a layer of one material, got {layer!r}'
+        elif layer.stress_strain_law != 'linear':
+            need = f'layer.stress_strain_law linear, got {layer.stress_strain_law}'
+        elif layer.loss_tangent > 0.0:
+            need = f'layer.loss_tangent 0, got {layer.loss_tangent:g}'
+        if need:
+            raise ValueError(f'the model travelling_wave needs {need}; the model cells takes it')
+
+
+def values_of(rig: Rig) -> dict[str, float]:
+    """Return the numbers of a rig, `mass` for that of its projectile; without its elasticity."""
+    values = {**vars(rig.engine), **vars(rig.layer), 'gravity': rig.gravity}
+    values = {name: value for name, value in values.items() if isinstance(value, float)}
+    return {**values, 'mass': rig.projectile.mass}
+
+
+def ratios_of(rig: Rig, values: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Return the ratios that decide throws, the arguments of `cell_stepper.first_throws`.
+
+    Parameters
+    ----------
+    rig : Rig
+        Rig with the laws of the layer, and the elasticity of the projectile.
+    values : mapping of str to float or ndarray
+        All numbers of `values_of`; they replace those of the rig.
+
+    """
+    mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
+    omega, section = 2.0 * math.pi * frequency, section_of(values['diameter'])
+    spring = rig.projectile.youngs_modulus * section / rig.projectile.length
+    with np.errstate(divide='ignore'):  # a layer without thickness
+        speed_ratio = values['wave_speed'] / (thickness * frequency)
+        mass_ratio = mass / (values['density'] * section * thickness)
+    is_linear = rig.layer.stress_strain_law == 'linear'
+    return {
+        'mass_ratio': mass_ratio,
+        'speed_ratio': speed_ratio,
+        'damping_ratio': values['damping_ratio'],
+        'gravity_ratio': values['gravity'] / (values['amplitude'] * omega * omega),
+        'loss_tangent': values['loss_tangent'],
+        'crossing_ratio': np.sqrt(mass / spring) * frequency * speed_ratio,
+        'strain_ratio': 0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
+        'constant_loss': float(rig.layer.loss == 'constant'),
+    }
+
+
+def section_of(diameter: Any) -> Any:
+    """Return the section of a cylinder [m2]."""
+    return 0.25 * math.pi * diameter**2
 
 
 def model_for(rig: Rig, model: str) -> str:

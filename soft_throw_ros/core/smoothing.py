@@ -30,10 +30,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.kernels import kernel
 
 Floats = NDArray[np.float64]
 
@@ -42,8 +42,6 @@ BEHIND, AHEAD = 0.75, 0.25
 
 FEWEST = 4
 """Samples that a window must have."""
-
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
 
 class Smoothed(NamedTuple):
@@ -117,7 +115,7 @@ def smooth(
     return Smoothed(states, noise * errors)
 
 
-@_jit
+@kernel
 def fit_cubics(
     at: Floats,
     times: Floats,
@@ -181,7 +179,7 @@ def fit_cubics(
         misfits[n, 1] = equations - 4
 
 
-@_jit
+@kernel
 def _add(normal, right, row, value):
     """Add an equation to the normal equations."""
     for i in range(4):
@@ -190,7 +188,7 @@ def _add(normal, right, row, value):
             normal[i, j] += row[i] * row[j]
 
 
-@_jit
+@kernel
 def factorise(matrix: Floats) -> bool:
     """Factorise in place by Cholesky; False if the matrix is singular to working accuracy."""
     for i in range(matrix.shape[0]):
@@ -208,7 +206,7 @@ def factorise(matrix: Floats) -> bool:
     return True
 
 
-@_jit
+@kernel
 def solve(factor: Floats, x: Floats) -> None:
     """Solve in place by a Cholesky factor."""
     size = factor.shape[0]

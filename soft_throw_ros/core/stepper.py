@@ -27,7 +27,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.batch import describe_ratios, ThrowUnresolvedError
+from soft_throw_ros.core.batch import describe_ratios, MAX_PERIODS, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import part, Record
 from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
 from soft_throw_ros.core.plate_kernels import (
@@ -147,13 +147,13 @@ class FirstThrows(NamedTuple):
 
     @classmethod
     def collect(
-        cls, found: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str, waited: str
+        cls, found: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str
     ) -> FirstThrows:
         """Take rows of all but the energy transfer, NaN for throws that end in no release."""
         failed = np.flatnonzero(np.isnan(found[0]))
         if failed.size and unresolved == 'raise':
             case = describe_ratios(ratios[:, failed[0]])
-            raise ThrowUnresolvedError(f'no release within {waited} for {case}')
+            raise ThrowUnresolvedError(f'no release within {MAX_PERIODS:g} periods for {case}')
         transfer = (found[1] / peak_velocity_ratios(ratios[2])) ** 2
         rows = (*found[:2], transfer, *found[2:])
         return cls(*(np.reshape(row, shape)[()] for row in rows))
@@ -212,7 +212,6 @@ class Stepper(ABC):
         self._events = np.zeros((MAX_EVENTS, 4))
         self._scratch = np.zeros((4, field_points))
         self._readable = np.empty(0)  # the array that was checked last
-        self._work_unit = 1.0  # of the records' works [J]
 
     def _make_records(
         self,
@@ -453,25 +452,13 @@ class Stepper(ABC):
         """Largest loads up to the first release, or up to now before the release."""
 
     @property
+    @abstractmethod
     def plate_work(self) -> float:
         """Work of the plate up to the first release, or up to now before the release [J]."""
-        if not self.event_count:
-            return self.work_so_far
-        return float(self._work_unit * self._core['first_work'][1])
-
-    @property
-    @abstractmethod
-    def work_so_far(self) -> float:
-        """Work of the plate from the start to now [J]."""
-
-    @property
-    def heat(self) -> float:
-        """Heat of internal loss so far [J]."""
-        return 0.0
 
     @abstractmethod
     def stored_energy(self) -> float:
-        """Add up the energy of layer and projectile against rest, at the present time [J]."""
+        """Return the energy of layer and projectile against rest, up to the first release [J]."""
 
 
 @part

@@ -58,7 +58,11 @@ class ThrowUnfinishedError(RuntimeError):
 
 
 class Energies(NamedTuple):
-    """Work of the plate, energy stored in layer and projectile, and heat [J]."""
+    """
+    Work of the plate, energy stored in layer and projectile, and heat [J].
+
+    The heat is the difference, 0 for a layer that is linear and lossless.
+    """
 
     plate_work: float
     stored: float
@@ -130,7 +134,7 @@ def make_stepper(
     model_of(model)
     if model == 'travelling_wave':
         if cells is not None:
-            raise ValueError(f'cells are for finite differences only, got {cells!r}')
+            raise ValueError(f'cells are for models with cells only, got {cells!r}')
         return WaveStepper(rig, motion, field_points=field_points)
     return CellStepper(rig, motion, model=model, cells=cells, field_points=field_points)
 
@@ -167,31 +171,6 @@ class Throw:
     def peak_strain(self) -> float:
         """Largest strain magnitude in the layer [-]."""
         return self.loads.strain
-
-    @property
-    def peak_plate_strain(self) -> float:
-        """Largest strain magnitude at the plate [-]."""
-        return self.loads.plate_strain
-
-    @property
-    def peak_contact_strain(self) -> float:
-        """Largest strain magnitude at the projectile [-]."""
-        return self.loads.contact_strain
-
-    @property
-    def peak_acceleration(self) -> float:
-        """Largest magnitude of the projectile's acceleration [m/s2]."""
-        return self.loads.acceleration
-
-    @property
-    def peak_plate_force(self) -> float:
-        """Largest magnitude of the layer's force on the plate [N]."""
-        return self.loads.plate_force
-
-    @property
-    def heat(self) -> float:
-        """Energy that internal loss has taken [J]."""
-        return self.energies.heat
 
     @property
     def ejections(self) -> tuple[Event, ...]:
@@ -406,8 +385,15 @@ def simulate(
         events=events,
         end_time=end_time,
         loads=stepper.loads,
-        energies=Energies(stepper.plate_work, stepper.stored_energy(), stepper.heat),
+        energies=_energies(stepper),
     )
+
+
+def _energies(stepper: Stepper) -> Energies:
+    """Return the energies of a throw at its first release."""
+    layer, work, stored = stepper.rig.layer, stepper.plate_work, stepper.stored_energy()
+    is_lossless = layer.loss_tangent == 0.0 and layer.stress_strain_law == 'linear'
+    return Energies(work, stored, 0.0 if is_lossless else max(0.0, work - stored))
 
 
 def _run(

@@ -31,7 +31,16 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
 from soft_throw_ros.core.models import LayerModel, model_of
-from soft_throw_ros.core.rig import Engine, Layer, model_for, Rig, Stack
+from soft_throw_ros.core.rig import (
+    Engine,
+    Layer,
+    model_for,
+    ratios_of,
+    Rig,
+    section_of,
+    Stack,
+    values_of,
+)
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import make_stepper, simulate, ThrowUnfinishedError
 
@@ -155,9 +164,11 @@ def throw_many(
         raise ValueError(f'the model {model} has no method for many throws')
     changes = changes or {}
     if not isinstance(rig, Rig):
-        changes = _values_of(rig) | dict(changes)
+        known = [values_of(one) for one in rig]
+        series = {name: np.array([one[name] for one in known]) for name in known[0]}
+        changes = {**series, **changes}
         rig = rig[0]
-    values: dict[str, Floats | float] = {**_values(rig), **changes}
+    values: dict[str, Floats | float] = {**values_of(rig), **changes}
     shape = np.broadcast_shapes(*map(np.shape, values.values()))
     found = np.full((len(Throws._fields), math.prod(shape)), math.nan)
     rows = found.reshape(len(found), *shape)
@@ -167,7 +178,7 @@ def throw_many(
             part = {name: each[batch].tolist() for name, each in cases.items()}
             found[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
         return Throws(*rows)
-    cases = {name: _row(each, shape) for name, each in _ratios(rig, values).items()}
+    cases = {name: _row(each, shape) for name, each in ratios_of(rig, values).items()}
     for name, chosen in _methods(rig, cases, method).items():
         is_fast = name in ('closed_form', 'spring') and not loads
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
@@ -186,7 +197,7 @@ def throw_many(
     # The methods return ratios; these are their units.
     omega = 2.0 * math.pi * values['frequency']
     speed = values['amplitude'] * omega
-    impedance = values['density'] * values['wave_speed'] * _section(values)
+    impedance = values['density'] * values['wave_speed'] * section_of(values['diameter'])
     units = (
         1.0 / values['frequency'], speed, 1.0, speed / values['wave_speed'],
         speed * omega, speed * impedance, values['mass'] * speed**2,
@@ -247,50 +258,11 @@ def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
     )
 
 
-def _values(rig: Rig) -> dict[str, float]:
-    """Return the values of a rig that `Changes` may replace."""
-    values = {**vars(rig.engine), **vars(rig.layer), 'gravity': rig.gravity}
-    values = {name: value for name, value in values.items() if isinstance(value, float)}
-    return {**values, 'mass': rig.projectile.mass}
-
-
-def _values_of(rigs: Sequence[Rig]) -> dict[str, Floats]:
-    """Return the values of several rigs as arrays."""
-    rows = [_values(rig) for rig in rigs]
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
-
-
 def _row(value: Floats | float, shape: tuple[int, ...]) -> Floats:
     """Repeat a value for all throws."""
     row = np.empty(shape)
     row[...] = value
     return row.ravel()
-
-
-def _section(values: Changes) -> Floats | float:
-    return 0.25 * math.pi * values['diameter'] ** 2
-
-
-def _ratios(rig: Rig, values: Changes) -> dict[str, Floats | float]:
-    """Return the ratios that decide throws: arguments of `cell_stepper.first_throws`."""
-    projectile, section = rig.projectile, _section(values)
-    mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
-    omega = 2.0 * math.pi * frequency
-    spring = projectile.youngs_modulus * section / projectile.length
-    with np.errstate(divide='ignore'):  # a layer without thickness
-        speed_ratio = values['wave_speed'] / (thickness * frequency)
-        mass_ratio = mass / (values['density'] * section * thickness)
-    is_linear = rig.layer.stress_strain_law == 'linear'
-    return {
-        'mass_ratio': mass_ratio,
-        'speed_ratio': speed_ratio,
-        'damping_ratio': values['damping_ratio'],
-        'gravity_ratio': values['gravity'] / (values['amplitude'] * omega * omega),
-        'loss_tangent': values['loss_tangent'],
-        'crossing_ratio': np.sqrt(mass / spring) * frequency * speed_ratio,
-        'strain_ratio': 0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
-        'constant_loss': float(rig.layer.loss == 'constant'),
-    }
 
 
 def _batches(
@@ -344,7 +316,7 @@ def _throw_with_waves(
 def _throw_with_cells(
     rig: Rig, part: Mapping[str, Floats], model: LayerModel, cells: int | None, threads: int | None
 ) -> Floats:
-    """Compute the rows of `FirstThrows` by finite differences."""
+    """Compute the rows of `FirstThrows` by cells."""
     ratios = dict(part)
     if not model.has_elastic_projectile:
         del ratios['crossing_ratio']

@@ -146,7 +146,6 @@ RECORD = np.dtype(
         ('discontinuity', 'i8'),  # next grid point at which p has a kink at the top
         ('jumps', 'i8'),  # number of jumps on their way in the layer
         ('next_jump', 'i8'),  # row of the one that reaches the top next
-        ('reflected', 'i8'),  # number of the next jumps that have already left the plate
         ('last_jump', 'i8'),  # grid point before the last jump at the top
         # the mass and the top of the layer
         ('contact', '?'),
@@ -165,7 +164,7 @@ RECORD = np.dtype(
         ('peak_plate_stress', 'f8'),  # of p - m + g tau at the plate
         ('peak_strain', 'f8'),  # of the same anywhere in the layer
         ('first_work', 'f8'),
-        ('work', 'f8'),  # sum of power over the impedance and h
+        ('work', 'f8'),  # sum of power over the impedance and h, without the steps in flight
         ('power', 'f8'),  # last addend
         # at `time`
         ('upward', 'f8', (2,)),  # p at plate and top
@@ -409,7 +408,6 @@ def _cross_step(s, waves, jumps, events, target):
             here, a, slope, b = here + size, a + size, slope + bend, b + bend
             s.next_jump = (s.next_jump + 1) % jumps.shape[0]
             s.jumps -= 1
-            s.reflected -= 1
             s.last_jump = s.cell
             is_after_jump = True
             if is_whole and s.contact:
@@ -434,18 +432,6 @@ def _end_step(s, waves, V, P):
     p, m = waves[0, j], waves[1, j - s.steps]
     s.power = (p - m + s.gravity_offset) * (p + m)
     s.work += s.power
-
-
-@part
-def _correct_work(s, waves, jumps):
-    """Correct the trapezoidal rule of the work for steps with a jump at the plate."""
-    while _jump_cell(s, jumps, s.reflected) - s.steps < s.cell:
-        row = jumps[(s.next_jump + s.reflected) % jumps.shape[0]]
-        i = int(row[0]) - s.steps - s.base
-        now = waves[0, i] + waves[1, i - s.steps]
-        speed = now + row[1] * (waves[0, i + 1] + waves[1, i + 1 - s.steps] - now)
-        s.work += ((1.0 - 2.0 * row[1]) * row[2] - row[1] * (1.0 - row[1]) * row[3]) * speed
-        s.reflected += 1
 
 
 @part
@@ -502,11 +488,10 @@ def _run_in_flight(s, waves, count):
     """Advance by up to `count` steps, stopping before a landing."""
     first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
     top, downward = waves[0, first - N + 1:], waves[1, first + 1:]
-    leaving, coming = waves[0, first + 1:], waves[1, first + 1 - N:]
     twice, height = 2.0 * s.step, s.launch_height - s.top
     speed, fall = s.launch_velocity - offset, 0.5 * s.gravity
     start = s.cell + 1 - s.launch_cell - s.launch_offset
-    here, total, work, power = waves[0, first - N], s.sum, s.work, s.power
+    here, total = waves[0, first - N], s.sum
     done = count
     for n in range(count):
         ahead = top[n]
@@ -517,10 +502,8 @@ def _run_in_flight(s, waves, count):
             break
         downward[n] = ahead + offset
         total, here = area, ahead
-        power = (leaving[n] - coming[n] + offset) * (leaving[n] + coming[n])
-        work += power
     s.cell += done
-    s.sum, s.work, s.power = total, work, power
+    s.sum = total
     return done
 
 
@@ -581,7 +564,6 @@ def _march(s, waves, jumps, path, events, goal):
             if s.events == 0:
                 _complete_loads(s, waves)
             _cross_step(s, waves, jumps, events, 1.0)
-        _correct_work(s, waves, jumps)
 
 
 @part
@@ -716,64 +698,6 @@ def _read_layer(core, waves, out):
         if out.shape[0] > 3:
             out[3, n] = -force[n] * s.steps * s.step / s.thickness
         force[n] *= s.impedance
-
-
-@part
-def _square_error(s, waves, jumps, number, count, w, n):
-    """Return the error of the trapezoidal rule for the square of a wave, in a step with jumps."""
-    sign, start, end = 1.0 - 2.0 * w, waves[w, n], waves[w, n + 1]
-    slope = end - start
-    for k in range(number, number + count):
-        row = jumps[(s.next_jump + k) % jumps.shape[0]]
-        slope -= sign * (row[2] + (1.0 - row[1]) * row[3])
-    here, offset, area = start, 0.0, -0.5 * (start**2 + end**2)
-    for k in range(number, number + count):
-        row = jumps[(s.next_jump + k) % jumps.shape[0]]
-        before = here + slope * (row[1] - offset)
-        area += 0.5 * (row[1] - offset) * (here**2 + before**2)
-        here, slope, offset = before + sign * row[2], slope + sign * row[3], row[1]
-    return area + 0.5 * (1.0 - offset) * (here**2 + end**2)
-
-
-@kernel
-def stored_energy(core: Any, waves: Any, jumps: Any) -> float:
-    """
-    Add up the energy of layer and projectile against rest.
-
-    That is the energy at the last grid point, by the trapezoidal rule, and the work since.
-    """
-    s, now = core[0], core[1]
-    i, N, total = s.cell - s.base, s.steps, 0.0
-    for w in range(2):
-        total += 0.5 * (waves[w, i - N] ** 2 + waves[w, i] ** 2)
-        for n in range(i - N + 1, i):
-            total += waves[w, n] ** 2
-    number = 0
-    while number < s.jumps:
-        cell, count = _jump_cell(s, jumps, number), 1
-        while _jump_cell(s, jumps, number + count) == cell:
-            count += 1
-        w = 0 if number < s.reflected else 1
-        n = cell - s.base - (1 + w) * N
-        if i - N <= n < i:
-            total += _square_error(s, waves, jumps, number, count, w, n)
-        number += count
-    V, gap = s.velocity, 0.0
-    if s.contact:
-        # Where the mass takes power V (2 p - V) from the waves, the rule is not exact (as it is at
-        # the plate, of work and waves alike): Euler's and Maclaurin's correction
-        p = waves[0, i - N]
-        force, slope = 2.0 * p - V, waves[0, i - N + 1] - p
-        total += (s.rate * force * (force - V) + 2.0 * V * slope) / 12.0
-    else:
-        time, height, V = _free_flight(s, 0.0)
-        gap = height - s.top - 2.0 * s.step * s.sum - s.gravity_offset * time
-    speed = 0.5 * (waves[0, i] + waves[1, i - N] + now.upward[0] + now.downward[0])
-    plate = now.state[PLATE_POSITION] - now.offset * s.step * speed
-    mass = s.impedance * s.relaxation
-    waves_energy = s.impedance * s.step * (total + now.offset * s.power)
-    mass_energy = mass * (0.5 * V**2 + s.gravity * (plate + gap))
-    return waves_energy + mass_energy  # type: ignore[no-any-return]
 
 
 @kernel

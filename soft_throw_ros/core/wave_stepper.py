@@ -25,7 +25,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.batch import broadcast_ratios, in_threads
+from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.core.plate_kernels import BLOCK
 from soft_throw_ros.core.rig import Rig
@@ -46,7 +46,6 @@ from soft_throw_ros.core.wave_kernels import (
     prepare_underdamped,
     read_layer_compiled,
     RECORD,
-    stored_energy,
     update_loads,
 )
 
@@ -81,12 +80,6 @@ _MOST_FOR_ECHO = 1024
 
 STEP_COST = 3e-9
 """Time of a processor for a step. [s]"""
-
-_MAX_PERIODS = 8.0
-"""Longest wait for a first release, in periods of plate and of projectile on layer. [-]"""
-
-_MAX_CROSSINGS = 4096.0
-"""Longest wait for a first release, in crossings of the wave. [-]"""
 
 _THROWS_PER_THREAD = 64
 """Fewest throws that are worth a thread. [-]"""
@@ -244,15 +237,15 @@ class WaveStepper(Stepper):
         )
 
     @property
-    def work_so_far(self) -> float:
-        """Work of the plate from the start to now, by the trapezoidal rule [J]."""
+    def plate_work(self) -> float:
+        """Work of the plate up to the first release, or up to now before the release [J]."""
         now = self._core[1]
-        part = (now['offset'] - 0.5) * now['power']
-        return float(self._work_unit * (now['work'] + part))
+        work = now['work'] + (now['offset'] - 0.5) * now['power']
+        return float(self._work_unit * (now['first_work'] if self.event_count else work))
 
     def stored_energy(self) -> float:
-        """Add up the energy of layer and projectile against rest, to second order [J]."""
-        return float(stored_energy(self._core, self._waves, self._jumps))
+        """Return the work of the plate, since the layer is lossless [J]."""
+        return self.plate_work
 
 
 def first_throws(
@@ -267,18 +260,12 @@ def first_throws(
     r"""
     Compute first releases and loads of many throws.
 
-    Projectiles are rigid, layers lossless, and the plate moves as `plate.Underdamped`. Where loads
-    do not matter, `closed_form.first_releases` is exact and faster.
+    Where loads do not matter, `closed_form.first_releases` is exact and faster.
 
     Parameters
     ----------
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
-        :math:`\mu = m / (\rho_s S L_s)`, :math:`\kappa = c_s / (L_s f)`, the plate's
-        :math:`\zeta`, and :math:`g / (A \omega^2)`; broadcast against each other. [-]
-    unresolved : {'raise', 'nan'}
-        Whether a throw without a release raises an error, or is NaN.
-    threads : int, optional
-        Largest number of threads, all cores if not given. The number does not change the results.
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, unresolved, threads
+        As for `closed_form.first_releases`.
 
     Returns
     -------
@@ -290,8 +277,7 @@ def first_throws(
     ValueError
         If a ratio is out of range, or an option is not one of its values.
     ThrowUnresolvedError
-        If a projectile does not leave within 8 periods of the plate and 8 of its own on the
-        layer, or 4096 crossings, unless `unresolved` is 'nan'.
+        If a projectile does not leave by `batch.longest_wait`, unless `unresolved` is 'nan'.
 
     Examples
     --------
@@ -310,9 +296,7 @@ def first_throws(
     mu, kappa = ratios[:2]
     steps = np.maximum(_STEPS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    natural = 2.0 * math.pi * np.sqrt(mu) / kappa  # period of the mass on a massless layer
-    periods = _MAX_PERIODS * (1.0 + natural)
-    latest = np.minimum(periods, _MAX_CROSSINGS / kappa) + 1.0 / kappa
+    latest = longest_wait(mu, kappa) / kappa
     results = np.full((6, mu.size), math.nan)
 
     def run(part: int, parts: int) -> None:
@@ -330,7 +314,7 @@ def first_throws(
                 results[:, n] = _first_throw(core[0])
 
     in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
-    return FirstThrows.collect(results, ratios, shape, unresolved, f'{_MAX_PERIODS:g} periods')
+    return FirstThrows.collect(results, ratios, shape, unresolved)
 
 
 def _first_throw(s: np.void) -> tuple[float, ...]:

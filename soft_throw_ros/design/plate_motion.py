@@ -431,7 +431,8 @@ def follow(rig: Rig, pulses: Pulses, *, model: str, loads: Limits) -> Throw | No
         except (ValueError, EventLimitError, ThrowUnfinishedError):
             return None
         excess = max(
-            throw.peak_strain / loads.max_strain, throw.peak_acceleration / loads.max_acceleration
+            throw.peak_strain / loads.max_strain,
+            throw.loads.acceleration / loads.max_acceleration,
         )
         if excess <= 1.0 + _LOAD_TOLERANCE:
             return throw if not throw.recontacts and throw.ejection_speed > 0.0 else None

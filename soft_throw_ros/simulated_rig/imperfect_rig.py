@@ -274,24 +274,22 @@ class Deviations:
         time = np.arange(start, end + _TABLE_STEP, _TABLE_STEP)
         fade_out = np.clip((end - time) / (_FADING * end), 0.0, 1.0)
         fade_in = np.clip((time - start) / _LEAD_IN, 0.0, 1.0) if imperfections.ringing else 1.0
-        self._plate: list[float] = (
-            fade_in * fade_out * (imperfect.plate(time) - perfect.plate(time))
-        ).tolist()
-        self._projectile: list[float] = (
-            fade_in * fade_out * (imperfect.projectile(time) - perfect.projectile(time))
-        ).tolist()
+        plate = imperfect.plate(time) - perfect.plate(time)
+        projectile = imperfect.projectile(time) - perfect.projectile(time)
+        rows = np.stack([plate, projectile], axis=1) * (fade_in * fade_out)[:, None]
+        self._rows: list[list[float]] = rows.tolist()
 
     def at(self, since: float) -> tuple[float, float]:
         """Return the deviations of plate and projectile [m], at a time since the start [s]."""
         position = (since - self.start) / _TABLE_STEP
         row = math.floor(position)
-        if not 0 <= row < len(self._plate) - 1:
+        if not 0 <= row < len(self._rows) - 1:
             return 0.0, 0.0
         weight = position - row
-        plate, projectile = self._plate, self._projectile
+        (plate, projectile), (next_plate, next_projectile) = self._rows[row:row + 2]
         return (
-            plate[row] + weight * (plate[row + 1] - plate[row]),
-            projectile[row] + weight * (projectile[row + 1] - projectile[row]),
+            plate + weight * (next_plate - plate),
+            projectile + weight * (next_projectile - projectile),
         )
 
 

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-import math
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -157,24 +156,13 @@ class SensorFaults:
     def _disturb(
         self, height: Numbers, noise: Numbers, outlier: Numbers, size: Numbers
     ) -> Numbers:
-        """Add noise and outliers, and round."""
-        measured = height + self.noise * noise
-        return self._round(measured + (outlier < self.outlier_rate) * self._outlier(size))
-
-    def _outlier(self, size: Numbers) -> Numbers:
-        """Map a uniform number in [-1, 1] to an outlier of either sign."""
+        """Add noise and outliers of either sign, and round to the nearest step."""
         share = _SMALLEST_OUTLIER + (1.0 - _SMALLEST_OUTLIER) * abs(size)
-        if isinstance(share, float):
-            return math.copysign(self.outlier_size * share, size)
-        return np.copysign(self.outlier_size * share, size)
-
-    def _round(self, height: Numbers) -> Numbers:
-        """Round to the nearest step."""
+        error = np.copysign(self.outlier_size * share, size)
+        measured = height + self.noise * noise + (outlier < self.outlier_rate) * error
         if self.rounding == 0.0:
-            return height
-        steps = height / self.rounding
-        rounded = round(steps) if isinstance(steps, float) else np.rint(steps)
-        return rounded * self.rounding
+            return measured
+        return np.rint(measured / self.rounding) * self.rounding
 
 
 def draw_chances(random: np.random.Generator, samples: int) -> Chances:

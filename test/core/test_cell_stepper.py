@@ -127,6 +127,14 @@ def test_elastic_projectile_is_exact_to_2e_5(thickness, phase, center, face):
     assert stepper.state[PROJECTILE_VELOCITY] / unit == pytest.approx(face, rel=4e-5)
 
 
+def heat_of(stepper):
+    """Go back to the first release, and return the heat until then."""
+    release = stepper.events()[0]
+    stepper.reset()
+    stepper.advance_to(release.time)
+    return stepper.plate_work - stepper.stored_energy()
+
+
 def waves(kappa, first, second, period):
     """
     Sum up the echoes in a bar whose plate swings as sin wt.
@@ -193,7 +201,6 @@ def test_loads_are_exact_to_1e_4_and_stay_after_the_first_release(thickness, lar
     assert force == pytest.approx(at_contact * stiffness, rel=1e-4)
     stepper.advance_to(0.05)
     assert (stepper.loads, stepper.plate_work) == (loads, work)
-    assert stepper.work_so_far != work
 
 
 @pytest.mark.parametrize('case', [case for case in CASES if case != 'spring'])
@@ -337,7 +344,7 @@ def test_release_with_loss_agrees_with_the_sum_over_modes(**case):
 @pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel', 'gels'])
 def test_release_agrees_with_the_method_of_lines(case):
     rig, _ = CASES[case]
-    time, speed = method_of_lines.first_release(rig, cells=400)
+    time, speed, _ = method_of_lines.first_release(rig, cells=400)
     release = throw(rig, cells=256).events()[0]
     assert release.time == pytest.approx(time, rel=3e-4)
     assert release.velocity == pytest.approx(speed, rel=3e-4)
@@ -386,17 +393,16 @@ def test_shocks_are_resolved():
     coarse, fine = (CellStepper(rig, cells=count) for count in (256, 1024))
     for stepper in (coarse, fine):
         stepper.advance_to(0.03)
-        missing = stepper.work_so_far - stepper.stored_energy() - stepper.heat
-        assert abs(missing) < 0.02 * stepper.heat
     (release,), (better,) = coarse.events(), fine.events()
     assert release.time == pytest.approx(better.time, rel=2e-3)
     assert release.velocity == pytest.approx(better.velocity, rel=5e-4)
     # Heat of a shock does not depend on the cells, unlike the numerical loss of smooth waves
-    assert coarse.heat == pytest.approx(fine.heat, rel=0.05)
-    assert fine.heat > 0.04 * fine.work_so_far
+    heat, better_heat = heat_of(coarse), heat_of(fine)
+    assert heat == pytest.approx(better_heat, rel=0.05)
+    assert better_heat > 0.04 * fine.plate_work
 
 
-def test_heat_of_strong_shocks_converges_and_balances_the_work():
+def test_heat_of_strong_shocks_converges():
     rig = Rig(
         engine=Engine(damping_ratio=0.0),
         layer=Layer(thickness=0.1, wave_speed=3.16, stress_strain_law='neo_hookean'),
@@ -404,14 +410,8 @@ def test_heat_of_strong_shocks_converges_and_balances_the_work():
     heats = []
     for count in (64, 128, 256):
         stepper = throw(rig, cells=count)
-        release = stepper.events()[0]
-        stepper.reset()
-        stepper.advance_to(release.time)
-        assert stepper.stored_energy() + stepper.heat == pytest.approx(
-            stepper.plate_work, rel=0.15 / count
-        )
-        heats.append(stepper.heat / stepper.plate_work)
-    assert release.time > rig.shock_time
+        assert stepper.events()[0].time > rig.shock_time
+        heats.append(heat_of(stepper) / stepper.plate_work)
     assert heats == sorted(heats, reverse=True)
     assert heats[2] == pytest.approx(0.178, rel=0.07)  # of 1024 cells
 
@@ -456,7 +456,7 @@ def test_large_throws_can_be_simulated(amplitude, layer):
     stepper.advance_to(0.08)
     assert stepper.event_count >= 1
     assert np.isfinite(stepper.state).all()
-    assert np.isfinite(stepper.stored_energy() + stepper.heat)
+    assert np.isfinite(stepper.stored_energy())
     found = simulate(rig, model='cells', max_events=1)
     assert found.max_strain == 0.5
     assert found.leaves_linear_range is (amplitude > 0.02)
@@ -565,9 +565,20 @@ def test_layer_on_the_projectile_takes_it_off_the_plate_and_back():
     assert landing.velocity == pytest.approx(falling, rel=1e-4)
 
 
+@pytest.mark.parametrize('case', ['lossy', 'stacked', 'constant', 'gel', 'gels'])
+def test_heat_agrees_with_the_method_of_lines(case):
+    rig, _ = CASES[case]
+    heat = method_of_lines.first_release(rig, cells=50)[2]
+    stepper = throw(rig, cells=128)
+    assert heat_of(stepper) == pytest.approx(heat, abs=3e-4 * stepper.plate_work)
+    assert heat > 1e-3 * stepper.plate_work
+
+
 @pytest.mark.parametrize('case', [case for case in CASES if case != 'weightless'])
-def test_work_of_the_plate_is_stored_energy_and_heat(case):
+def test_work_of_the_plate_is_stored_without_loss(case):
     rig, model = CASES[case]
+    sheets = tuple(replace(sheet, loss_tangent=0.0) for sheet in rig.layer.sheets)
+    rig = replace(rig, layer=Stack(sheets=sheets) if len(sheets) > 1 else sheets[0])
     errors = []
     counts = np.array([32, 64, 128])
     for count in counts:
@@ -576,14 +587,11 @@ def test_work_of_the_plate_is_stored_energy_and_heat(case):
         worst = 0.0
         for time in np.linspace(1e-3, end, 90):
             stepper.advance_to(time)
-            kept = stepper.stored_energy() + stepper.heat
-            worst = max(worst, abs(kept - stepper.work_so_far))
-        assert stepper.plate_work == pytest.approx(stepper.work_so_far, rel=1e-9)
+            worst = max(worst, abs(stepper.stored_energy() - stepper.plate_work))
         errors.append(worst / stepper.plate_work)
     assert errors[1] < 2e-4
     assert errors[2] < 1e-4
     assert case == 'spring' or order(counts, errors) > 1.6
-    assert (stepper.heat > 1e-4 * stepper.plate_work) is (rig.layer.loss_tangent > 0.0)
 
 
 @pytest.mark.parametrize('case', ['elastic', 'soft', 'glued', 'neo_hookean', 'gels', 'capped'])

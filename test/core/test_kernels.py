@@ -36,7 +36,7 @@ for stepper in (WaveStepper(Rig()), *map(CellStepper, gels), CellStepper(gels[0]
     for tick in range(500):
         stepper.advance_to(tick * 1e-3)
         stepper.read_layer(layer)
-        energies = [stepper.stored_energy(), stepper.work_so_far, stepper.heat]
+        energies = [stepper.stored_energy(), stepper.plate_work]
         digest.update(stepper.state.tobytes() + layer.tobytes() + np.array(energies).tobytes())
 print(digest.hexdigest())
 """

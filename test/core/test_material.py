@@ -16,7 +16,6 @@
 import numpy as np
 import pytest
 from soft_throw_ros.core.material import BAND, relaxation, RELAXATION_RATES
-from soft_throw_ros.core.rig import Layer
 
 
 def modulus(loss_tangent, frequency):
@@ -51,18 +50,3 @@ def test_material_without_loss_is_a_spring():
 def test_nearly_liquid_material_is_refused():
     with pytest.raises(ValueError, match=r'at most 0.8 if it is constant, got 1\.5'):
         relaxation(1.5)
-
-
-@pytest.mark.parametrize(
-    ('values', 'complaint'),
-    [
-        (
-            {'stress_strain_law': 'rubber'},
-            "layer.stress_strain_law must be one of linear, neo_hookean, got 'rub",
-        ),
-        ({'loss': 'none'}, "layer.loss must be one of kelvin_voigt, constant, got 'none'"),
-    ],
-)
-def test_unknown_materials_are_refused(values, complaint):
-    with pytest.raises(ValueError, match=complaint):
-        Layer(**values)

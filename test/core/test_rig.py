@@ -57,19 +57,21 @@ def test_components_refuse_and_quote_values_that_are_not_positive(part, name, ba
 
 
 @pytest.mark.parametrize(
-    ('make', 'message'),
+    ('part', 'name', 'bad'),
     [
-        (lambda: Engine(damping_ratio=1.0), r'engine\.damping_ratio .*got 1\.0'),
-        (lambda: Engine(damping_ratio=-0.1), r'engine\.damping_ratio .*got -0\.1'),
-        (lambda: Layer(loss_tangent=-0.02), r'layer\.loss_tangent .*got -0\.02'),
-        (lambda: Rig(gravity=-9.81), r'rig\.gravity .*got -9\.81'),
-        (lambda: Layer(thickness='16.8 mm'), r"layer\.thickness must be a number, got '16.8 mm'"),
-        (lambda: Layer(thickness=True), r'layer\.thickness must be a number, got True'),
+        (Engine, 'damping_ratio', 1.0),
+        (Engine, 'damping_ratio', -0.1),
+        (Layer, 'loss_tangent', -0.02),
+        (Rig, 'gravity', -9.81),
+        (Layer, 'thickness', '16.8 mm'),
+        (Layer, 'thickness', True),
+        (Layer, 'stress_strain_law', 'rubber'),
+        (Layer, 'loss', 'none'),
     ],
 )
-def test_components_refuse_and_quote_other_bad_values(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
+def test_components_refuse_and_quote_other_bad_values(part, name, bad):
+    with pytest.raises(ValueError, match=f'{part.__name__.lower()}.{name}.*got {bad!r}'):
+        part(**{name: bad})
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,7 @@ from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underd
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.stepper import (
     PLATE_FORCE,
+    PLATE_POSITION,
     PROJECTILE_FORCE,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
@@ -193,21 +194,35 @@ def test_largest_strain_agrees_with_the_field(ratios):
     assert model.loads.strain >= np.abs(strain).max() * (1.0 - 1e-4)
 
 
+def energy(model):
+    """Integrate the energy of the layer against rest, and add that of the projectile [J]."""
+    rig, layer = model.rig, np.empty((3, model.field_points))
+    model.read_layer(layer)
+    mass, weight = rig.projectile.mass, rig.projectile.mass * rig.gravity
+    density = rig.layer.mass * layer[1] ** 2 + (layer[2] - weight) ** 2 / rig.layer.stiffness
+    gap = model.state[PROJECTILE_POSITION] - model.surface_position
+    height = model.state[PLATE_POSITION] + gap
+    waves = 0.5 * np.trapezoid(density, dx=1.0 / (model.field_points - 1))
+    return waves + 0.5 * mass * model.state[PROJECTILE_VELOCITY] ** 2 + weight * height
+
+
 def test_work_of_the_plate_is_energy_of_layer_and_projectile_to_1e_6():
-    model = WaveStepper(Rig())
+    model = WaveStepper(Rig(), steps=4096, field_points=4097)
     for time in (0.0035, 0.005, 0.006, 0.00764):
         model.advance_to(time)
-        assert model.plate_work == model.work_so_far
-        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=1e-6)
+        assert model.plate_work == model.stored_energy()
+        assert model.plate_work == pytest.approx(energy(model), rel=1e-6)
 
 
-@pytest.mark.parametrize('ratios', [(3.453, 1.6, 0.0, 0.05), (0.634, 7.35, 0.064, 0.02)])
+@pytest.mark.parametrize('ratios', [(3.453, 1.6, 0.7, 0.05), (0.634, 7.35, 0.5, 0.02)])
 def test_energy_is_conserved_over_twenty_bounces(ratios):
-    model = WaveStepper(make_rig(*ratios))
-    for time in np.linspace(0.0, 2.0, 50):
+    model = WaveStepper(make_rig(*ratios), steps=8192, field_points=8193)
+    model.advance_to(0.1)  # the plate rests
+    conserved = energy(model)
+    for time in np.linspace(0.1, 2.0, 50):
         if model.advance_to(time) > 40:
             break
-        assert model.work_so_far == pytest.approx(model.stored_energy(), rel=3e-4, abs=1e-9)
+        assert energy(model) == pytest.approx(conserved, rel=1e-3)  # the rule errs at jumps
     assert model.event_count > 20
 
 

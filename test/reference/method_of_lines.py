@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""First releases by SciPy: springs and masses in a row, with elements that relax."""
+"""First releases and heat by SciPy: springs and masses in a row, with elements that relax."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -31,7 +31,7 @@ def _links(layer, cells):
 
 
 def first_release(rig, *, cells):
-    """Return time [s] and speed [m/s] of the first release."""
+    """Return time [s] and speed [m/s] of the first release, and the heat until then [J]."""
     lengths, sheets = _links(rig.layer, cells)
     fits = [
         relaxation(sheet.loss_tangent) if sheet.loss == 'constant' else Relaxation()
@@ -65,7 +65,7 @@ def first_release(rig, *, cells):
 
     def forces(time, state):
         u, v = state[:n], state[n:2 * n]
-        memory = state[2 * n:].reshape(3, n)
+        memory = state[2 * n:5 * n].reshape(3, n)
         strain = np.diff(u, prepend=float(plate.position(time))) / lengths
         rate = np.diff(v, prepend=float(plate.velocity(time))) / lengths
         pull = tension(rest + strain) + weight + viscosity * rate
@@ -74,7 +74,9 @@ def first_release(rig, *, cells):
     def derivative(time, state):
         pull, rate, memory = forces(time, state)
         acceleration = (np.append(pull[1:], 0.0) - pull) / mass
-        return np.concatenate([state[n:2 * n], acceleration, (rate - rates * memory).ravel()])
+        heat = lengths @ (viscosity * rate**2 + (strengths * rates * memory**2).sum(axis=0))
+        change = (rate - rates * memory).ravel()
+        return np.concatenate([state[n:2 * n], acceleration, change, [heat]])
 
     def contact(time, state):
         acceleration = derivative(time, state)[2 * n - 1]
@@ -84,11 +86,12 @@ def first_release(rig, *, cells):
     done = solve_ivp(
         derivative,
         (0.0, 0.02),
-        np.zeros(5 * n),
+        np.zeros(5 * n + 1),
         'RK45',
         events=contact,
         rtol=1e-7,
         atol=1e-9,
         max_step=5e-5,
     )
-    return float(done.t_events[0][0]), float(done.y_events[0][0][2 * n - 1])
+    last = done.y_events[0][0]
+    return float(done.t_events[0][0]), float(last[2 * n - 1]), float(last[-1])
