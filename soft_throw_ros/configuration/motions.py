@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.csv_rows import is_header, parse_label, read_rows
 from soft_throw_ros.configuration.recorded_motion import MAX_END_SPEED, motion_from_record
 from soft_throw_ros.configuration.regular_file import open_regular_file, read_regular_file
-from soft_throw_ros.configuration.table import float_of, ParameterError, quote, Settings
+from soft_throw_ros.configuration.table import float_of, ParameterError, quote
 from soft_throw_ros.core.plate import SampledMotion
 
 Floats = NDArray[np.float64]
@@ -97,32 +97,6 @@ def read(path: str | Path) -> SampledMotion:
         return _read(name)
     except OSError as error:
         raise ParameterError(f'{name}: {error.strerror}', PARAMETER) from None
-
-
-def of_settings(settings: Settings, motion_of: MotionSource = read) -> SampledMotion | None:
-    """
-    Return the motion of the file that settings name; None if the plate moves otherwise.
-
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin.
-    motion_of : callable
-        Returns the motion by the path of its file; by default it reads the file.
-
-    Raises
-    ------
-    ParameterError
-        If no file is named, or it cannot be read.
-
-    """
-    if settings['engine.motion'] != 'file':
-        return None
-    if not settings[PARAMETER]:
-        raise ParameterError(
-            f"engine.motion 'file' needs {PARAMETER} (--motion-file), got ''", PARAMETER
-        )
-    return motion_of(settings[PARAMETER])
 
 
 def encode(motion: SampledMotion) -> str:

@@ -86,8 +86,8 @@ class TwinConfig:
     settings : mapping of str to value
         The complete settings, the source of all other fields.
     rig, model, motion
-        The rig, its model (see `model_of`), and the kind of the plate's motion: 'underdamped',
-        'harmonic', 'file' or 'measured'.
+        The rig, its model (the set one, or its fallback), and the kind of the plate's motion:
+        'underdamped', 'harmonic', 'file' or 'measured'.
     measurement : MeasurementConfig
         How the plate is estimated if it is measured.
     state_rate, field_rate : float
@@ -156,7 +156,7 @@ class TwinConfig:
         return cls(
             settings=settings,
             rig=rig,
-            model=model_of(settings, rig),
+            model=model_for(rig, settings['model']),
             motion=motion,
             measurement=MeasurementConfig(
                 smoothing_window_ns=round(settings['measured.smoothing_window'] * _SECOND),
@@ -211,12 +211,3 @@ class TwinConfig:
 
 _OF_RIG = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig and entry.name != 'model')
 """Parameters that require a new rig when they change."""
-
-
-def model_of(settings: Settings, rig: Rig) -> str:
-    """
-    Return the name of the model that follows a rig: the set one, or its fallback.
-
-    The fallback follows a layer that only cells can: a stack, one with loss, one not linear.
-    """
-    return model_for(rig, str(settings['model']))
