@@ -115,10 +115,8 @@ def start(
         Values that replace the defaults.
     given : dict of str to Given
         Sources of the values, as far as they are known.
-    table : Table
-        Parameters of the node.
-    warn : callable
-        Called with a sentence for each deprecated name; by default it is printed to stderr.
+    table, warn
+        Parameters of the node; called with a sentence for each deprecated name.
 
     Raises
     ------

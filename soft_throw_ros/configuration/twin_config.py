@@ -129,19 +129,8 @@ class TwinConfig:
         """
         Make the configuration that complete settings describe.
 
-        Parameters
-        ----------
-        settings : mapping of str to value
-            Complete settings.
-        motion_of : callable
-            Returns the motion of the plate by the path of its file; by default it reads the file.
-        rig : Rig, optional
-            The rig that the settings describe, if it exists already.
-
-        Raises
-        ------
-        ParameterError
-            If a file cannot be read.
+        Arguments and errors are those of `rig_of`, and the rig of the settings if it exists
+        already.
 
         Examples
         --------
@@ -183,21 +172,9 @@ class TwinConfig:
         self, values: Settings, motion_of: motions.MotionSource = motions.read
     ) -> TwinConfig:
         """
-        Return the configuration after a change of settings.
+        Return the configuration after changes, with all that they imply.
 
         The rig is built again, and the file of a motion read again, only if its parameters change.
-
-        Parameters
-        ----------
-        values : mapping of str to value
-            The changes, with all that they imply.
-        motion_of : callable
-            See `from_settings`.
-
-        Raises
-        ------
-        ParameterError
-            If a file cannot be read.
 
         """
         settings, before = {**self.settings, **values}, self.settings

@@ -45,14 +45,14 @@ def answer(
     rig : Rig, optional
         The rig that the settings describe, if it exists already.
     cancelled : callable, optional
-        Asked every few tenths of a second whether to give up.
+        Called every few tenths of a second; returns whether to give up.
 
     Raises
     ------
     ValueError
-        If that cannot be done, saying why.
+        If the request is impossible; the message has the reason.
     SearchCancelledError
-        If `cancelled` says so.
+        If `cancelled` returns True.
 
     """
     rig, asked = rig or rig_of(settings), _group(settings, 'recommendation')
