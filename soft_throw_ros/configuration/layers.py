@@ -136,9 +136,7 @@ class Material:
         if not self.thicknesses:
             return self.name
         millimetres = 1e3 * thickness
-        text = f'{millimetres:.1f}'
-        if not math.isclose(float(text), millimetres, rel_tol=1e-9):
-            text = f'{millimetres:g}'
+        text = max(f'{millimetres:.1f}', f'{millimetres:g}', key=len)
         return f'{self.name}_{text}mm'
 
 

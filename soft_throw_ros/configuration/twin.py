@@ -31,7 +31,6 @@ from soft_throw_ros.configuration.layers import (
     whole,
     write_stack,
 )
-from soft_throw_ros.configuration.objectives import OBJECTIVES
 from soft_throw_ros.configuration.table import (
     MAX_NAME,
     ParameterError,
@@ -49,6 +48,13 @@ _INSTALLED = library()
 
 LAYERS: Mapping[str, Mapping[str, float | str]] = _INSTALLED.layers
 """The layers of the installed library, each with the parameters that its name sets."""
+
+OBJECTIVES: Mapping[str, str] = {
+    'peak': 'the most energy per throw',
+    'robust': 'the most in the worst case of the uncertainties',
+    'versatile': 'the most in the worst of several throws',
+}
+"""Objectives and their meanings; `design/objectives/NAME.py` has the class `Name`."""
 
 _RIG = Rig()
 

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import itertools
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,11 +66,8 @@ _EQUAL = 1e-9
 """Relative difference of scores that count as equal; then the thinner layer is chosen. [-]"""
 
 
-class Score(Protocol):
-    """A function to maximise; 0 marks layers that throw nothing or break a limit."""
-
-    def __call__(self, thickness: Floats, wave_speed: Floats) -> Floats:
-        """Compute the scores of layers, shape (n,) each."""
+Score: TypeAlias = Callable[[Floats, Floats], Floats]
+"""Score by thickness and wave speed; 0 for layers that throw nothing or break a limit."""
 
 
 class LayerRange(NamedTuple):

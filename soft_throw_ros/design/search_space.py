@@ -100,15 +100,12 @@ def search_spaces(
     spaces = []
     for material in materials.values():
         speed, loss_tangent = material.wave_speed, material.loss_tangent.value
-        is_slow_or_fast = not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
-        if is_slow_or_fast or loss_tangent > limits.max_loss_tangent:
+        is_within_limits = limits.wave_speed_min <= speed.value <= limits.wave_speed_max
+        if not is_within_limits or loss_tangent > limits.max_loss_tangent:
             continue
-        ranges = [limits.thickness]
-        if material.thicknesses:
-            sheets = [each for each in material.thicknesses if _is_within(each, limits.thickness)]
-            ranges = [(each, each) for each in sheets]
-        for thickness in ranges:
-            low, high = thickness
+        smallest, largest = limits.thickness
+        sheets = [(each, each) for each in material.thicknesses if smallest <= each <= largest]
+        for low, high in sheets if material.thicknesses else [limits.thickness]:
             sheet = replace(
                 layer,
                 thickness=low if low == high else layer.thickness,
@@ -120,13 +117,9 @@ def search_spaces(
             spaces.append(
                 SearchSpace(
                     replace(rig, layer=sheet),
-                    LayerRange(thickness, (speed.value, speed.value)),
+                    LayerRange((low, high), (speed.value, speed.value)),
                     material.layer_name(low),
                     spread=0.5 * (speed.high - speed.low),
                 )
             )
     return spaces
-
-
-def _is_within(value: float, limits: tuple[float, float]) -> bool:
-    return limits[0] <= value <= limits[1]
