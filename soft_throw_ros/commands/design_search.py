@@ -37,7 +37,7 @@ from soft_throw_ros.commands.output import (
     write_columns,
 )
 from soft_throw_ros.configuration import Entry, rig_of, Settings, TWIN
-from soft_throw_ros.configuration.objectives import OBJECTIVES
+from soft_throw_ros.configuration.twin import OBJECTIVES
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import Aim

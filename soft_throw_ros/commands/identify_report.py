@@ -154,7 +154,7 @@ class IdentificationReport:
         title += [f'{name} {text}' for name, text in self._estimates()]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
         with atomic_file(path) as unfinished:  # readers see the old file meanwhile
-            files.write(unfinished, kept, title='\n'.join(title))
+            unfinished.write_text(files.render(kept, title='\n'.join(title)), 'utf-8')
 
 
 def add_report_options(parser: CommandParser) -> None:

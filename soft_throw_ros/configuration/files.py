@@ -20,8 +20,7 @@ and line of each, for error messages and for the order of requests.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import resources
 from itertools import pairwise
 import math
@@ -43,16 +42,15 @@ _KEY = 'ros__parameters'
 class Given(NamedTuple):
     """A value from a file or an argument, and its source."""
 
+    node: str
+    """Pattern of node names."""
+    name: str
     value: Any
     where: str
     """`FILE:LINE` or `-p NAME:=VALUE`."""
     order: int = 0
     """Number of the file or of the row of arguments; later ones win."""
     in_file: bool = True
-
-
-Sections = dict[str, dict[str, Given]]
-"""Values by parameter, for each pattern of node names."""
 
 
 def default_file(table: Table = TWIN) -> Path:
@@ -83,13 +81,11 @@ def read(path: str | Path, *, node: str = '/twin', table: Table = TWIN) -> dict[
         message has file and line.
 
     """
-    sections: Sections = {}
-    _add_file(sections, Path(path), order=0)
-    given = select(sections, node)
+    everything = list(_read_file(Path(path)))
+    given = select(everything, node)
     if not given:
-        raise ParameterError(
-            f'{path}: nothing for node {node}; it has {", ".join(sections) or "no parameters"}'
-        )
+        nodes = ', '.join(sorted({item.node for item in everything})) or 'no parameters'
+        raise ParameterError(f'{path}: nothing for node {node}; it has {nodes}')
     values = {name: item.value for name, item in given.items() if not is_foreign(name)}
     return start(values, given, table)
 
@@ -119,10 +115,8 @@ def start(
         Values that replace the defaults.
     given : dict of str to Given
         Sources of the values, as far as they are known.
-    table : Table
-        Parameters of the node.
-    warn : callable
-        Called with a sentence for each deprecated name; by default it is printed to stderr.
+    table, warn
+        Parameters of the node; called with a sentence for each deprecated name.
 
     Raises
     ------
@@ -132,22 +126,21 @@ def start(
     """
     requests: dict[int, dict[str, Value]] = {}
     for name, value in values.items():
-        source = given.get(name, Given(value, ''))
+        source = given.get(name)
         entry = table.by_name.get(name)
-        if not (source.in_file and entry is not None and entry.is_result):
-            requests.setdefault(source.order, {})[name] = value
+        if not (source and source.in_file and entry and entry.is_result):
+            requests.setdefault(source.order if source else 0, {})[name] = value
     places = {}  # of values that have a known one, also by their present names
     for name, item in given.items():
         places[name] = places[table.deprecated.get(name, name)] = f'{item.where}: '
-
-    def warn_at(place: str, text: str) -> None:
-        warn(place + text)
-
     settings = table.defaults()
     try:
         for _, request in sorted(requests.items()):
             for name, value in request.items():
-                table.without_deprecated({name: value}, partial(warn_at, places.get(name, '')))
+                texts: list[str] = []
+                table.without_deprecated({name: value}, texts.append)
+                for text in texts:
+                    warn(places.get(name, '') + text)
             settings.update(table.change(settings, table.without_deprecated(request)))
     except ParameterError as error:
         where = next((places[name] for name in error.names if name in places), '')
@@ -162,7 +155,7 @@ def is_foreign(name: str) -> bool:
     )
 
 
-def read_arguments(arguments: Sequence[str]) -> Sections:
+def read_arguments(arguments: Sequence[str]) -> list[Given]:
     """
     Return the values in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`).
 
@@ -172,39 +165,34 @@ def read_arguments(arguments: Sequence[str]) -> Sections:
         If a file cannot be read; the message has file and line.
 
     """
-    sections: Sections = {}
-    order, in_file = 0, True
-    for flag, argument in _ros_flags(arguments):
+    values: list[Given] = []
+    order, in_file, inside = 0, True, False
+    for flag, argument in pairwise(arguments):
+        inside = (inside or flag == '--ros-args') and flag != '--'
+        if not inside or flag not in ('-p', '--param', '--params-file'):
+            continue
         order += in_file or flag == '--params-file'
         in_file = flag == '--params-file'
-        if in_file:
-            _add_file(sections, Path(argument), order=order)
-            continue
         target, separator, text = argument.partition(':=')
-        node, _, name = target.rpartition(':')
-        if separator and text:  # ROS refuses all others
+        if in_file:
+            values += _read_file(Path(argument), order)
+        elif separator and text:  # ROS refuses all others
+            node, _, name = target.rpartition(':')
             where = f'-p {argument}'
-            given = Given(located_yaml.parse(text, where), where, order, in_file=False)
-            sections.setdefault(_pattern(node or '/**'), {})[name] = given
-    return sections
+            value = located_yaml.parse(text, where)
+            values.append(Given(node or '/**', name, value, where, order, in_file=False))
+    return values
 
 
-def select(sections: Sections, node: str) -> dict[str, Given]:
-    """
-    Return the values for one node by parameter name.
-
-    Notes
-    -----
-    As in ROS, a pattern keeps the place where it first appeared, and the last match wins. So
-    `-p` (whose pattern is `/**`) does not override a file that has `/**` and then `/twin`.
-
-    """
-    chosen: dict[str, Given] = {}
+def select(values: Iterable[Given], node: str) -> dict[str, Given]:
+    """Return the values for one node by parameter name; the last one wins."""
     tokens = {'': '', '*': r'/\w+', '**': r'(/\w+)*'}
-    for pattern, given in sections.items():
-        regex = ''.join(tokens.get(token, f'/{re.escape(token)}') for token in pattern.split('/'))
+    chosen: dict[str, Given] = {}
+    for item in values:
+        words = item.node.split('/')
+        regex = ''.join(tokens.get(word, f'/{re.escape(word)}') for word in words)
         if re.fullmatch(regex, node):
-            chosen.update(given)
+            chosen[item.name] = item
     return chosen
 
 
@@ -228,11 +216,6 @@ def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
     return '\n'.join(lines) + '\n'
 
 
-def write(path: str | Path, settings: Settings, *, title: str = '') -> None:
-    """Write some or all settings to a ROS parameter file."""
-    Path(path).write_text(render(settings, title=title), encoding='utf-8')
-
-
 def _text(value: Value) -> str:
     """Return a value as a line of YAML; texts are quoted, so that none is read as a number."""
     items = [
@@ -248,46 +231,27 @@ def _text(value: Value) -> str:
     return text if isinstance(value, tuple) else text[1:-1]
 
 
-def _ros_flags(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the parameter flags among ROS arguments, each with its argument."""
-    inside = False
-    for flag, argument in pairwise(arguments):
-        inside = (inside or flag == '--ros-args') and flag != '--'
-        if inside and flag in ('-p', '--param', '--params-file'):
-            yield flag, argument
-
-
-def _add_file(sections: Sections, path: Path, *, order: int) -> None:
+def _read_file(path: Path, order: int = 0) -> Iterator[Given]:
+    """Yield the values of a file in their order."""
     root = located_yaml.read(path)
-    if root is not None:
-        for pattern, parameters in _nodes(root):
-            section = sections.setdefault(_pattern(pattern), {})
-            for name, found in _parameters(parameters):
-                section[name] = Given(found.value, found.where, order)
+    for names, leaf in _leaves(root) if root is not None else ():
+        if _KEY not in names:
+            raise ParameterError(
+                f'{leaf.where}: expected NODE: {_KEY}: NAME: VALUE, '
+                f'got {quote(leaf.value)} before any {_KEY}'
+            )
+        index = names.index(_KEY)
+        node, name = '/'.join(names[:index]), '.'.join(names[index + 1:])
+        if name:
+            yield Given(node, name, leaf.value, leaf.where, order)
 
 
-def _nodes(tree: Located, parent: str = '') -> Iterator[tuple[str, Located]]:
-    """Yield every `ros__parameters` with the pattern above it."""
+def _leaves(
+    tree: Located, names: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Located]]:
+    """Yield every value that is no mapping, with the keys above it."""
     if tree.items is None:
-        raise ParameterError(
-            f'{tree.where}: expected NODE: {_KEY}: NAME: VALUE, '
-            f'got {quote(tree.value)} before any {_KEY}'
-        )
-    for key, value in tree.items:
-        if key == _KEY:
-            yield parent, value
-        else:
-            yield from _nodes(value, f'{parent}/{key}')
-
-
-def _parameters(tree: Located, parent: str = '') -> Iterator[tuple[str, Located]]:
-    """Yield every parameter with its full name."""
-    if tree.items is not None:
+        yield names, tree
+    else:
         for key, value in tree.items:
-            yield from _parameters(value, f'{parent}.{key}' if parent else key)
-    elif parent:
-        yield parent, tree
-
-
-def _pattern(name: str) -> str:
-    return '/' + '/'.join(part for part in name.split('/') if part)
+            yield from _leaves(value, (*names, key))

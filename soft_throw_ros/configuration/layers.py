@@ -77,6 +77,7 @@ STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_t
 
 _DESCRIPTION = ('description', 'source')
 _REQUIRED = (*_DESCRIPTION, 'density', 'loss_tangent')
+_STACK = (*_DESCRIPTION, 'stack')
 _STIFFNESS = ('wave_speed', 'youngs_modulus')
 _RANGED = ('density', 'loss_tangent', *_STIFFNESS)
 
@@ -135,9 +136,7 @@ class Material:
         if not self.thicknesses:
             return self.name
         millimetres = 1e3 * thickness
-        text = f'{millimetres:.1f}'
-        if not math.isclose(float(text), millimetres, rel_tol=1e-9):
-            text = f'{millimetres:g}'
+        text = max(f'{millimetres:.1f}', f'{millimetres:g}', key=len)
         return f'{self.name}_{text}mm'
 
 
@@ -272,9 +271,8 @@ def _library(path: str, _changed_ns: int) -> Library:
             layers[material.name] = material.settings
     found = Library(MappingProxyType(materials), MappingProxyType(layers))
     for name, node in stacks.items():
-        text = _checked('stack', node.value, node.where)
         try:
-            sheets = read_stack(text, lambda: materials)
+            sheets = read_stack(node.value, lambda: materials)
             layers[name] = {'layer.stack': write_stack(sheets), **whole(sheets)}
         except ParameterError as error:
             raise ParameterError(f'{node.where}: {error}') from None
@@ -317,31 +315,24 @@ def _read_materials(
         if name in materials or name in stacks:
             raise ParameterError(f'{node.where}: there is a material named {name} already')
         parts = _parts(node, 'PROPERTY: VALUE')
-        if 'stack' in parts:
-            _require(name, node, parts, (*_DESCRIPTION, 'stack'))
-            for key in _DESCRIPTION:
-                _value(key, parts[key])
-            other = sorted(parts.keys() - {*_DESCRIPTION, 'stack'})
-            if other:
-                raise ParameterError(f'{parts[other[0]].where}: a stack has no {other[0]}')
-            stacks[name] = parts['stack']
-        else:
-            materials[name] = _material(name, node, parts)
+        values = {key: _value(key, part) for key, part in parts.items()}
+        required = _STACK if 'stack' in parts else _REQUIRED
+        missing = [key for key in required if key not in parts]
+        if missing:
+            raise ParameterError(f'{node.where}: {name} has no {", no ".join(missing)}')
+        if 'stack' not in parts:
+            materials[name] = _material(name, node, parts, values)
+            continue
+        other = [key for key in parts if key not in required]
+        if other:
+            raise ParameterError(f'{parts[other[0]].where}: a stack has no {other[0]}')
+        stacks[name] = parts['stack']
 
 
-def _require(
-    name: str, node: Located, parts: Mapping[str, Located], required: Sequence[str]
-) -> None:
-    """Refuse an entry that lacks something."""
-    missing = [key for key in required if key not in parts]
-    if missing:
-        raise ParameterError(f'{node.where}: {name} has no {", no ".join(missing)}')
-
-
-def _material(name: str, node: Located, parts: Mapping[str, Located]) -> Material:
-    values = {key: _value(key, part) for key, part in parts.items()}
-    _require(name, node, parts, _REQUIRED)
-    stiffness = [key for key in _STIFFNESS if key in parts]
+def _material(
+    name: str, node: Located, parts: Mapping[str, Located], values: dict[str, Any]
+) -> Material:
+    stiffness = [key for key in _STIFFNESS if key in values]
     if len(stiffness) != 1:
         raise ParameterError(
             f'{node.where}: {name} must have either wave_speed or youngs_modulus, got '

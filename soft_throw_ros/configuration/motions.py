@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 import math
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 import zlib
 
 import numpy as np
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.csv_rows import is_header, parse_label, read_rows
 from soft_throw_ros.configuration.recorded_motion import MAX_END_SPEED, motion_from_record
 from soft_throw_ros.configuration.regular_file import open_regular_file, read_regular_file
-from soft_throw_ros.configuration.table import float_of, ParameterError, quote, Settings
+from soft_throw_ros.configuration.table import float_of, ParameterError, quote
 from soft_throw_ros.core.plate import SampledMotion
 
 Floats = NDArray[np.float64]
@@ -99,32 +99,6 @@ def read(path: str | Path) -> SampledMotion:
         raise ParameterError(f'{name}: {error.strerror}', PARAMETER) from None
 
 
-def of_settings(settings: Settings, motion_of: MotionSource = read) -> SampledMotion | None:
-    """
-    Return the motion of the file that settings name; None if the plate moves otherwise.
-
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin.
-    motion_of : callable
-        Returns the motion by the path of its file; by default it reads the file.
-
-    Raises
-    ------
-    ParameterError
-        If no file is named, or it cannot be read.
-
-    """
-    if settings['engine.motion'] != 'file':
-        return None
-    if not settings[PARAMETER]:
-        raise ParameterError(
-            f"engine.motion 'file' needs {PARAMETER} (--motion-file), got ''", PARAMETER
-        )
-    return motion_of(settings[PARAMETER])
-
-
 def encode(motion: SampledMotion) -> str:
     """Write a motion as text for a journal, which takes milliseconds."""
     rows = np.column_stack([motion.times, motion.states]).astype('<f8')
@@ -181,43 +155,37 @@ def _require_rest(states: Floats) -> None:
 
 def _read_csv(lines: Iterable[str], name: str) -> tuple[Floats, Floats]:
     """Return times, and heights with their derivatives if the file has them."""
-    rows: list[list[float]] = []
-    columns: list[_Column] = []
-    for number, cells in read_rows(lines):
-        where = f'{name}:{number}'
-        if not columns:
-            if is_header(cells):
-                columns = list(_named_columns(cells, where))
-                continue
-            columns = [_Column('time', 0), _Column('height', 1)]
-        row = []
-        for column in columns:
-            cell = cells[column.number] if column.number < len(cells) else ''
+    rows = list(read_rows(lines))
+    columns = {'time': (0, 1.0), 'height': (1, 1.0)}
+    if rows and is_header(rows[0][1]):
+        number, cells = rows.pop(0)
+        columns = dict(_named_columns(cells, f'{name}:{number}'))
+    table = np.empty((len(rows), len(columns)))
+    for n, (number, cells) in enumerate(rows):
+        for m, (column, (index, unit)) in enumerate(columns.items()):
+            cell = cells[index] if index < len(cells) else ''
             value = float_of(cell)
             if value is None or not math.isfinite(value):
                 raise ParameterError(
-                    f'{where}: {column.name} must be a finite number, got {quote(cell)}', PARAMETER
+                    f'{name}:{number}: {column} must be a finite number, got {quote(cell)}',
+                    PARAMETER,
                 )
-            row.append(value * column.unit)
-        if rows and row[0] <= rows[-1][0]:
+            table[n, m] = value * unit
+        if n and table[n, 0] <= table[n - 1, 0]:
             raise ParameterError(
-                f'{where}: time must increase, got {row[0]:g} after {rows[-1][0]:g}', PARAMETER
+                f'{name}:{number}: time must increase, got {table[n, 0]:g} after '
+                f'{table[n - 1, 0]:g}',
+                PARAMETER,
             )
-        rows.append(row)
-    table = np.array(rows).reshape(len(rows), max(len(columns), 2))
     return table[:, 0], table[:, 1:]
 
 
-class _Column(NamedTuple):
-    """A column, its number in the file from 0, and the SI value of its unit."""
+def _named_columns(cells: list[str], where: str) -> Iterator[tuple[str, tuple[int, float]]]:
+    """
+    Yield the name of each column, its index in the file, and the SI value of its unit.
 
-    name: str
-    number: int
-    unit: float = 1.0
-
-
-def _named_columns(cells: list[str], where: str) -> Iterator[_Column]:
-    """Find columns by their names; the two derivatives are read only together."""
+    The two derivatives are read only together.
+    """
     labels = list(map(parse_label, cells))
     names = [label.name for label in labels]
     has_derivatives = {'velocity', 'acceleration'} <= set(names)
@@ -237,7 +205,7 @@ def _named_columns(cells: list[str], where: str) -> Iterator[_Column]:
                 f'{where}: {name} must be in {" or ".join(units)}, got {quote(cells[index])}',
                 PARAMETER,
             )
-        yield _Column(name, index, units[unit])
+        yield name, (index, units[unit])
 
 
 def _read_bag(path: Path) -> tuple[Floats, Floats]:

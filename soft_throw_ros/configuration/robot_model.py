@@ -33,18 +33,8 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
     """
     Return a URDF with the sizes of the twin that a parameter file describes.
 
-    Parameters that the file lacks have their defaults, as in ROS.
-
-    Parameters
-    ----------
-    urdf : str
-        Model of the default rig.
-    path : path_like
-        A ROS parameter file.
-    node : str
-        Full name of the twin.
-    frame_prefix : str
-        See `urdf_of`.
+    Parameters that the file lacks have their defaults, as in ROS. `node` is the full name of the
+    twin; for `urdf` and `frame_prefix` see `urdf_of`.
 
     Raises
     ------

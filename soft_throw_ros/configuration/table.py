@@ -302,11 +302,8 @@ class Table:
                 f'no parameter is named {quote(name)}' + (advice and f'; {advice}'), name
             )
         if entry.is_result:
-            source = name.replace('recommended.', 'layer.')
-            setting = f'set {source} or ' if source in self.by_name else ''
             raise ParameterError(
-                f'{name} is a result; {setting}call ~/apply_recommendation (got {quote(value)})',
-                name,
+                f'{name} is a result; call ~/apply_recommendation (got {quote(value)})', name
             )
         converted = entry.convert(value)
         if converted is None:
@@ -377,14 +374,12 @@ def quote(value: object) -> str:
     True
 
     """
-    size = len(value) if isinstance(value, (array, list, str, tuple)) else 0
-    if isinstance(value, str):
-        text = repr(value[:MAX_QUOTE])
-    elif isinstance(value, (array, list, tuple)):
-        text = f'[{", ".join(map(quote, islice(value, MAX_QUOTE // 2)))}]'
+    if isinstance(value, (array, list, tuple)):
+        text, unit = f'[{", ".join(map(quote, islice(value, MAX_QUOTE // 2)))}]', 'items'
+        size = len(value)
     else:
-        text = repr(value)
+        text, unit = repr(value[:MAX_QUOTE] if isinstance(value, str) else value), 'characters'
+        size = len(value) if isinstance(value, str) else len(text)
     if len(text) <= MAX_QUOTE and size <= MAX_QUOTE:
         return text
-    unit = 'items' if isinstance(value, (array, list, tuple)) else 'characters'
-    return f'{text[:MAX_QUOTE]}... ({size or len(text)} {unit})'
+    return f'{text[:MAX_QUOTE]}... ({size} {unit})'

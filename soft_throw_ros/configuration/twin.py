@@ -31,7 +31,6 @@ from soft_throw_ros.configuration.layers import (
     whole,
     write_stack,
 )
-from soft_throw_ros.configuration.objectives import OBJECTIVES
 from soft_throw_ros.configuration.table import (
     MAX_NAME,
     ParameterError,
@@ -50,6 +49,13 @@ _INSTALLED = library()
 LAYERS: Mapping[str, Mapping[str, float | str]] = _INSTALLED.layers
 """The layers of the installed library, each with the parameters that its name sets."""
 
+OBJECTIVES: Mapping[str, str] = {
+    'peak': 'the most energy per throw',
+    'robust': 'the most in the worst case of the uncertainties',
+    'versatile': 'the most in the worst of several throws',
+}
+"""Objectives and their meanings; `design/objectives/NAME.py` has the class `Name`."""
+
 _RIG = Rig()
 
 _FORMER_MODELS = {
@@ -67,29 +73,38 @@ def _bounds(name: str) -> dict[str, Any]:
 
 def _values_of(part: type, settings: Settings) -> dict[str, Any]:
     """Return the arguments of a part of the rig, but for a motion of the plate."""
+    return {name.partition('.')[2]: settings[name] for name in _names_of(part)}
+
+
+def _names_of(part: type) -> list[str]:
+    """Return the names of the parameters of a part of the rig."""
     group = part.__name__.lower()
-    names = (item.name for item in fields(part) if item.name != 'motion')
-    return {name: settings[f'{group}.{name}'] for name in names}
+    return [f'{group}.{item.name}' for item in fields(part) if item.name != 'motion']
 
 
-def _damped_engine(settings: Settings, _motion_of: motions.MotionSource) -> Engine:
+def _engine(settings: Settings, _motion_of: motions.MotionSource) -> Engine:
     return Engine(**_values_of(Engine, settings))
 
 
 def _harmonic_engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
-    return replace(_damped_engine(settings, motion_of), damping_ratio=0.0)
+    return replace(_engine(settings, motion_of), damping_ratio=0.0)
 
 
 def _engine_of_file(settings: Settings, motion_of: motions.MotionSource) -> Engine:
-    motion = motions.of_settings(settings, motion_of)
-    return Engine(**_values_of(Engine, settings), motion=motion)
+    path = settings[motions.PARAMETER]
+    if not path:
+        raise ParameterError(
+            f"engine.motion 'file' needs {motions.PARAMETER} (--motion-file), got ''",
+            motions.PARAMETER,
+        )
+    return replace(_engine(settings, motion_of), motion=motion_of(path))
 
 
 MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
-    'underdamped': _damped_engine,
+    'underdamped': _engine,
     'harmonic': _harmonic_engine,
     'file': _engine_of_file,
-    'measured': _damped_engine,
+    'measured': _engine,
 }
 """Motions of the plate, each with the function that makes the engine of complete settings."""
 
@@ -352,7 +367,7 @@ def _motion_of_file(settings: Settings, changes: Settings) -> Settings:
 def _require_motion(settings: Settings, changes: Settings) -> Settings:
     """Refuse a motion by a file that is not named, or cannot be read."""
     if changes.get('engine.motion') == 'file':
-        motions.of_settings({**settings, **changes})
+        _engine_of_file({**settings, **changes}, motions.read)
     return {}
 
 
@@ -516,21 +531,15 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
     '0.0168 7.8 1000.0 0.0, 0.01 7.8 1000.0 0.0'
 
     """
-    stack = write_stack(rig.layer.sheets) if isinstance(rig.layer, Stack) else ''
-    return {
-        **{
-            f'engine.{item.name}': getattr(rig.engine, item.name)
-            for item in fields(Engine)
-            if item.name != 'motion'
-        },
-        **{f'layer.{item.name}': getattr(rig.layer, item.name) for item in fields(Layer)},
-        'layer.stack': stack,
-        **{
-            f'projectile.{item.name}': getattr(rig.projectile, item.name)
-            for item in fields(Projectile)
-        },
-        'gravity': rig.gravity,
+    values = {
+        name: getattr(part, name.partition('.')[2])
+        for kind, part in (
+            (Engine, rig.engine), (Layer, rig.layer), (Projectile, rig.projectile)
+        )
+        for name in _names_of(kind)
     }
+    stack = write_stack(rig.layer.sheets) if isinstance(rig.layer, Stack) else ''
+    return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
 
 
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')

@@ -86,8 +86,8 @@ class TwinConfig:
     settings : mapping of str to value
         The complete settings, the source of all other fields.
     rig, model, motion
-        The rig, its model (see `model_of`), and the kind of the plate's motion: 'underdamped',
-        'harmonic', 'file' or 'measured'.
+        The rig, its model (the set one, or its fallback), and the kind of the plate's motion:
+        'underdamped', 'harmonic', 'file' or 'measured'.
     measurement : MeasurementConfig
         How the plate is estimated if it is measured.
     state_rate, field_rate : float
@@ -129,19 +129,8 @@ class TwinConfig:
         """
         Make the configuration that complete settings describe.
 
-        Parameters
-        ----------
-        settings : mapping of str to value
-            Complete settings.
-        motion_of : callable
-            Returns the motion of the plate by the path of its file; by default it reads the file.
-        rig : Rig, optional
-            The rig that the settings describe, if it exists already.
-
-        Raises
-        ------
-        ParameterError
-            If a file cannot be read.
+        Arguments and errors are those of `rig_of`, and the rig of the settings if it exists
+        already.
 
         Examples
         --------
@@ -156,7 +145,7 @@ class TwinConfig:
         return cls(
             settings=settings,
             rig=rig,
-            model=model_of(settings, rig),
+            model=model_for(rig, settings['model']),
             motion=motion,
             measurement=MeasurementConfig(
                 smoothing_window_ns=round(settings['measured.smoothing_window'] * _SECOND),
@@ -183,21 +172,9 @@ class TwinConfig:
         self, values: Settings, motion_of: motions.MotionSource = motions.read
     ) -> TwinConfig:
         """
-        Return the configuration after a change of settings.
+        Return the configuration after changes, with all that they imply.
 
         The rig is built again, and the file of a motion read again, only if its parameters change.
-
-        Parameters
-        ----------
-        values : mapping of str to value
-            The changes, with all that they imply.
-        motion_of : callable
-            See `from_settings`.
-
-        Raises
-        ------
-        ParameterError
-            If a file cannot be read.
 
         """
         settings, before = {**self.settings, **values}, self.settings
@@ -211,12 +188,3 @@ class TwinConfig:
 
 _OF_RIG = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig and entry.name != 'model')
 """Parameters that require a new rig when they change."""
-
-
-def model_of(settings: Settings, rig: Rig) -> str:
-    """
-    Return the name of the model that follows a rig: the set one, or its fallback.
-
-    The fallback follows a layer that only cells can: a stack, one with loss, one not linear.
-    """
-    return model_for(rig, str(settings['model']))

@@ -238,49 +238,44 @@ def aim(
     if target.height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
     limits = replace(limits, max_strain=min(limits.max_strain, LARGEST_STRAIN))
-    search = _AimSearch(target, vary, limits, max_amplitude, cancelled)
+    search = _AimSearch(
+        target=target, vary=vary, limits=limits, max_amplitude=max_amplitude, cancelled=cancelled
+    )
     spaces = search_spaces(rig, vary, limits, materials or {})
     options = [(best, space) for space in spaces if (best := search.best_layer(space)) is not None]
     options.sort(key=lambda option: -option[0].score)
     options = options[:_MAX_FOLLOWED]
-    reached = [
-        throw for best, space in options if (throw := search.reach(space, best)) is not None
-    ]
-    if reached:
-        return replace(min(reached, key=lambda throw: throw.amplitude), is_reached=True)
-    nearest = [most for best, space in options if (most := search.most(space, best)) is not None]
-    if not nearest:
+    throws = [throw for best, space in options if (throw := search.solve(space, best)) is not None]
+    if throws:
+        return min(throws, key=lambda throw: throw.amplitude)
+    throws = [throw for best, space in options if (throw := search.most(space, best)) is not None]
+    if not throws:
         text = f'{target.height:g} m high' if target.height else f'{target.speed:g} m/s'
         raise ThrowUnresolvedError(f'no throw is possible within the limits, target {text}')
-    most = max(nearest, key=target.reached)
-    return replace(most, limited_by=', '.join(search.limits_of(most, _AT_LIMIT)))
+    most = max(throws, key=target.reached)
+    return replace(
+        most, is_reached=False, limited_by=', '.join(search.limits_of(most, _AT_LIMIT))
+    )
 
 
+@dataclass(frozen=True, kw_only=True)
 class _AimSearch:
-    """A search for the smallest amplitude within limits."""
+    """A search for the smallest amplitude within limits; the fields are arguments of `aim`."""
 
-    def __init__(
-        self,
-        target: Target,
-        vary: AimVary,
-        limits: Limits,
-        max_amplitude: float,
-        cancelled: Cancelled | None,
-    ) -> None:
-        self._target = target
-        self._vary = vary
-        self._limits = limits
-        self._max_amplitude = max_amplitude
-        self._cancelled = cancelled
+    target: Target
+    vary: AimVary
+    limits: Limits
+    max_amplitude: float
+    cancelled: Cancelled | None
 
-    def limits_of(self, throw: Aim, share: float) -> list[str]:
+    def limits_of(self, throw: Aim, share: float = 1.0) -> list[str]:
         """Return the names of the limits of which a throw reaches more than a share."""
         return [
             name
             for name, value, limit in (
-                ('max_amplitude', throw.amplitude, self._max_amplitude),
-                ('max_strain', throw.peak_strain, self._limits.max_strain),
-                ('max_acceleration', throw.peak_acceleration, self._limits.max_acceleration),
+                ('max_amplitude', throw.amplitude, self.max_amplitude),
+                ('max_strain', throw.peak_strain, self.limits.max_strain),
+                ('max_acceleration', throw.peak_acceleration, self.limits.max_acceleration),
             )
             if value > share * limit * (1.0 + _LOAD_TOLERANCE)
         ]
@@ -293,44 +288,40 @@ class _AimSearch:
         needed speed that it reaches within the limits. `rise` is the height of the last release
         above the rest position. [m]
         """
-        speed = self._target.speed_needed(space.rig.gravity, rise)
+        speed = self.target.speed_needed(space.rig.gravity, rise)
         margin = 0.0 if space.is_single else _LOAD_MARGIN
 
         def score(thickness: Floats, wave_speed: Floats) -> Floats:
             needed, allowed = self._amplitudes(space.rig, thickness, wave_speed, speed, margin)
             parts = np.minimum(allowed / needed, 1.0 - 1e-9)
-            return np.where(needed <= allowed, self._max_amplitude / needed, parts)
+            return np.where(needed <= allowed, self.max_amplitude / needed, parts)
 
         return find_best_layer(
-            score, space.layers, step=space.grid_step(loads=True), tolerance=1e-4,
-            is_full_grid=True,
+            score, space.layers, step=space.grid_step(loads=True), tolerance=1e-4
         )
 
-    def reach(self, space: SearchSpace, best: Optimum) -> Aim | None:
+    def solve(self, space: SearchSpace, best: Optimum) -> Aim | None:
         """
         Solve for the amplitude that reaches the target with a layer; None without a solution.
 
-        A layer that may vary is searched once more with the height of the first release.
+        A layer that may vary is searched once more with the height of the first solution's
+        release, because it may lie at the edge of a jump.
         """
-        throws = [self._solve_with(space, best)]
-        first = throws[0]
+        first = self._solve_with(space, best)
+        throws = [first]
         if first is not None and not space.is_single and first.rig.gravity > 0.0:
             rise = first.height - first.speed**2 / (2.0 * first.rig.gravity)
             better = self.best_layer(space._replace(rig=first.rig), rise)
-            if better is not None:
-                throws.append(self._solve_with(space, better))
-        return min(
-            (throw for throw in throws if throw is not None and not self.limits_of(throw, 1.0)),
-            key=lambda throw: throw.amplitude,
-            default=None,
-        )
+            throws.append(better and self._solve_with(space, better))
+        allowed = [throw for throw in throws if throw is not None and not self.limits_of(throw)]
+        return min(allowed, key=lambda throw: throw.amplitude, default=None)
 
     def _solve_with(self, space: SearchSpace, best: Optimum) -> Aim | None:
-        """Solve for the amplitude with a layer of a space."""
+        """Solve for the amplitude with a layer, limits apart; None without a solution."""
         if best.score < 1.0 and not space.is_single:
             return None
         rig = space.rig_with(best)
-        amplitude = self._solve(rig)
+        amplitude = self._amplitude(rig)
         return None if amplitude is None else self._throw(rig, amplitude, space.name)
 
     def most(self, space: SearchSpace, best: Optimum) -> Aim | None:
@@ -348,14 +339,14 @@ class _AimSearch:
         last = last_release(rig)
         return Aim(
             **vars(predict(rig)),
-            target_height=self._target.height,
-            target_speed=self._target.speed,
-            vary=self._vary,
+            target_height=self.target.height,
+            target_speed=self.target.speed,
+            vary=self.vary,
             layer=layer,
             amplitude=amplitude,
             height=last.height,
             speed=last.speed,
-            is_reached=False,
+            is_reached=True,
             rig=rig,
         )
 
@@ -363,35 +354,35 @@ class _AimSearch:
         self, rig: Rig, thickness: Floats, wave_speed: Floats, speed: float, margin: float
     ) -> tuple[Floats, Floats]:
         """Return the amplitudes that layers need for a speed, and may have, by first releases."""
-        start = min(speed / rig.engine.angular_frequency, self._max_amplitude)
+        start = min(speed / rig.engine.angular_frequency, self.max_amplitude)
         amplitude = np.full(np.shape(thickness), start)
         needed = allowed = amplitude
         # Without gravity everything is proportional to the amplitude.
         for _ in range(_GRAVITY_ITERATIONS if rig.gravity > 0.0 else 1):
             changes = {'thickness': thickness, 'wave_speed': wave_speed, 'amplitude': amplitude}
             throws = throw_many(
-                rig, changes, loads=self._limits.of_loads, cells=SEARCH_CELLS,
-                cancelled=self._cancelled,
+                rig, changes, loads=self.limits.of_loads, cells=SEARCH_CELLS,
+                cancelled=self.cancelled,
             )
             thrown = np.maximum(np.nan_to_num(throws.ejection_speed), 1e-300)
             needed = amplitude * speed / thrown
-            allowed = np.full(amplitude.shape, self._max_amplitude)
+            allowed = np.full(amplitude.shape, self.max_amplitude)
             for limit, load in (
-                (self._limits.max_strain, throws.peak_strain),
-                (self._limits.max_acceleration, throws.peak_acceleration),
+                (self.limits.max_strain, throws.peak_strain),
+                (self.limits.max_acceleration, throws.peak_acceleration),
             ):
                 if limit < math.inf:
                     allowed = np.fmin(allowed, (1.0 - margin) * amplitude * limit / load)
             amplitude = np.minimum(needed, allowed)
         return needed, allowed
 
-    def _solve(self, rig: Rig) -> float | None:
+    def _amplitude(self, rig: Rig) -> float | None:
         """Find the smallest amplitude that reaches the target with a layer; None if none does."""
-        target = self._target
+        target = self.target
 
         def excess(logarithm: float) -> float:
             """Compute the logarithm of reached over target."""
-            check_cancelled(self._cancelled)
+            check_cancelled(self.cancelled)
             try:
                 last = last_release(rig_with(rig, {'amplitude': math.exp(logarithm)}))
             except ThrowUnresolvedError:

@@ -35,8 +35,8 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed, Executor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 import functools
 import itertools
@@ -353,13 +353,13 @@ def compute_landscape(
     compute = functools.partial(_compute, rig, model, release, threads, tuple(changes))
     is_fast = rig.engine.motion is None and MODELS[model].batch != 'cells'
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
-    blocks = {start: cases[:, start:start + size] for start in range(0, cases.shape[1], size)}
-    results = np.empty((len(RESULTS), cases.shape[1]))
-    for start, part in _computed(compute, blocks, executor):
-        results[:, start:start + size] = part
+    blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
+    parts = []
+    for part in (executor.map if executor else map)(compute, blocks):
+        parts.append(part)
         if progress is not None:
             progress(part.shape[1])
-    phase, transfer = results.reshape(len(RESULTS), *shape)
+    phase, transfer = np.hstack(parts).reshape(len(RESULTS), *shape)
     return Landscape(
         rig=rig,
         axes=checked,
@@ -376,48 +376,24 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
     knows = model_of(model).knows
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
-    if rig.engine.motion and 'motion' not in knows:
-        raise ValueError(f'the motion of a file takes other models, got model {model!r}')
     if rig.engine.motion and 'engine.damping_ratio' in axes:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
-    if release == 'last' and 'last_release' not in knows:
-        raise ValueError(f'the last release takes other models, got model {model!r}')
-    for name, ability in _ABILITIES.items():
-        if name in axes and ability not in knows:
-            raise ValueError(f'{name} is an axis, but the model {model} does not know it')
     layer = rig.layer
-    if not layer.is_uniform and (release == 'last' or 'stack' not in knows):
-        raise ValueError(
-            f'layer.stack needs the first release by finite differences, got the {release} one by '
-            f'the model {model}'
-        )
-    if layer.loss_tangent > 0.0 and 'loss' not in knows:
-        raise ValueError(
-            f'layer.loss_tangent must be 0 for the model {model}, which is lossless, '
-            f'got {layer.loss_tangent:g}'
-        )
-    if layer.stress_strain_law != 'linear' and 'large_strain' not in knows:
-        raise ValueError(
-            f'layer.stress_strain_law must be linear for the model {model}, '
-            f'got {layer.stress_strain_law}'
-        )
-
-
-def _computed(
-    compute: Callable[[Floats], Floats], blocks: Mapping[int, Floats], executor: Executor | None
-) -> Iterator[tuple[int, Floats]]:
-    """Yield the starts of blocks and their results in the order of completion."""
-    if executor is None:
-        for start, block in blocks.items():
-            yield start, compute(block)
-        return
-    futures = {executor.submit(compute, block): start for start, block in blocks.items()}
-    try:
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:  # after Ctrl-C, or if the workers are lost
-        for future in futures:
-            future.cancel()
+    if not layer.is_uniform and release == 'last':
+        raise ValueError('layer.stack needs the first release, got the last one')
+    needs = [
+        ('motion', rig.engine.motion is not None, 'the motion of a file'),
+        ('last_release', release == 'last', 'the last release'),
+        ('stack', not layer.is_uniform, 'layer.stack'),
+        ('loss', layer.loss_tangent > 0.0, f'layer.loss_tangent {layer.loss_tangent:g}'),
+        ('large_strain', layer.stress_strain_law != 'linear',
+         f'layer.stress_strain_law {layer.stress_strain_law}'),
+        *((ability, name in axes, f'the axis {name}') for name, ability in _ABILITIES.items()),
+    ]
+    for ability, is_needed, subject in needs:
+        if is_needed and ability not in knows:
+            able = ' or '.join(name for name, other in MODELS.items() if ability in other.knows)
+            raise ValueError(f'{subject} needs the model {able}, got model {model!r}')
 
 
 def _check_axes(first: str, second: str) -> None:

@@ -128,10 +128,8 @@ def design_motion(
         Limits of the actuator; those of its present motion if not given.
     vary : {'motion', 'thickness', 'wave_speed', 'both'}
         Parameters of the layer that may change as well.
-    limits : Limits, optional
-        Limits of the layer, of its strain, and of the projectile's acceleration.
-    cancelled : callable, optional
-        Called every few tenths of a second; returns whether to give up.
+    limits, cancelled : optional
+        As for `recommend`; the strain of the layer and the acceleration count.
 
     Raises
     ------

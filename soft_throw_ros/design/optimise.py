@@ -18,11 +18,10 @@ Notes
 -----
 Scores have cliffs wherever the release jumps across 3, 5, 7 ... crossings or to another swing of
 the plate, and wherever a limit is met, and they have several maxima. So the search takes no
-derivative. It computes a grid of equal steps in the logarithms: first every third point, then the
-points near the good ones, because throws that gravity holds take a thousand times as long as
-others. From the highest local maxima it starts a pattern search: a patch of points moves to its
-best point, and shrinks when that point is inside. In a patch the wave speed grows with the
-thickness, because ridges and cliffs run along lines of equal :math:`\kappa = c_s / (L_s f)`.
+derivative. It computes a grid of equal steps in the logarithms. From the highest local maxima it
+starts a pattern search: a patch of points moves to its best point, and shrinks when that point is
+inside. In a patch the wave speed grows with the thickness, because ridges and cliffs run along
+lines of equal :math:`\kappa = c_s / (L_s f)`.
 
 The search may miss maxima that are narrower than a step of the grid. Such maxima exist where no
 layer reaches :math:`\alpha = 0.02`, with heavy projectiles on slow layers, and where gravity
@@ -34,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import itertools
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +43,6 @@ Floats = NDArray[np.float64]
 
 _MIN_POINTS, _MAX_POINTS = 9, 512
 """Bounds of the number of grid points along an axis that is free."""
-
-_STRIDE = 3
-"""Steps of the grid between the points that are computed first."""
-
-_PROMISING = 0.5
-"""Share of the highest score that makes the neighbours of a point worth computing. [-]"""
 
 _MAX_CANDIDATES = 4
 """Number of pattern searches, each from a local maximum of the grid."""
@@ -73,11 +66,8 @@ _EQUAL = 1e-9
 """Relative difference of scores that count as equal; then the thinner layer is chosen. [-]"""
 
 
-class Score(Protocol):
-    """A function to maximise; 0 marks layers that throw nothing or break a limit."""
-
-    def __call__(self, thickness: Floats, wave_speed: Floats) -> Floats:
-        """Compute the scores of layers, shape (n,) each."""
+Score: TypeAlias = Callable[[Floats, Floats], Floats]
+"""Score by thickness and wave speed; 0 for layers that throw nothing or break a limit."""
 
 
 class LayerRange(NamedTuple):
@@ -109,7 +99,6 @@ def find_best_layer(
     step: float,
     starts: Sequence[tuple[float, float]] = (),
     tolerance: float = 1e-5,
-    is_full_grid: bool = False,
 ) -> Optimum | None:
     """
     Find the layer with the highest score.
@@ -126,8 +115,6 @@ def find_best_layer(
         Thickness [m] and wave speed [m/s] of additional first layers of pattern searches.
     tolerance : float
         Relative error of thickness and wave speed. [-]
-    is_full_grid : bool
-        Whether all points of the grid are computed, for scores that may rise from 0 anywhere.
 
     Returns
     -------
@@ -149,16 +136,7 @@ def find_best_layer(
 
     axes = [np.linspace(low[i], high[i], sizes[i]) for i in range(2)]
     grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)
-    scores = np.zeros(grid.shape[:2])
-    if is_full_grid:
-        scores = at(grid)
-    else:
-        first = np.s_[::_STRIDE, ::_STRIDE]
-        scores[first] = at(grid[first])
-        best = scipy.ndimage.maximum_filter(scores, 2 * _STRIDE - 1)
-        is_promising = (best > 0.0) & (best >= _PROMISING * scores.max())
-        is_promising[first] = False
-        scores[is_promising] = at(grid[is_promising])
+    scores = at(grid)
     indices = _highest_maxima(scores)
     points, values = grid[indices], scores[indices]
     if starts:

@@ -51,6 +51,7 @@ References
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
@@ -267,9 +268,9 @@ def find_best_motion(
     loads : Limits, optional
         Limits of the loads; only strain and acceleration apply.
     model : str
-        Model of the layer; finite differences replace the travelling wave if necessary.
+        Model of the layer, or of its fallback.
     cancelled : callable, optional
-        Asked between programmes, some tenths of a second each.
+        Called between programmes, some tenths of a second each; returns whether to give up.
 
     Returns
     -------
@@ -282,12 +283,11 @@ def find_best_motion(
     ThrowUnresolvedError
         If no motion within the limits throws, or none keeps clear of the projectile.
     SearchCancelledError
-        If `cancelled` says so.
+        If `cancelled` returns True.
 
     Notes
     -----
-    See the module. The speed is within 0.5 % of the best, as seen beside the known optima of a
-    plate that goes up as fast as it can.
+    The speed is within 0.5 % of the known optima of a plate that goes up as fast as it can.
 
     """
     loads = loads or Limits()
@@ -477,15 +477,13 @@ def _shortest_time(
     _, speed = programme.solve(longest)
     if is_rough or not speed > 0.0:
         return longest, max(speed, 0.0)
-    low, high = 0, len(shorter)
-    while low < high:
-        middle = (low + high) // 2
+
+    def speed_at(time: float) -> float:
         check_cancelled(cancelled)
-        if programme.solve(shorter[middle])[1] >= (1.0 - _WAITING_GAIN) * speed:
-            high = middle
-        else:
-            low = middle + 1
-    return (shorter[low] if low < len(shorter) else longest), speed
+        return programme.solve(time)[1]
+
+    index = bisect.bisect_left(shorter, (1.0 - _WAITING_GAIN) * speed, key=speed_at)
+    return [*shorter, longest][index], speed
 
 
 class _Programme:
@@ -537,8 +535,8 @@ class _Programme:
         # The unknowns are the control points of the height, scaled by speed and step, beginning
         # before the start. Pulses are the differences of the control points; the differences of
         # pulses bound acceleration and jerk.
-        rise, steps, bends = (_differences(order, size) for order in (1, 2, 3))
-        rise = rise[:size]
+        rise = np.diff(np.eye(size + 1), axis=0)
+        steps, bends = (np.diff(np.pad(rise, ((n, n), (0, 0))), n, axis=0) for n in (1, 2))
         force, least = self._pushing(release, size, force_factor)
         most = self._loads.max_acceleration * rig.projectile.mass
         most /= limits.speed * rig.layer.impedance
@@ -549,10 +547,10 @@ class _Programme:
         ]
         for matrix, limit in ((steps, limits.acceleration), (bends, limits.jerk * step)):
             if limit < math.inf:
-                bound = np.ones(matrix.shape[0])
+                bound = np.ones(len(matrix))
                 between.append((matrix * (limits.speed / (limit * step)), -bound, bound))
         both = [sign * matrix for matrix, _, _ in between for sign in (1.0, -1.0)]
-        rows = scipy.sparse.vstack(both).tocsr()
+        rows = np.concatenate(both)
         bounds = np.concatenate([each for _, low, high in between for each in (high, -low)])
         is_limit = bounds < math.inf
         goal = np.zeros(size)
@@ -562,7 +560,7 @@ class _Programme:
             strain, strain_bounds = self._strain_limits(release, size)
             found = self._optimise(
                 goal @ rise,
-                scipy.sparse.vstack([rows[is_limit], strain @ rise]).tocsr(),
+                np.concatenate([rows[is_limit], strain @ rise]),
                 np.concatenate([bounds[is_limit], strain_bounds]),
             )
             if found is None:
@@ -578,14 +576,12 @@ class _Programme:
             pulses[: int(np.flatnonzero(pulses[:start] < 0.0).max(initial=-1)) + 1] = 0.0
         return Pulses(step, pulses).within(limits), float(-goal[:felt] @ pulses[:felt])
 
-    def _optimise(
-        self, goal: Floats, rows: scipy.sparse.csr_matrix, bounds: Floats
-    ) -> Floats | None:
+    def _optimise(self, goal: Floats, rows: Floats, bounds: Floats) -> Floats | None:
         """Solve a linear programme; None if it has no solution."""
         for method, iterations in _METHODS.items():
             found = scipy.optimize.linprog(
                 goal,
-                A_ub=rows,
+                A_ub=scipy.sparse.csr_matrix(rows),
                 b_ub=bounds,
                 bounds=(0.0, self._limits.travel / (self._limits.speed * self._step)),
                 method=method,
@@ -610,9 +606,7 @@ class _Programme:
                 excessive.add((height, before, math.copysign(1.0, strain[n])))
         return excessive
 
-    def _strain_limits(
-        self, release: int, size: int
-    ) -> tuple[scipy.sparse.csr_matrix, Floats]:
+    def _strain_limits(self, release: int, size: int) -> tuple[Floats, Floats]:
         """Return rows for the pulses, and bounds, that limit all strains known to be critical."""
         critical = [
             (height, release - round(before / self._step), sign)
@@ -624,11 +618,11 @@ class _Programme:
             response = self._strains[height, n::-1][:size]
             rows[row, :response.size] = sign * self._limits.speed * response
             bounds[row] = self._loads.max_strain - sign * self._static_strains[height]
-        return scipy.sparse.csr_matrix(rows), bounds
+        return rows, bounds
 
     def _pushing(
         self, release: int, size: int, force_factor: float
-    ) -> tuple[scipy.sparse.csr_matrix, Floats]:
+    ) -> tuple[Floats, Floats]:
         """Return the force on the projectile over time, and its lower bound, against rest."""
         rig, step = self._rig, self._step / _FINER
         scale = self._limits.speed * rig.layer.impedance
@@ -641,14 +635,4 @@ class _Programme:
         crossing = rig.crossing_time
         inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
         bound[inside] += force_factor * _MIN_WAVE_FORCE
-        return scipy.sparse.csr_matrix(rows), bound
-
-
-def _differences(order: int, size: int) -> scipy.sparse.csr_matrix:
-    """Return the matrix of differences of a row that is constant before and after it."""
-    sparse = scipy.sparse
-    matrix = sparse.csr_matrix(sparse.diags([-1.0, 1.0], [0, 1], shape=(size, size + 1)))
-    for n in range(1, order):
-        shape = (size + n, size + n - 1)
-        matrix = sparse.csr_matrix(sparse.diags([1.0, -1.0], [0, -1], shape=shape)) @ matrix
-    return matrix
+        return rows, bound

@@ -21,8 +21,7 @@ in `soft_throw_ros.design.optimise`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import functools
 import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
@@ -49,9 +48,6 @@ _DRAFT_ERROR = 2e-3
 
 _NEARBY = 0.03
 """Relative half width of the second search, in thickness and wave speed. [-]"""
-
-_HOLDING_GRAVITY = 1.0
-"""Gravity over the plate's largest acceleration beyond which few layers throw well. [-]"""
 
 _MAX_CANDIDATES = 5
 """Number of layers of the library that a recommendation lists."""
@@ -276,15 +272,7 @@ def recommend(
     else:
         best = alternatives.get(vary)
     if best is None:
-        free = replace(search.limits, max_strain=math.inf, max_acceleration=math.inf)
-        easier: Recommendation | None = None
-        if free != search.limits:
-            with contextlib.suppress(ThrowUnresolvedError):
-                easier = recommend(
-                    rig, vary=vary, objective=objective, limits=free, materials=materials,
-                    cancelled=cancelled,
-                )
-        raise ThrowUnresolvedError(_refusal(rig, vary, search.limits, easier))
+        raise ThrowUnresolvedError(_refusal(rig, vary, search.limits))
     score_now = LayerScore(rig, search.objective, cancelled=cancelled)
     now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
     by = {name: predict(each.rig) for name, each in alternatives.items()}
@@ -309,25 +297,28 @@ def recommend(
     )
 
 
-def _refusal(rig: Rig, vary: str, limits: Limits, free: PredictedThrow | None) -> str:
-    """Return why nothing can be recommended; `free` is the best without limits of the loads."""
+def _refusal(rig: Rig, vary: str, limits: Limits) -> str:
+    """Describe the layers and limits without a throw."""
     low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
     slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
-    text = f'a thickness from {low:g} to {high:g} m and a wave speed from {slow:g} to {fast:g} m/s'
-    if vary == 'library':
-        text += ' from the library'
-        if limits.max_loss_tangent < math.inf:
-            text += f' and a loss tangent of at most {limits.max_loss_tangent:g}'
-    if free is not None:
-        return (
-            f'no layer with {text} keeps a strain of at most {limits.max_strain:g} and an '
-            f'acceleration of at most {limits.max_acceleration:g} m/s2; the best without '
-            f'these limits has {free.peak_strain:.3g} and {free.peak_acceleration:.4g} m/s2'
-        )
+    parts = [
+        f'a thickness from {low:g} to {high:g} m',
+        f'a wave speed from {slow:g} to {fast:g} m/s',
+        *(
+            f'a {name} of at most {limit:g}{unit}'
+            for name, limit, unit in (
+                ('loss tangent', limits.max_loss_tangent, ''),
+                ('strain', limits.max_strain, ''),
+                ('acceleration', limits.max_acceleration, ' m/s2'),
+            )
+            if limit < math.inf
+        ),
+    ]
+    source = ' from the library' if vary == 'library' else ''
     return (
-        f'no throw with {text} can be computed: the projectile stays on the layer for too many '
-        f'crossings, or gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the '
-        'plate) holds it'
+        f'no layer{source} with {", ".join(parts)} throws: change the limits, or the rig if '
+        f'gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the plate) holds the '
+        'projectile'
     )
 
 
@@ -379,14 +370,12 @@ class _Search(NamedTuple):
         has_cells = space.rig.layer.needs_cells
         known = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]
         score = self._score(space, SEARCH_CELLS if has_cells else None)
-        is_fast = score.throws_per_layer == 1 and not self.limits.of_loads
         return find_best_layer(
             score,
             space.layers,
             step=space.grid_step(loads=self.limits.of_loads, throws=score.throws_per_layer),
             starts=[layer for layer in known if space.layers.contains(*layer)],
-            tolerance=5e-4 if has_cells else 1e-5 if is_fast else 1e-4,
-            is_full_grid=self.limits.of_loads or space.rig.gravity_ratio > _HOLDING_GRAVITY,
+            tolerance=5e-4 if has_cells else 1e-5,
         )
 
     def _finish(self, space: SearchSpace, best: Optimum | None) -> _Candidate | None:
@@ -410,6 +399,4 @@ def _refine(score: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | N
         (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
         for (low, high), value in zip(layers, best, strict=False)
     ))
-    return find_best_layer(
-        score, nearby, step=_NEARBY, starts=[best[:2]], tolerance=1e-3, is_full_grid=True
-    )
+    return find_best_layer(score, nearby, step=_NEARBY, starts=[best[:2]], tolerance=1e-3)

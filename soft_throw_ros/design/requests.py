@@ -45,39 +45,39 @@ def answer(
     rig : Rig, optional
         The rig that the settings describe, if it exists already.
     cancelled : callable, optional
-        Asked every few tenths of a second whether to give up.
+        Called every few tenths of a second; returns whether to give up.
 
     Raises
     ------
     ValueError
-        If that cannot be done, saying why.
+        If the request is impossible; the message has the reason.
     SearchCancelledError
-        If `cancelled` says so.
+        If `cancelled` returns True.
 
     """
-    rig, asked = rig or rig_of(settings), _group(settings, 'recommendation')
-    if asked['vary'] == 'motion':
+    rig, request = rig or rig_of(settings), _request(settings)
+    if request['vary'] == 'motion':
         return motion_answer(settings, rig=rig, cancelled=cancelled)
     search: dict[str, Any] = {
-        'vary': asked['vary'],
+        'vary': request['vary'],
         'limits': limits_of(settings),
         'cancelled': cancelled,
     }
-    if asked['vary'] == 'library':
+    if request['vary'] == 'library':
         search['materials'] = library(str(settings['layer.library'])).materials
-    if asked['objective'] == 'aim':
-        height, speed = asked['target_height'] or None, asked['target_speed'] or None
+    if request['objective'] == 'aim':
+        height, speed = request['target_height'] or None, request['target_speed'] or None
         if height is None and speed is None:
             raise ValueError(
                 'nothing to aim at: recommendation.target_height (--target-height) or '
                 'recommendation.target_speed (--target-speed) must be above 0, got 0 for both'
             )
         target = Target(height=height, speed=speed)
-        return aim(rig, target, max_amplitude=asked['max_amplitude'], **search)
-    if asked['vary'] == 'amplitude':
+        return aim(rig, target, max_amplitude=request['max_amplitude'], **search)
+    if request['vary'] == 'amplitude':
         raise ValueError(
             "recommendation.vary 'amplitude' is for recommendation.objective 'aim' alone, got "
-            f'{asked["objective"]!r}'
+            f'{request["objective"]!r}'
         )
     return recommend(rig, objective=objective_of(settings), **search)
 
@@ -90,31 +90,31 @@ def motion_answer(
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
     """Design the motion of the plate by the settings; arguments and errors as for `answer`."""
-    asked = _group(settings, 'recommendation')
-    if asked['objective'] != 'peak':
+    request = _request(settings)
+    if request['objective'] != 'peak':
         raise ValueError(
             "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
-            f'{asked["objective"]!r}'
+            f'{request["objective"]!r}'
         )
     rig = rig or rig_of(settings)
     now = PlateLimits.of(rig.engine)
     plate = PlateLimits(
-        speed=asked['plate_speed'] or now.speed,
-        acceleration=asked['plate_acceleration'] or now.acceleration,
-        jerk=asked['plate_jerk'] or now.jerk,
-        travel=asked['plate_travel'] or now.travel,
+        speed=request['plate_speed'] or now.speed,
+        acceleration=request['plate_acceleration'] or now.acceleration,
+        jerk=request['plate_jerk'] or now.jerk,
+        travel=request['plate_travel'] or now.travel,
     )
     return design_motion(rig, plate, vary=vary, limits=limits_of(settings), cancelled=cancelled)
 
 
 def limits_of(settings: Settings) -> Limits:
     """Return the limits that the settings set; 0 is none."""
-    asked = _group(settings, 'recommendation')
+    request = _request(settings)
     layer = ('thickness_min', 'thickness_max', 'wave_speed_min', 'wave_speed_max')
     loads = ('max_strain', 'max_acceleration', 'max_loss_tangent')
     return Limits(
-        **{name: asked[name] for name in layer},
-        **{name: asked[name] or math.inf for name in loads},
+        **{name: request[name] for name in layer},
+        **{name: request[name] or math.inf for name in loads},
     )
 
 
@@ -126,10 +126,6 @@ def objective_of(settings: Settings) -> Objective:
     return objective.from_settings(settings)
 
 
-def _group(settings: Settings, group: str) -> Settings:
-    """Return the settings of a group by their last names."""
-    return {
-        name.partition('.')[2]: value
-        for name, value in settings.items()
-        if name.startswith(f'{group}.')
-    }
+def _request(settings: Settings) -> Settings:
+    """Return the settings `recommendation.*` by their last names."""
+    return {name.removeprefix('recommendation.'): value for name, value in settings.items()}

@@ -43,27 +43,25 @@ class SearchSpace(NamedTuple):
         """Whether there is but one layer to choose."""
         return all(low == high for low, high in self.layers)
 
-    def grid_step(self, *, loads: bool = False, throws: int = 1) -> float:
+    def grid_step(self, *, loads: bool, throws: int = 1) -> float:
         """
         Return the step of the initial grid of a search, in logarithms [-].
 
-        Throws from a layer with loss, and loads, need a stepper, which takes thirty times as long
-        as the closed form. Therefore grids with a stepper, or with several throws per layer, are
-        coarser.
+        Grids with a stepper, which takes thirty times as long as the closed form, or with several
+        throws per layer are coarser, and grids along one axis are finer.
 
         Parameters
         ----------
         loads : bool
-            Whether the score needs the loads of the throws.
+            Whether the score needs the loads of the throws, and with them a stepper.
         throws : int
             Number of throws that make the score of a layer.
 
         """
-        has_cells = self.rig.layer.needs_cells
-        if any(low == high for low, high in self.layers):
-            has_steppers = loads or self.rig.gravity_ratio > STRONG_GRAVITY
-            return 0.04 if has_cells else 0.02 if has_steppers or throws > 1 else 0.01
-        return (0.12 if has_cells or loads else 0.06) * (1.0 if throws == 1 else 1.5)
+        step = 0.12 if self.rig.layer.needs_cells or loads else 0.06
+        step *= 1.5 if throws > 1 else 1.0
+        has_one_axis = any(low == high for low, high in self.layers)
+        return 0.3 * step if has_one_axis else step
 
     def rig_with(self, best: Optimum) -> Rig:
         """Return the rig with another layer of this space."""
@@ -102,15 +100,12 @@ def search_spaces(
     spaces = []
     for material in materials.values():
         speed, loss_tangent = material.wave_speed, material.loss_tangent.value
-        is_slow_or_fast = not limits.wave_speed_min <= speed.value <= limits.wave_speed_max
-        if is_slow_or_fast or loss_tangent > limits.max_loss_tangent:
+        is_within_limits = limits.wave_speed_min <= speed.value <= limits.wave_speed_max
+        if not is_within_limits or loss_tangent > limits.max_loss_tangent:
             continue
-        ranges = [limits.thickness]
-        if material.thicknesses:
-            sheets = [each for each in material.thicknesses if _is_within(each, limits.thickness)]
-            ranges = [(each, each) for each in sheets]
-        for thickness in ranges:
-            low, high = thickness
+        smallest, largest = limits.thickness
+        sheets = [(each, each) for each in material.thicknesses if smallest <= each <= largest]
+        for low, high in sheets if material.thicknesses else [limits.thickness]:
             sheet = replace(
                 layer,
                 thickness=low if low == high else layer.thickness,
@@ -122,13 +117,9 @@ def search_spaces(
             spaces.append(
                 SearchSpace(
                     replace(rig, layer=sheet),
-                    LayerRange(thickness, (speed.value, speed.value)),
+                    LayerRange((low, high), (speed.value, speed.value)),
                     material.layer_name(low),
                     spread=0.5 * (speed.high - speed.low),
                 )
             )
     return spaces
-
-
-def _is_within(value: float, limits: tuple[float, float]) -> bool:
-    return limits[0] <= value <= limits[1]

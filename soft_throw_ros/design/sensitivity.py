@@ -74,22 +74,9 @@ def sensitivities(
     rig: Rig, objective: Objective, cancelled: Cancelled | None = None
 ) -> Iterator[Sensitivity]:
     """
-    Compute the sensitivity and the tolerance of each parameter.
+    Compute the sensitivity and the tolerance of each parameter of a rig with its best layer.
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig with the recommended layer.
-    objective : Objective
-        Objective that scores the layer.
-    cancelled : callable, optional
-        Called between batches of throws; returns whether to give up.
-
-    Raises
-    ------
-    SearchCancelledError
-        If `cancelled` returns True.
-
+    The objective scores the layer; `cancelled` is that of `throw_many`.
     """
     score = LayerScore(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
     layer = {'thickness': rig.layer.thickness, 'wave_speed': rig.layer.wave_speed}

@@ -170,7 +170,7 @@ class Uncertainties:
 
 
 def even_offsets(count: int) -> Floats:
-    """Return points that fill the cube from -1 to 1 evenly, the middle first: (count, 5)."""
+    """Return points that fill the cube from -1 to 1 evenly, the centre first: (count, 5)."""
     steps = _ROOT ** -np.arange(1.0, len(fields(Uncertainties)) + 1.0)
     return 2.0 * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0) - 1.0
 
@@ -237,12 +237,10 @@ def prediction_uncertainty(
 
     Parameters
     ----------
-    rig : Rig
-        The nominal rig.
+    rig, cancelled
+        The nominal rig, and a callback as for `throw_many`.
     uncertainties : Uncertainties, optional
         Uncertainties of the rig; by default those of the paper.
-    cancelled : callable, optional
-        Called between batches of throws; returns whether to give up.
 
     Raises
     ------

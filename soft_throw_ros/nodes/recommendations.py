@@ -27,9 +27,9 @@ from soft_throw_ros.commands.design_texts import remarks_of, summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.twin_config import model_of, TwinConfig
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
-from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import model_for, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
@@ -170,7 +170,7 @@ def other_models_values(rig: Rig, settings: Settings) -> dict[str, float]:
     """Return the first release as other models predict it, as values of a status."""
     if rig.engine.motion is not None:
         return {}  # the other models support the motions of the engine only
-    predictions = predict_by_other_models(rig, model_of(settings, rig))
+    predictions = predict_by_other_models(rig, model_for(rig, settings['model']))
     return {
         f'{model}.{name}': value
         for model, release in predictions.items()

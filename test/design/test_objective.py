@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from reference.cases import exact_release
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.core.throws import rig_with
+from soft_throw_ros.core.throws import rig_with, throw_many
 from soft_throw_ros.design.objective import LayerScore, Limits
 from soft_throw_ros.design.objectives.peak import Peak
 from soft_throw_ros.design.objectives.robust import Robust
@@ -37,14 +37,8 @@ def random_transfers(rig, uncertainties, seed):
     """Return the energy transfers of 3000 rigs with random relative errors."""
     random = np.random.default_rng(seed)
     variants = uncertainties.variants(rig, random.uniform(-1.0, 1.0, (3000, 5)))
-    score = LayerScore(rig, Peak())
-    return score(
-        rig.layer.thickness + variants.thickness_error,
-        rig.layer.wave_speed + variants.wave_speed_error,
-        mass=variants.mass / rig.projectile.mass,
-        frequency=variants.frequency / rig.engine.frequency,
-        damping_ratio=variants.damping_ratio / rig.engine.damping_ratio,
-    )
+    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
+    return throw_many(rig, changes).energy_transfer
 
 
 @pytest.mark.parametrize('gravity', [0.0, 9.81])

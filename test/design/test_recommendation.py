@@ -19,11 +19,12 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import ParameterError, TWIN
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.design.objective import LayerScore, Limits
 from soft_throw_ros.design.objectives.peak import Peak
 from soft_throw_ros.design.objectives.robust import Robust
@@ -97,11 +98,7 @@ def best_of_a_grid(rig, *, vary, objective, limits, materials, size):
         thicknesses, wave_speeds = (
             np.geomspace(low, high, count if low < high else 1) for low, high in space.layers
         )
-        if isinstance(objective, Robust):
-            spread = max(objective.uncertainties.wave_speed, space.spread)
-            uncertainties = replace(objective.uncertainties, wave_speed=spread)
-            objective = replace(objective, uncertainties=uncertainties)
-        score = LayerScore(space.rig, objective, limits)
+        score = LayerScore(space.rig, objective.with_spread(space.spread), limits)
         for wave_speed in wave_speeds:
             best = max(best, score(thicknesses, wave_speed).max())
     return best
@@ -225,14 +222,7 @@ def test_layer_of_the_library_counts_with_its_own_properties():
 
 def score_after(rig, name, values):
     """Return the energy transfers of a rig with other values of a parameter."""
-    layer = {'thickness': rig.layer.thickness, 'wave_speed': rig.layer.wave_speed}
-    base = {
-        **layer, 'mass': rig.projectile.mass, 'frequency': rig.engine.frequency,
-        'damping_ratio': rig.engine.damping_ratio,
-    }[name]
-    if name in layer:
-        return LayerScore(rig, Peak())(**{**layer, name: values})
-    return LayerScore(rig, Peak())(**layer, **{name: np.asarray(values) / base})
+    return np.nan_to_num(throw_many(rig, {name: np.asarray(values)}).energy_transfer)
 
 
 @pytest.mark.parametrize('loss_tangent', [0.0, 0.1])
@@ -285,8 +275,6 @@ def test_every_result_in_the_table_belongs_to_a_recommendation_or_an_aim():
     results = [entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result]
     for name in results:
         assert name == 'amplitude' or getattr(best, name) is not None
-    with pytest.raises(ParameterError, match='is a result'):
-        TWIN.check_value(f'recommended.{results[-1]}', 1.0)
 
 
 def test_values_are_flat_and_complete():
@@ -308,7 +296,7 @@ def test_values_are_flat_and_complete():
         (Rig(), {'vary': 'wave_speed', 'limits': Limits(wave_speed_min=0.01, wave_speed_max=0.02)},
          r'a wave speed from 0\.01 to 0\.02 m/s'),
         (Rig(), {'vary': 'thickness', 'limits': Limits(max_strain=0.01)},
-         r'strain of at most 0\.01 .* without these limits has 0\.125'),
+         r'strain of at most 0\.01 '),
     ],
 )
 def test_impossible_recommendation_is_refused_with_a_reason(rig, options, message):

@@ -21,7 +21,7 @@ import types
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.objectives import OBJECTIVES
+from soft_throw_ros.configuration.twin import OBJECTIVES
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import aim, Target
