@@ -25,7 +25,14 @@ from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine
 from soft_throw_ros.core.stepper import Stepper, TIME
-from soft_throw_ros.twin.engine_fit import AMPLITUDE, DAMPING, EngineEstimate, FREQUENCY, START
+from soft_throw_ros.twin.engine_fit import (
+    AMPLITUDE,
+    DAMPING,
+    EngineEstimate,
+    FREQUENCY,
+    plate_states,
+    START,
+)
 
 Floats = NDArray[np.float64]
 Throw = Callable[[Engine], tuple[float, float] | None]
@@ -127,7 +134,7 @@ class EngineForecaster:
         """
         count = max(math.ceil(_PIECES * (until - after) * estimate.plate.frequency), 1)
         times = np.linspace(after, until, count + 1)[after > 0.0:]
-        return times, estimate.states(times)
+        return times, plate_states(estimate.plate, times)
 
 
 def _changed(engine: Engine, unknown: int, step: float) -> Engine:

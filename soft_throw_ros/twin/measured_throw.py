@@ -430,7 +430,7 @@ class MeasuredThrow(OngoingThrow):
         errors = self._release_errors(release, estimate)
         speed = release.velocity
         transfer = (speed / self._peak_plate_speed) ** 2
-        left_out = estimator.outliers + self._fit.left_out
+        left_out = estimator.outliers + self._fit.outliers
         return Accuracy(
             basis='plate' if estimate is None else 'engine',
             is_certain=self._is_certain,

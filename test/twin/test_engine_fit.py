@@ -72,7 +72,7 @@ def test_older_samples_stay_in_the_fit_of_a_long_throw(measurement, frequency) -
             if estimate is not None:
                 errors.append(np.sqrt(estimate.covariance[START, START]))
         assert not fit.has_failed
-        assert fit.left_out == 0
+        assert fit.outliers == 0
         # more samples than are kept make it better still
         assert errors[-1] < 0.7 * errors[len(errors) // 4]
         off.append(deviations(estimate, -0.05))
