@@ -62,6 +62,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import MOST_SCATTER
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
@@ -265,8 +266,8 @@ class EngineEstimate:
 
     Attributes
     ----------
-    start : float
-        Start after the origin of the fit. [s]
+    start_ns : int
+        Start of the motion. [ns]
     plate : Underdamped
         Motion of the plate.
     unknowns : ndarray, shape (5,)
@@ -278,7 +279,7 @@ class EngineEstimate:
 
     """
 
-    start: float
+    start_ns: int
     plate: Underdamped
     unknowns: Floats
     covariance: Floats
@@ -294,7 +295,7 @@ class EngineFit:
     config : MeasurementConfig
         Parameters of the measurement, with the motion of the engine.
     origin_ns : int
-        Time that `start` counts from, within a millisecond of the start. [ns]
+        First guess of the start, within a millisecond. [ns]
     rest, rest_error : float
         Height before the throw, and its standard error. [m]
     noise : float
@@ -323,7 +324,7 @@ class EngineFit:
     ) -> None:
         plate = config.plate
         self.has_failed = False
-        self.origin_ns = origin_ns
+        self._origin_ns = origin_ns
         self._known_stamp_error = stamp_error  # by earlier throws [s]
         self._model = _Model(
             amplitude=plate.amplitude,
@@ -370,7 +371,7 @@ class EngineFit:
                 self._condense()
             new = rows[: _MOST - len(self._samples)]
             rows = rows[len(new):]
-            added = seconds_since(self.origin_ns, new), new['plate'], new['plate_velocity']
+            added = seconds_since(self._origin_ns, new), new['plate'], new['plate_velocity']
             self._samples = np.concatenate((self._samples, np.stack(added, axis=1)))
             if len(self._samples) >= FEWEST:
                 self._fit_and_judge()
@@ -382,8 +383,9 @@ class EngineFit:
             amplitude=engine.amplitude * (1.0 + x[AMPLITUDE]),
             damping_ratio=engine.damping_ratio + x[DAMPING],
         )
+        start_ns = self._origin_ns + round(x[START] * SECOND)
         return EngineEstimate(
-            x[START], plate, self._x.copy(), self._covariance.copy(), self.stamp_error
+            start_ns, plate, self._x.copy(), self._covariance.copy(), self.stamp_error
         )
 
     def _moved(self) -> int:
@@ -436,13 +438,13 @@ class EngineFit:
             self._covariance,
             table,
         )
-        error, normalised, speed, leverage, is_outlier = table
-        self._residuals = _Residuals(error, normalised, speed, leverage, is_outlier > 0.0)
+        error, normalised, speed, leverage, outlier = table
+        is_outlier = outlier > 0.0
+        self._residuals = _Residuals(error, normalised, speed, leverage, is_outlier)
         if not is_solved:
             self.has_failed = True
             return np.empty(0)
-        is_outlier = self._residuals.is_outlier
-        used = self._residuals.normalised[~is_outlier]
+        used = normalised[~is_outlier]
         most_in_a_row = np.convolve(is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
         known = slice(FREQUENCY, DAMPING + 1)
         changes, prior = self._x[known] ** 2, self._variances[known]

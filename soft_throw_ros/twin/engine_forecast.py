@@ -116,7 +116,7 @@ class EngineForecaster:
         """Put the stepper at the start of the throw of an estimate."""
         length = _LONGER * self.ejection_time
         self.stepper.reset()
-        self.stepper.append_plate_states(*self.states(estimate, 0.0, length))
+        self.stepper.append_plate_states(*engine_states(estimate.plate, 0.0, length))
 
     def advance(self, duration: float) -> bool:
         """Advance that throw; return whether it has come to the first release or to its end."""
@@ -124,17 +124,16 @@ class EngineForecaster:
         goal = min(float(stepper.state[TIME]) + duration, stepper.horizon)
         return stepper.advance_to(goal) > 0 or goal >= stepper.horizon
 
-    def states(
-        self, estimate: EngineEstimate, after: float, until: float
-    ) -> tuple[Floats, Floats]:
-        """
-        Return times since the start, and states of the plate, from one time to another.
 
-        The first time is the start if `after` is 0, else it is later than `after`.
-        """
-        count = max(math.ceil(_PIECES * (until - after) * estimate.plate.frequency), 1)
-        times = np.linspace(after, until, count + 1)[after > 0.0:]
-        return times, plate_states(estimate.plate, times)
+def engine_states(plate: Underdamped, after: float, until: float) -> tuple[Floats, Floats]:
+    """
+    Return times since the start, and states of the plate, from one time to another.
+
+    The first time is the start if `after` is 0, else it is later than `after`.
+    """
+    count = max(math.ceil(_PIECES * (until - after) * plate.frequency), 1)
+    times = np.linspace(after, until, count + 1)[after > 0.0:]
+    return times, plate_states(plate, times)
 
 
 def _changed(engine: Engine, unknown: int, step: float) -> Engine:

@@ -162,17 +162,15 @@ def find_engine_start(estimator: PlateEstimator, stamp_error: float) -> Onset | 
         stamp_scatter=estimator.stamp_scatter,
         stamp_error=stamp_error,
     )
-    fit = guess.engine_fit(config)
-    estimate = fit.update(samples)
+    estimate = guess.engine_fit(config).update(samples)
     if estimate is None:
         return None
-    onset_ns = fit.origin_ns + round(estimate.start * SECOND)
-    now = (last_ns - onset_ns) / SECOND
+    now = (last_ns - estimate.start_ns) / SECOND
     ratio = estimate.plate.amplitude / plate.amplitude
     is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
     if not is_like_it or estimate.plate.velocity(now) < config.start_speed:
         return None
-    return _onset(estimator, onset_ns, rest)
+    return _onset(estimator, estimate.start_ns, rest)
 
 
 def first_states(

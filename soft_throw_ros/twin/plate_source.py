@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 from soft_throw_ros.twin.engine_fit import EngineEstimate, largest_by_chance
-from soft_throw_ros.twin.engine_forecast import EngineForecaster, ReleaseErrors
+from soft_throw_ros.twin.engine_forecast import engine_states, ReleaseErrors
 from soft_throw_ros.twin.onset import find_start, first_states, Onset, peak_speed
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
@@ -91,19 +91,16 @@ class PlateSource(ABC):
 class FittedEngine(PlateSource):
     """The plate moves as the engine of an estimate does."""
 
-    def __init__(
-        self, estimate: EngineEstimate, forecaster: EngineForecaster, *, origin_ns: int
-    ) -> None:
+    def __init__(self, estimate: EngineEstimate) -> None:
         self.estimate = estimate
-        self.start_ns = origin_ns + round(estimate.start * SECOND)
-        self._forecaster = forecaster
+        self.start_ns = estimate.start_ns
 
     def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:
         """Return the states until samples are complete."""
         until = (complete_ns - self.start_ns) / SECOND
         if until <= max(after, 0.0):
             return np.empty(0), np.empty((0, 3))
-        return self._forecaster.states(self.estimate, max(after, 0.0), until)
+        return engine_states(self.estimate.plate, max(after, 0.0), until)
 
 
 class SmoothedSamples(PlateSource):

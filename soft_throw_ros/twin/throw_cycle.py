@@ -40,7 +40,13 @@ from soft_throw_ros.twin.results import (
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.staged_settings import StagedSettings
-from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, ThrowStep, time_until_over
+from soft_throw_ros.twin.throws import (
+    OngoingThrow,
+    ScheduledThrow,
+    ThrowStep,
+    Tick,
+    time_until_over,
+)
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 _PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
@@ -311,23 +317,25 @@ class ThrowCycle:
         start_ns = None if onset is None else onset.onset_ns
         self._enter(Throwing(throw), Phase.CONTACT, start_ns)
 
+    def _tick(self, step: int) -> Tick:
+        return Tick(step, self.schedule.deadline(step), self._staged.config)
+
     def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> ThrowStep:
         """Advance the throw under way, and end it if it is over."""
-        config = self._staged.config
+        tick = self._tick(step)
         had_left = bool(throw.events)
-        advanced = throw.advance(step, self.schedule.deadline(step), motion, config)
+        advanced = throw.advance(tick, motion)
         if self.monitor is not None:
             self.monitor.trusts_engine = throw.engine_holds
             self.monitor.stamp_error = throw.stamp_error
         self._state = advanced.state
-        now_ns = self.schedule.deadline(step)
         self._rare_outputs.phases += tuple(
-            (_PHASES[event.kind], throw.event_ns(event, now_ns)) for event in advanced.events
+            (_PHASES[event.kind], throw.event_ns(event, tick)) for event in advanced.events
         )
         if advanced.forecast is not None:
             self._report(step, advanced.forecast)
         if throw.events and not had_left:
-            self._report(step, throw.result('release', step, config))
+            self._report(step, throw.result('release', tick))
         if throw.ended_by or step >= self._period.latest_end:
             self._end_throw(step, throw, throw.ended_by or 'period')
         else:
@@ -347,7 +355,7 @@ class ThrowCycle:
 
     def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
         throw.ended_by = ended_by
-        self._report(step, throw.result('final', step, self._staged.config))
+        self._report(step, throw.result('final', self._tick(step)))
         self._rare_outputs.throw_field = throw.throw_field()
         self._put_back(step)
 

@@ -30,7 +30,7 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
-from soft_throw_ros.twin.throws import ScheduledThrow, time_until_over
+from soft_throw_ros.twin.throws import ScheduledThrow, Tick, time_until_over
 
 CASES = [
     {'model': 'travelling_wave'},
@@ -62,10 +62,10 @@ def test_throw_and_its_predicted_end_agree_with_a_simulation(settings, request_)
     release, tick = None, 0
     while not throw.ended_by:
         tick += 1
-        throw.advance(tick, 0, NO_STATES, config)
+        throw.advance(Tick(tick, 0, config), NO_STATES)
         if throw.first_release and release is None:
-            release = throw.result('release', tick, prepared.config)
-    final = throw.result('final', tick, prepared.config)
+            release = throw.result('release', Tick(tick, 0, config))
+    final = throw.result('final', Tick(tick, 0, config))
     assert release.first.ejection_time == pytest.approx(exact.ejection_time, rel=3e-4)
     assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=1e-3)
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
