@@ -15,17 +15,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 import math
 
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, REST_WINDOWS, RISE
 from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import PlateEstimator, PlateStates
+from soft_throw_ros.twin.plate_estimator import PlateEstimator, PlateStates, SampleCounts
 from soft_throw_ros.twin.results import State
-from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 
 _EARLY_RISE = 0.1
@@ -41,16 +38,6 @@ _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
 
 
-@dataclass
-class SampleCounts:
-    """Numbers of accepted samples, late and outlying ones included, and refusals by reason."""
-
-    taken: int = 0
-    out_of_order: int = 0
-    outliers: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
-
-
 class PlateMonitor:
     """
     A monitor of the plate from one throw to the next.
@@ -60,7 +47,7 @@ class PlateMonitor:
     config : MeasurementConfig
         Parameters of the measurement.
     counts : SampleCounts
-        Counts of samples, which the monitor updates.
+        Counts of samples, which the estimator updates.
     checks : SensorChecks
         Diagnoses, which the monitor updates.
     onset : Onset, optional
@@ -97,7 +84,6 @@ class PlateMonitor:
         # `find_start` imports SciPy, which is too slow during a throw
         import scipy.optimize  # noqa: F401
 
-        self._counts = counts
         self._checks = checks
         self.trusts_engine = onset is None or onset.trusts_engine
         self.stamp_error = 0.0 if onset is None else onset.stamp_error
@@ -105,7 +91,7 @@ class PlateMonitor:
             config,
             origin_ns=None if onset is None else onset.onset_ns,
             samples=() if onset is None else onset.samples,
-            refused=counts.refused,
+            counts=counts,
         )
         self._wait_for_rest()
         # Heights of the plate at rest, at present, and when it last was slow: the projectile moves
@@ -118,7 +104,7 @@ class PlateMonitor:
         if config != self.estimator.config:
             self.trusts_engine |= config.plate != self.estimator.config.plate
             self._checks.begin(self.estimator.config)
-            self.estimator = PlateEstimator(config, refused=self._counts.refused)
+            self.estimator = PlateEstimator(config, counts=self.estimator.counts)
         self._wait_for_rest()
 
     def _wait_for_rest(self) -> None:
@@ -128,21 +114,10 @@ class PlateMonitor:
         self._last_quiet_time = -math.inf  # last time at which it was not
         self._begun = math.inf  # time at which it was fast enough to have started
 
-    def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
-        """Add samples, or refuse and count them; return the accepted ones."""
-        newest_ns = self.estimator.newest_ns
-        taken = self.estimator.take(samples, now_ns)
-        self._counts.taken += len(taken)
-        for sample in taken:
-            self._counts.out_of_order += sample.stamp_ns < newest_ns
-            newest_ns = max(newest_ns, sample.stamp_ns)
-        return taken
-
     def advance(self, now_ns: int) -> tuple[PlateStates, Onset | None]:
         """Return the motion since the last call, and the onset of a throw if one has begun."""
-        before_ns, outliers = self.estimator.complete_ns, self.estimator.outliers
+        before_ns = self.estimator.complete_ns
         motion = self.estimator.advance(now_ns)
-        self._counts.outliers += self.estimator.outliers - outliers
         if motion.times.size:
             self._see(motion)
         onset = self._detect(motion)

@@ -30,7 +30,7 @@ from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
-from soft_throw_ros.twin.plate_monitor import SampleCounts
+from soft_throw_ros.twin.plate_estimator import SampleCounts
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.staged_settings import StagedSettings
@@ -239,9 +239,9 @@ class Session:
     def measure(self, samples: Sequence[Sample]) -> None:
         """Add samples of the rig, if the plate is measured, or refuse and count them."""
         with self._lock:
-            taken = self._cycle.take(self.step, samples)
-            if taken:
-                self._journal.keep_samples(self.step, taken)
+            added = self._cycle.add_samples(self.step, samples)
+            if added:
+                self._journal.keep_samples(self.step, added)
 
     def diagnose_sensors(self) -> tuple[str, ...]:
         """Return new reports on the sensors of a measured plate; call it about once a second."""

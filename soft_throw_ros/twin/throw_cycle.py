@@ -25,8 +25,8 @@ from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.onset import Onset
-from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates
-from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
+from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates, SampleCounts
+from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig
 from soft_throw_ros.twin.results import (
     LayerState,
@@ -227,11 +227,11 @@ class ThrowCycle:
             self._put_back(step)
         self._period = ThrowPeriod.after(step, self._staged)
 
-    def take(self, step: int, samples: Sequence[Sample]) -> list[Sample]:
+    def add_samples(self, step: int, samples: Sequence[Sample]) -> list[Sample]:
         """Add samples of the rig if the plate is measured; return the accepted ones."""
         if self.monitor is None:
             return []
-        return self.monitor.take(samples, self.schedule.deadline(step))
+        return self.monitor.estimator.add_samples(samples, self.schedule.deadline(step))
 
     def diagnose_sensors(self) -> tuple[str, ...]:
         """Return new reports on the sensors of a measured plate."""

@@ -32,7 +32,8 @@ from soft_throw_ros.twin.onset import (
     peak_speed,
     time_since_start,
 )
-from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
+from soft_throw_ros.twin.plate_estimator import SampleCounts
+from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
@@ -53,7 +54,7 @@ def detect(
     monitor = PlateMonitor(config, SampleCounts(), SensorChecks())
     monitor.trusts_engine = trusts_engine
     for count, sample in enumerate(samples, 1):
-        monitor.take([sample], sample.stamp_ns)
+        monitor.estimator.add_samples([sample], sample.stamp_ns)
         _, onset = monitor.advance(sample.stamp_ns)
         if onset is not None:
             return onset, count

@@ -42,7 +42,7 @@ def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> 
     found = []
     for first in range(0, len(samples), batch):
         now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
-        estimator.take(samples[slice(first, first + batch)], now_ns)
+        estimator.add_samples(samples[slice(first, first + batch)], now_ns)
         found.append(estimator.advance(now_ns))
     times, states, errors = (np.concatenate([motion[k] for motion in found]) for k in range(3))
     return PlateStates(times, states, errors, max(motion.gap for motion in found))
@@ -103,8 +103,8 @@ def test_order_of_arrival_within_the_latency_changes_no_bit(
         shuffled.insert(shuffled.index(samples[k]) + 1, samples[k])
     ordered, mixed = PlateEstimator(config), PlateEstimator(config)
     assert same(run(ordered, samples), run(mixed, shuffled, batch=batch))
-    assert mixed.refused == ({'doubled': len(doubled)} if doubled else {})
-    assert ordered.refused == {}
+    assert mixed.counts.refused == ({'doubled': len(doubled)} if doubled else {})
+    assert ordered.counts.refused == {}
 
 
 def test_late_samples_are_refused_and_change_nothing(make_samples, measurement) -> None:
@@ -113,12 +113,12 @@ def test_late_samples_are_refused_and_change_nothing(make_samples, measurement) 
     without, with_late = PlateEstimator(measurement), PlateEstimator(measurement)
     expected = run(without, samples, batch=1)
     before = run(with_late, samples[:60], batch=1)
-    assert with_late.take([late], samples[59].stamp_ns) == []
+    assert with_late.add_samples([late], samples[59].stamp_ns) == []
     after = run(with_late, samples[60:], batch=1)
     assert same(
         expected, PlateStates(*map(np.concatenate, zip(before[:3], after[:3], strict=True)))
     )
-    assert with_late.refused == {'late': 1}
+    assert with_late.counts.refused == {'late': 1}
 
 
 @pytest.mark.parametrize(
@@ -138,8 +138,8 @@ def test_late_samples_are_refused_and_change_nothing(make_samples, measurement) 
 )
 def test_bad_samples_are_refused_with_a_reason(measurement, sample, reason) -> None:
     estimator = PlateEstimator(measurement)
-    assert estimator.take([sample], BEGIN) == []
-    assert estimator.refused == {reason: 1}
+    assert estimator.add_samples([sample], BEGIN) == []
+    assert estimator.counts.refused == {reason: 1}
     assert estimator.advance(BEGIN).times.size == 0
 
 
@@ -163,7 +163,7 @@ def test_gap_longer_than_the_window_is_reported_once(make_samples, measurement) 
     estimator = PlateEstimator(measurement)
     gaps = []
     for sample in samples:
-        estimator.take([sample], sample.stamp_ns)
+        estimator.add_samples([sample], sample.stamp_ns)
         gaps.append(estimator.advance(sample.stamp_ns).gap)
     assert sum(gap > 1e-3 for gap in gaps) == 1
     assert max(gaps) == pytest.approx(61 * INTERVAL / SECOND)
@@ -174,7 +174,7 @@ def test_memory_does_not_grow(make_samples, measurement) -> None:
     run(estimator, make_samples(5000))
     assert len(estimator.samples(0)) < 400
     later = BEGIN + 3600 * SECOND  # after an hour of nothing
-    estimator.take([Sample(later, 0.3)], later)
+    estimator.add_samples([Sample(later, 0.3)], later)
     assert estimator.advance(later).times.size == 0
 
 
