@@ -24,7 +24,7 @@ import scipy  # imports its modules at their first use, which takes 0.3 s
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import BEHIND, FEWEST
-from soft_throw_ros.twin.engine_fit import EngineFit
+from soft_throw_ros.twin.engine_fit import EngineFit, plate_states
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
@@ -45,9 +45,6 @@ MOST_AMPLITUDE = 2.0
 
 _PARABOLAS = 3
 """Parabolas that are fitted in turn to find the time of the largest speed. [-]"""
-
-_LEAST_DETERMINANT = 1e-12
-"""Relative determinant below which samples do not determine a change of amplitude. [-]"""
 
 _MOST_FOR_START = 128
 """Most samples in the fit of the start, to bound its cost. [-]"""
@@ -214,21 +211,13 @@ def first_states(
     sizes = np.concatenate((position, ratio * velocity[measured]))
     slopes = np.concatenate((since * position, ratio * (position + since * velocity)[measured]))
     values = np.concatenate((heights, ratio * speeds[measured]))
-    a, b, c = (sizes * sizes).sum(), (sizes * slopes).sum(), (slopes * slopes).sum()
-    right, below = (sizes * values).sum(), (slopes * values).sum()
-    determinant = a * c - b * b
-    if determinant > _LEAST_DETERMINANT * a * c:
-        p, q = (c * right - b * below) / determinant, (a * below - b * right) / determinant
-    else:  # at most one sample, as after a gap
-        p, q = right / a if a > 0.0 else 1.0, 0.0
-
-    times = np.arange(round(BEHIND * STATES_PER_WINDOW)) * (state_spacing_ns(config) / SECOND)
-    z, v = plate.position(times), plate.velocity(times)
-    omega = 2.0 * math.pi * plate.frequency
-    acceleration: Floats = omega**2 * (plate.amplitude - z) - 2.0 * plate.damping_ratio * omega * v
-    size = p + q * times
-    states = np.stack((size * z, size * v + q * z, size * acceleration + 2.0 * q * v), axis=1)
-    return np.asarray(times), states
+    # differences from the engine are the smallest possible ones if there are too few samples
+    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes)
+    count = round(BEHIND * STATES_PER_WINDOW)
+    times = state_spacing_ns(config) / SECOND * np.arange(count, dtype=np.float64)
+    z, v, a = plate_states(plate, times).T
+    size = 1.0 + p + q * times
+    return times, np.stack((size * z, size * v + q * z, size * a + 2.0 * q * v), axis=1)
 
 
 def time_since_start(height: float, speed: float, plate: Underdamped) -> float:

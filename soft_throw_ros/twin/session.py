@@ -91,7 +91,9 @@ class Session:
         self._journal = JournalWriter(on_entry, step=step)
         self._cycle = ThrowCycle(self._staged, self._journal, step=step)
         if pending is None:
-            self._journal.begin('start', step, settings, self._staged.encoded_motions)
+            self._journal.begin(
+                'start', step, settings, motions=self._staged.encoded_motions
+            )
 
     @classmethod
     def from_entry(
@@ -232,7 +234,9 @@ class Session:
                 staged.stage(wanted, prepared)
                 after = staged.encoded_motions
                 new = {path: after[path] for path in after if path not in before}
-                self._journal.write_change(self.step, values, new)
+                self._journal.write(
+                    'input', self.step, input='parameters', values=dict(values), motions=new
+                )
                 if 'throw.period' in values:
                     self._cycle.set_throw_due()
 

@@ -294,7 +294,7 @@ class ThrowCycle:
             'throw',
             step,
             self._staged.config.settings,
-            self._staged.encoded_motions,
+            motions=self._staged.encoded_motions,
             throw=self.throws,
             pending=self._staged.pending,
             schedule=journal.encode_schedule(self.schedule),
