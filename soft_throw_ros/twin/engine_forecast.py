@@ -40,8 +40,12 @@ Throw = Callable[[Engine], tuple[float, float] | None]
 TWO_SIDED = 1.96
 """Half of a 95 % interval in standard errors. [-]"""
 
-_STEPS = {AMPLITUDE: 0.01, FREQUENCY: 2e-3, DAMPING: 5e-3}
-"""Steps of difference quotients by the unknowns of `engine_fit`. [-]"""
+_STEPS = {
+    AMPLITUDE: ('amplitude', 0.01),
+    FREQUENCY: ('frequency', 2e-3),
+    DAMPING: ('damping_ratio', 5e-3),
+}
+"""Fields of an engine, and steps of difference quotients by the unknowns of `engine_fit`. [-]"""
 
 _PIECES = 64
 """States of the plate in a period; quintics between them are exact to rounding. [-]"""
@@ -84,9 +88,11 @@ class EngineForecaster:
         """Return a forecaster by `throw`, which computes time and speed of a release, if any."""
         gradient = np.zeros((3, 5))
         gradient[0, START] = 1.0
-        for unknown, step in _STEPS.items():
-            down = min(step, engine.damping_ratio) if unknown == DAMPING else step
-            ends = [_changed(engine, unknown, step), _changed(engine, unknown, -down)]
+        for unknown, (field, step) in _STEPS.items():
+            value = getattr(engine, field)
+            unit = 1.0 if unknown == DAMPING else value
+            down = min(step, value / unit)  # the damping ratio may be 0
+            ends = [replace(engine, **{field: value + k * unit}) for k in (step, -down)]
             releases = [throw(end) for end in ends]
             if releases[0] is None or releases[1] is None:
                 return None
@@ -134,12 +140,3 @@ def engine_states(plate: Underdamped, after: float, until: float) -> tuple[Float
     count = max(math.ceil(_PIECES * (until - after) * plate.frequency), 1)
     times = np.linspace(after, until, count + 1)[after > 0.0:]
     return times, plate_states(plate, times)
-
-
-def _changed(engine: Engine, unknown: int, step: float) -> Engine:
-    """Return an engine with one unknown changed by a step."""
-    if unknown == AMPLITUDE:
-        return replace(engine, amplitude=engine.amplitude * (1.0 + step))
-    if unknown == FREQUENCY:
-        return replace(engine, frequency=engine.frequency * (1.0 + step))
-    return replace(engine, damping_ratio=engine.damping_ratio + step)

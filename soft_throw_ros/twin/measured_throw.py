@@ -79,31 +79,16 @@ _SKIPPED = 0.5
 
 
 class _Run:
-    """
-    A simulation of the throw up to the present, by one source of the plate's motion.
-
-    Attributes
-    ----------
-    track : Track
-        The stepper, which starts anew, and its forks.
-    source : PlateSource or None
-        Source of the following states of the plate; None while the plate is unknown.
-    start_ns : int
-        When the throw starts. [ns]
-    estimate : EngineEstimate or None
-        Fitted motion of the plate until the first release; None to use the smoothed plate.
-    times, states : list
-        The plate since the start, as the stepper knows it.
-
-    """
+    """A simulation of the throw from its start, by one source of the plate's motion."""
 
     def __init__(self, track: Track, source: PlateSource | None, start_ns: int) -> None:
         track.stepper.reset()
         self.track = track
-        self.source = source
-        self.start_ns = start_ns
+        self.source = source  # of the following states; None while the plate is unknown
+        self.start_ns = start_ns  # of the throw [ns]
+        # motion until the first release; None for the smoothed plate
         self.estimate = source.estimate if isinstance(source, FittedEngine) else None
-        self.times: list[float] = []
+        self.times: list[float] = []  # of the states of the plate that the stepper knows
         self.states: list[list[float]] = []
         self._last = -1.0  # time of the last state [s]
 

@@ -115,8 +115,8 @@ def find_onset(
     if rest is None or speed <= config.start_speed:
         return None
     since = time_since_start(height - rest.plate, speed, config.plate)
-    onset_ns = estimator.origin_ns + round((time - since) * SECOND)
-    onset_ns += find_start(estimator.samples(rest_ns), onset_ns, rest.plate, config)
+    guess_ns = estimator.origin_ns + round((time - since) * SECOND)
+    onset_ns = find_start(estimator.samples(rest_ns), guess_ns, rest.plate, config)
     if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
         return None
     return _onset(estimator, onset_ns, rest)
@@ -176,16 +176,8 @@ def first_states(
     r"""
     Return the states of the plate in the time after its start whose windows include the rest.
 
-    Parameters
-    ----------
-    samples : ndarray of `SAMPLE`
-        Samples, those of the first window after the start among them.
-    start_ns : int
-        Time of the start. [ns]
-    plate_rest : float
-        Height of the plate before the start. [m]
-    config : MeasurementConfig
-        Parameters of the measurement, with the motion of the plate up to its amplitude.
+    A cubic cannot follow the jump of the acceleration at the start. Therefore the first window is
+    fitted by the engine's motion with an amplitude that changes linearly, by least squares.
 
     Returns
     -------
@@ -193,12 +185,6 @@ def first_states(
         Since the start, the first 0. [s]
     states : ndarray, shape (n, 3)
         Height above rest [m], velocity [m/s], acceleration [m/s2].
-
-    Notes
-    -----
-    A cubic cannot follow the jump of the acceleration at the start. Therefore the first window is
-    fitted by the damped step :math:`z(t)` with an amplitude that changes linearly,
-    :math:`(p + q t) z(t)`, by least squares.
 
     """
     plate, ratio = config.plate, config.position_noise / config.velocity_noise
@@ -224,27 +210,8 @@ def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
     r"""
     Return the time since the start of an underdamped plate of unknown amplitude.
 
-    The ratio of height and speed determines the time: without damping it is
-    :math:`\arctan(2 \pi f z / v) / \pi f`.
-
-    Parameters
-    ----------
-    height, speed : float
-        State of the plate during its first rise. [m], [m/s]
-    plate : Underdamped
-        Motion of the same frequency and damping ratio.
-
-    Returns
-    -------
-    float
-        Time since the start, at most that of the largest height. [s]
-
-    Examples
-    --------
-    >>> plate = Underdamped(frequency=63.2, amplitude=1.0, damping_ratio=0.064)
-    >>> round(time_since_start(3.0 * plate.position(2e-3), 3.0 * plate.velocity(2e-3), plate), 9)
-    0.002
-
+    The ratio of height [m] and speed [m/s] determines the time, at most that of the largest height
+    [s]: without damping it is :math:`\arctan(2 \pi f z / v) / \pi f`.
     """
     highest = math.pi / plate.exponent.imag
     ratio = max(height, 0.0) / speed
@@ -263,24 +230,9 @@ def find_start(
     samples: Rows, onset_ns: int, plate_rest: float, config: MeasurementConfig
 ) -> int:
     """
-    Find the start of the plate by least squares.
+    Return the start of the plate by least squares, within a quarter of a window of a guess [ns].
 
-    Parameters
-    ----------
-    samples : ndarray of `SAMPLE`
-        Samples from before the start to about a window after it.
-    onset_ns : int
-        First guess, within a quarter of the window. [ns]
-    plate_rest : float
-        Height before the start. [m]
-    config : MeasurementConfig
-        Parameters of the measurement, with the motion of the plate up to its amplitude.
-
-    Returns
-    -------
-    int
-        Start minus `onset_ns`. [ns]
-
+    The samples are from before the start to about a window after it.
     """
     since, heights = seconds_since(onset_ns, samples), samples['plate'] - plate_rest
 
@@ -294,7 +246,7 @@ def find_start(
     best = scipy.optimize.minimize_scalar(
         mismatch, bounds=(-reach, reach), method='bounded', options={'xatol': 1e-8}
     )
-    return round(float(best.x) * SECOND)
+    return onset_ns + round(float(best.x) * SECOND)
 
 
 def peak_speed(times: Sequence[float], speeds: Sequence[float], plate: Underdamped) -> float:

@@ -217,7 +217,7 @@ class Session:
         config : TwinConfig, optional
             The configuration with these changes, if it exists already.
         motion_of : callable
-            Returns the motion of a plate by the path of its file; by default it reads the file.
+            See `Session`.
 
         Raises
         ------

@@ -140,9 +140,9 @@ def test_start_is_found_as_well_as_the_noise_allows(make_samples, measurement) -
 def test_start_is_found_near_its_estimate_without_later_samples(make_samples, measurement) -> None:
     samples = make_samples(20)
     onset_ns = samples[-1].stamp_ns + SECOND // 100
-    later_ns = find_start(rows_of(samples), onset_ns, 0.3, measurement)
-    assert abs(later_ns) <= 0.25 * measurement.smoothing_window_ns
-    _, states = first_states(rows_of(samples), onset_ns + later_ns, 0.3, measurement)
+    start_ns = find_start(rows_of(samples), onset_ns, 0.3, measurement)
+    assert abs(start_ns - onset_ns) <= 0.25 * measurement.smoothing_window_ns
+    _, states = first_states(rows_of(samples), start_ns, 0.3, measurement)
     assert np.isfinite(states).all()
 
 
