@@ -104,18 +104,17 @@ class Onset:
 
 
 def find_onset(
-    estimator: PlateEstimator, *, begun: float, time: float, height: float, speed: float
+    estimator: PlateEstimator, *, begun_ns: int, time_ns: int, height: float, speed: float
 ) -> Onset | None:
-    """Find the start of a plate that was fast at `begun`, if it still rises a window later."""
+    """Find the start of a plate that was fast at `begun_ns`, if it still rises a window later."""
     config = estimator.config
-    assert estimator.origin_ns is not None
     window_ns = config.smoothing_window_ns
-    rest_ns = estimator.origin_ns + round(begun * SECOND) - window_ns
+    rest_ns = begun_ns - window_ns
     rest = RestBaseline.before(estimator, rest_ns)
     if rest is None or speed <= config.start_speed:
         return None
     since = time_since_start(height - rest.plate, speed, config.plate)
-    guess_ns = estimator.origin_ns + round((time - since) * SECOND)
+    guess_ns = time_ns - round(since * SECOND)
     onset_ns = find_start(estimator.samples(rest_ns), guess_ns, rest.plate, config)
     if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
         return None
@@ -133,27 +132,25 @@ def _onset(estimator: PlateEstimator, onset_ns: int, rest: RestBaseline) -> Onse
     )
 
 
-def find_engine_start(estimator: PlateEstimator, stamp_error: float) -> Onset | None:
+def find_engine_start(
+    estimator: PlateEstimator, begun_ns: int, stamp_error: float
+) -> Onset | None:
     """
-    Find the start of the plate from the first samples of a motion like that of the engine.
+    Find the start of a plate that was fast at `begun_ns`, if it moves like the engine so far.
 
-    They suffice about a millisecond after the start. The result is None if the plate rests, or
-    moves otherwise.
+    The samples suffice one or two milliseconds after the start.
     """
     config, plate = estimator.config, estimator.config.plate
-    end_ns = estimator.complete_ns
     margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
-    rest = RestBaseline.before(estimator, end_ns - margin_ns)
-    samples = estimator.samples(end_ns - margin_ns, end_ns + 1)
+    rest = RestBaseline.before(estimator, begun_ns - margin_ns)
+    samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
     if rest is None or len(samples) < FEWEST:
         return None
     # a slow engine moves for many samples; a subset suffices
     samples = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
-    last_ns = int(samples['stamp_ns'][-1])
-    height = max(float(samples['plate'][-1]) - rest.plate, 0.0)
-    begun = math.sqrt(2.0 * height / plate.amplitude) / (2.0 * math.pi * plate.frequency)
+    acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
     guess = Onset(
-        onset_ns=last_ns - round(begun * SECOND),
+        onset_ns=begun_ns - round(config.start_speed / acceleration * SECOND),
         rest=rest,
         samples=(),
         stamp_scatter=estimator.stamp_scatter,
@@ -162,7 +159,7 @@ def find_engine_start(estimator: PlateEstimator, stamp_error: float) -> Onset | 
     estimate = guess.engine_fit(config).update(samples)
     if estimate is None:
         return None
-    now = (last_ns - estimate.start_ns) / SECOND
+    now = (int(samples['stamp_ns'][-1]) - estimate.start_ns) / SECOND
     ratio = estimate.plate.amplitude / plate.amplitude
     is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
     if not is_like_it or estimate.plate.velocity(now) < config.start_speed:

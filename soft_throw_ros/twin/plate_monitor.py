@@ -24,15 +24,13 @@ from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import PlateEstimator, PlateStates, SampleCounts
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 _EARLY_RISE = 0.1
 """Rise of the projectile before the plate, in amplitudes of the engine, that is no noise. [-]"""
 
 _SAMPLES_BEFORE = 3
 """Last samples before the onset, which all show whether the projectile moved first. [-]"""
-
-_MIN_RISE = 0.02
-"""Smallest rise of the plate before its start is fitted, in amplitudes of the engine. [-]"""
 
 _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
@@ -69,8 +67,8 @@ class PlateMonitor:
     The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
     speed of a start, or four standard errors, and no more when it has been for `RISE` of its
     period. A throw has begun when it goes upwards at that speed, and at six standard errors of
-    it. The time of the start is found a window later, see `find_onset`; or at once, if the plate
-    does as the engine should, see `find_engine_start`.
+    it. The time of the start is found at once if the plate moves as the engine should, see
+    `find_engine_start`, and otherwise a window later, see `find_onset`.
 
     """
 
@@ -116,13 +114,14 @@ class PlateMonitor:
 
     def advance(self, now_ns: int) -> tuple[PlateStates, Onset | None]:
         """Return the motion since the last call, and the onset of a throw if one has begun."""
-        before_ns = self.estimator.complete_ns
         motion = self.estimator.advance(now_ns)
         if motion.times.size:
             self._see(motion)
         onset = self._detect(motion)
-        if onset is None and self.estimator.complete_ns > before_ns and self._may_have_started():
-            onset = find_engine_start(self.estimator, self.stamp_error)
+        if onset is None and self._begun < math.inf and self.trusts_engine:
+            onset = find_engine_start(
+                self.estimator, self._to_ns(self._begun), self.stamp_error
+            )
         if onset is None:
             return motion, None
         self.is_armed = False
@@ -146,14 +145,9 @@ class PlateMonitor:
         least = max(OUTLIER_SIGMAS * rest.noise, _EARLY_RISE * plate.amplitude)
         return len(rises) == _SAMPLES_BEFORE and bool((rises > least).all())
 
-    def _may_have_started(self) -> bool:
-        """Return whether the last sample is above the rest height, if the engine is trusted."""
-        if not (self.is_armed and self.trusts_engine):
-            return False
-        config, end_ns = self.estimator.config, self.estimator.complete_ns
-        last = self.estimator.samples(end_ns - config.smoothing_window_ns, end_ns + 1)
-        least = max(OUTLIER_SIGMAS * config.position_noise, _MIN_RISE * config.plate.amplitude)
-        return bool(len(last) and last['plate'][-1] - self._height > least)
+    def _to_ns(self, time: float) -> int:
+        assert self.estimator.origin_ns is not None
+        return self.estimator.origin_ns + round(time * SECOND)
 
     def _detect(self, motion: PlateStates) -> Onset | None:
         """Follow the smoothed motion of the plate; return the onset of a throw."""
@@ -170,11 +164,15 @@ class PlateMonitor:
                 self._first = self._last_moving_time = time
             if self._begun < math.inf:
                 if time >= self._begun + window:
-                    begun, self._begun = self._begun, math.inf
+                    begun_ns, self._begun = self._to_ns(self._begun), math.inf
                     self.is_armed = False
                     self._last_moving_time = time
                     onset = find_onset(
-                        self.estimator, begun=begun, time=time, height=height, speed=speed
+                        self.estimator,
+                        begun_ns=begun_ns,
+                        time_ns=self._to_ns(time),
+                        height=height,
+                        speed=speed,
                     )
                     if onset is not None:
                         return onset
