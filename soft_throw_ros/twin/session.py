@@ -237,8 +237,6 @@ class Session:
                 self._journal.write(
                     'input', self.step, input='parameters', values=dict(values), motions=new
                 )
-                if 'throw.period' in values:
-                    self._cycle.set_throw_due()
 
     def measure(self, samples: Sequence[Sample]) -> None:
         """Add samples of the rig, if the plate is measured, or refuse and count them."""
