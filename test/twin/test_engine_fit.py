@@ -80,30 +80,32 @@ def test_older_samples_stay_in_the_fit_of_a_long_throw(measurement, frequency) -
     assert np.square(off).mean() < 2.0
 
 
+def fit_with_jitter(
+    measurement, *, jitter: float, stamp_scatter: float
+) -> tuple[list[float], list[np.ndarray]]:
+    """Return the stamp errors of 20 fits, and the deviations of amplitude and start."""
+    stamp_errors, off = [], []
+    for seed in range(20):
+        rows = measure(measurement.plate, 25, rate=2500.0, seed=seed, jitter=jitter)
+        fit = start_fit(measurement, measurement.plate, stamp_scatter=stamp_scatter)
+        estimate = fit.update(rows)
+        assert estimate is not None
+        stamp_errors.append(estimate.stamp_error)
+        off.append(deviations(estimate, 0.0))
+    return stamp_errors, off
+
+
 @pytest.mark.parametrize('jitter', [2e-5, 5e-5])
 def test_stamp_jitter_is_found_by_residuals_that_grow_with_the_speed(
     measurement, jitter
 ) -> None:
-    found, off = [], []
-    for seed in range(20):
-        rows = measure(measurement.plate, 25, rate=2500.0, seed=seed, jitter=jitter)
-        fit = start_fit(measurement, measurement.plate, stamp_scatter=jitter)
-        estimate = fit.update(rows)
-        assert estimate is not None
-        found.append(estimate.stamp_error)
-        off.append(deviations(estimate, 0.0))
+    found, off = fit_with_jitter(measurement, jitter=jitter, stamp_scatter=jitter)
     assert jitter < np.median(found) < 1.6 * jitter  # rather too large
     assert np.abs(off).max() < 3.5
 
 
 def test_uneven_rate_is_not_taken_for_stamp_jitter(measurement) -> None:
-    found = []
-    for seed in range(20):
-        rows = measure(measurement.plate, 25, rate=2500.0, seed=seed)
-        fit = start_fit(measurement, measurement.plate, stamp_scatter=5e-5)
-        estimate = fit.update(rows)
-        assert estimate is not None
-        found.append(estimate.stamp_error)
+    found, _ = fit_with_jitter(measurement, jitter=0.0, stamp_scatter=5e-5)
     assert sum(error > 0.0 for error in found) <= 2
 
 

@@ -43,6 +43,15 @@ INTERVAL = 200_000  # of the samples [ns]
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 
 
+def noisy(samples: list[Sample], seed: int) -> list[Sample]:
+    """Return samples with a noise of 5 um of the plate."""
+    noise = 5e-6 * np.random.default_rng(seed).standard_normal(len(samples))
+    return [
+        sample._replace(plate=sample.plate + error)
+        for sample, error in zip(samples, noise.tolist(), strict=True)
+    ]
+
+
 def rows_of(samples: Sequence[Sample]) -> Rows:
     return SampleBuffer(samples).rows
 
@@ -74,11 +83,7 @@ def test_start_with_a_trusted_engine_is_found_after_a_millisecond(
     make_samples, measurement
 ) -> None:
     for seed in range(5):
-        noise = 5e-6 * np.random.default_rng(seed).standard_normal(400)
-        samples = [
-            sample._replace(plate=sample.plate + error)
-            for sample, error in zip(make_samples(400, onset=0.03), noise.tolist(), strict=True)
-        ]
+        samples = noisy(make_samples(400, onset=0.03), seed)
         onset, count = detect(measurement, samples, trusts_engine=True)
         assert onset is not None
         assert count * INTERVAL / SECOND < 0.03 + 1.4e-3
@@ -122,12 +127,7 @@ def test_time_since_the_start_does_not_depend_on_the_amplitude(zeta, share, ampl
 def test_start_is_found_as_well_as_the_noise_allows(make_samples, measurement) -> None:
     found = []
     for seed in range(100):
-        noise = 5e-6 * np.random.default_rng(seed).standard_normal(400)
-        samples = [
-            sample._replace(plate=sample.plate + error)
-            for sample, error in zip(make_samples(400, onset=0.025), noise.tolist(), strict=True)
-        ]
-        onset, _ = detect(measurement, samples)
+        onset, _ = detect(measurement, noisy(make_samples(400, onset=0.025), seed))
         assert onset is not None
         found.append((onset.onset_ns - BEGIN) / SECOND - 0.025)
     since = np.arange(0.0, 2.6e-3, 2e-4)
