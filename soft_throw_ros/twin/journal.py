@@ -248,7 +248,7 @@ def encode_onset(onset: Onset) -> Entry:
         'projectile_rest': None if math.isnan(rest.projectile) else rest.projectile,
         'noise': rest.noise,
         'rest_error': rest.error,
-        'trusts_engine': onset.trusts_engine,
+        'trusts_engine': onset.engine_is_nominal,
         'stamp_scatter': onset.stamp_scatter,
         'stamp_error': onset.stamp_error,
         **encode_samples([(0, onset.samples)]),
@@ -270,7 +270,7 @@ def decode_onset(values: Entry) -> Onset:
             samples=tuple(
                 sample for _, batch in decode_samples({**values, 'step': 0}) for sample in batch
             ),
-            trusts_engine=bool(values['trusts_engine']),
+            engine_is_nominal=bool(values['trusts_engine']),
             stamp_scatter=float(values.get('stamp_scatter', 0.0)),
             stamp_error=float(values.get('stamp_error', 0.0)),
         )

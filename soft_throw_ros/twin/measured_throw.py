@@ -146,7 +146,7 @@ class MeasuredThrow(OngoingThrow):
         self._fitted_ns = onset.onset_ns - config.smoothing_window_ns  # samples before are fitted
         self._fit_end_ns = onset.onset_ns + round(SECOND / prepared.rig.engine.frequency)
         self._estimate: EngineEstimate | None = None
-        self._relies_on_engine = onset.trusts_engine and prepared.forecaster is not None
+        self._relies_on_engine = onset.engine_is_nominal and prepared.forecaster is not None
         track, self._spare = prepared.tracks
         self._pursuit: _Run | None = None  # a new simulation that has not caught up
         self._use(_Run(track, None, onset.onset_ns))
@@ -164,7 +164,7 @@ class MeasuredThrow(OngoingThrow):
         self._time_skipped = 0.0  # of skipped steps [s]
 
     @property
-    def engine_holds(self) -> bool:
+    def engine_is_nominal(self) -> bool:
         """Whether the motion so far is that of the engine."""
         return not self._fit.has_failed
 
@@ -204,8 +204,8 @@ class MeasuredThrow(OngoingThrow):
         # a longer extrapolation has no meaning
         farthest = known + crossing + self._estimator.config.smoothing_window
         now = (tick.due_ns - self._start_ns) / SECOND
-        self._send(self._shown, max(known, min(now, farthest)))
-        state = State._make(self._shown.state.tolist()[1:])
+        self._advance_fork(self._display_fork, max(known, min(now, farthest)))
+        state = State._make(self._display_fork.state.tolist()[1:])
         return ThrowStep(state, events, forecast, prediction, residual)
 
     def event_ns(self, event: Event, tick: Tick) -> int:  # noqa: ARG002
@@ -287,7 +287,7 @@ class MeasuredThrow(OngoingThrow):
         """Switch to another simulation of the throw."""
         self._run = run
         self._start_ns = run.start_ns
-        self._stepper, self._shown, self._ahead = run.track
+        self._stepper, self._display_fork, self._lookahead_fork = run.track
         self.events = []
 
     def _follow_plate(
@@ -323,8 +323,8 @@ class MeasuredThrow(OngoingThrow):
 
     def _predict_state(self, known: float, tick: Tick) -> PredictedState:
         """Predict the projectile up to the time that the future plate cannot influence."""
-        fork, ahead = self._ahead, known + self._prepared.lookahead
-        self._send(fork, ahead)
+        fork, ahead = self._lookahead_fork, known + self._prepared.lookahead
+        self._advance_fork(fork, ahead)
         stamp_ns = self._start_ns + round(ahead * SECOND)
         return PredictedState(
             stamp_ns,
@@ -336,7 +336,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _forecast(self, known: float, tick: Tick) -> ThrowResult | None:
         """Return the release when it is first known well enough, and when it is certain."""
-        prepared, run, fork = self._prepared, self._run, self._ahead
+        prepared, run, fork = self._prepared, self._run, self._lookahead_fork
         is_fit_lost = run.estimate is not None and self._fit.has_failed and not self.events
         if self._is_certain or is_fit_lost:
             return None
@@ -368,16 +368,17 @@ class MeasuredThrow(OngoingThrow):
     ) -> ThrowResult:
         """Return the result at a release to come, by a stepper that has reached the release."""
         self._measure_peak_speed(estimate)
-        self._accuracy = self._judge(release, estimate)
+        self._accuracy = self._assess_accuracy(release, estimate)
         lead = release.time - (tick.due_ns - self._start_of(estimate)) / SECOND
         self._lead = lead if self._lead is None else self._lead
-        return self._add_measurement(self._sum_up('predicted', tick, stepper, [release]), lead)
+        result = self._make_result('predicted', tick, stepper, [release])
+        return self._add_measurement(result, lead)
 
     def _start_of(self, estimate: EngineEstimate | None) -> int:
         """Return the start of a throw with the fitted or the smoothed motion [ns]."""
         return self._start_ns if estimate is None else estimate.start_ns
 
-    def _judge(self, release: Event, estimate: EngineEstimate | None) -> Accuracy:
+    def _assess_accuracy(self, release: Event, estimate: EngineEstimate | None) -> Accuracy:
         """Return the accuracy of a release, by an estimate if that was simulated."""
         estimator = self._estimator
         errors = self._release_errors(release, estimate)
@@ -395,7 +396,7 @@ class MeasuredThrow(OngoingThrow):
         )
 
     def _release_errors(self, release: Event, estimate: EngineEstimate | None) -> ReleaseErrors:
-        """Return the standard errors of a release, see `_judge`."""
+        """Return the standard errors of a release, see `_assess_accuracy`."""
         if estimate is None or self._estimate is None:
             return self._smoothed.release_errors(release.time, self._peak_plate_speed)
         forecaster = self._forecaster
@@ -409,7 +410,7 @@ class MeasuredThrow(OngoingThrow):
         except EventLimitError:
             self.ended_by = 'max_events'
 
-    def _send(self, fork: Stepper, time: float) -> None:
+    def _advance_fork(self, fork: Stepper, time: float) -> None:
         """Advance a fork of the present simulation to a time."""
         fork.sync_from(self._stepper)
         self._try_to_advance(fork, time)
@@ -427,7 +428,7 @@ class MeasuredThrow(OngoingThrow):
         release, estimate = self.first_release, self._run.estimate
         self._measure_peak_speed(estimate)
         if stage == 'release' and release is not None:
-            self._accuracy = self._judge(release, estimate)
+            self._accuracy = self._assess_accuracy(release, estimate)
         result = self._add_measurement(super().result(stage, tick), self._lead)
         if not result.is_valid:
             return result

@@ -85,7 +85,7 @@ class Onset:
     onset_ns: int  # time of the start [ns]
     rest: RestBaseline
     samples: tuple[Sample, ...]  # sorted, from a window before the start on
-    trusts_engine: bool = True  # whether the last motion was that of the engine
+    engine_is_nominal: bool = True  # whether the last motion was that of the engine
     stamp_scatter: float = 0.0  # standard deviation of stamps about an even rate [s]
     stamp_error: float = 0.0  # standard deviation of stamps in the last throw [s]
 

@@ -57,7 +57,7 @@ class PlateMonitor:
         Samples in their order, and the smoothed motion.
     is_armed : bool
         Whether the plate is at rest, so that a throw starts when it moves up suddenly.
-    trusts_engine : bool
+    engine_is_nominal : bool
         Whether the motion in the last throw was that of the engine.
     stamp_error : float
         Standard deviation of the stamps in the last throw. [s]
@@ -83,7 +83,7 @@ class PlateMonitor:
         import scipy.optimize  # noqa: F401
 
         self._checks = checks
-        self.trusts_engine = onset is None or onset.trusts_engine
+        self.engine_is_nominal = onset is None or onset.engine_is_nominal
         self.stamp_error = 0.0 if onset is None else onset.stamp_error
         self.estimator = PlateEstimator(
             config,
@@ -100,7 +100,7 @@ class PlateMonitor:
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and use the parameters `config` from now on."""
         if config != self.estimator.config:
-            self.trusts_engine |= config.plate != self.estimator.config.plate
+            self.engine_is_nominal |= config.plate != self.estimator.config.plate
             self._checks.begin(self.estimator.config)
             self.estimator = PlateEstimator(config, counts=self.estimator.counts)
         self._wait_for_rest()
@@ -118,7 +118,7 @@ class PlateMonitor:
         if motion.times.size:
             self._see(motion)
         onset = self._detect(motion)
-        if onset is None and self._begun < math.inf and self.trusts_engine:
+        if onset is None and self._begun < math.inf and self.engine_is_nominal:
             onset = find_engine_start(
                 self.estimator, self._to_ns(self._begun), self.stamp_error
             )
@@ -133,7 +133,7 @@ class PlateMonitor:
             )
             return motion, None
         return motion, replace(
-            onset, trusts_engine=self.trusts_engine, stamp_error=self.stamp_error
+            onset, engine_is_nominal=self.engine_is_nominal, stamp_error=self.stamp_error
         )
 
     def _has_swapped(self, onset: Onset) -> bool:

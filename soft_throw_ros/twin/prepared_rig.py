@@ -61,8 +61,8 @@ class Track(NamedTuple):
     """A stepper of a measured plate, and two forks that run ahead."""
 
     stepper: Stepper
-    shown: Stepper  # stands at the present time
-    ahead: Stepper  # stands as far ahead as the projectile is known
+    display: Stepper  # a fork at the present time
+    lookahead: Stepper  # a fork as far ahead as the projectile is known
 
     @classmethod
     def of(cls, stepper: Stepper) -> Track:

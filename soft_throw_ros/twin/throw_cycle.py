@@ -305,8 +305,8 @@ class ThrowCycle:
         tick = self._tick(step)
         had_left = bool(throw.events)
         advanced = throw.advance(tick, motion)
-        if self.monitor is not None:
-            self.monitor.trusts_engine = throw.engine_holds
+        if self.monitor is not None and isinstance(throw, MeasuredThrow):
+            self.monitor.engine_is_nominal = throw.engine_is_nominal
             self.monitor.stamp_error = throw.stamp_error
         self._state = advanced.state
         self._rare_outputs.phases += tuple(

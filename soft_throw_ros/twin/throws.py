@@ -91,7 +91,7 @@ class OngoingThrow(ABC):
         self.ended_by = ''  # while it goes on
         self.events: list[Event] = []  # so far
         self._prepared = prepared
-        self._stepper = self._shown = prepared.stepper
+        self._stepper = self._display_fork = prepared.stepper
         self._start_ns = start_ns
         self._peak_plate_speed = prepared.peak_plate_speed
         self._has_shown_field = False
@@ -106,20 +106,10 @@ class OngoingThrow(ABC):
         return self.events[0] if self.events else None
 
     @property
-    def engine_holds(self) -> bool:
-        """Whether the motion so far is that of the engine."""
-        return True
-
-    @property
-    def stamp_error(self) -> float:
-        """Estimated standard deviation of a measured plate's stamps, 0 without an estimate [s]."""
-        return 0.0
-
-    @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
         rows = np.empty((3, FIELD_POINTS))
-        self._shown.read_layer(rows)
+        self._display_fork.read_layer(rows)
         return LayerState(*rows)
 
     @abstractmethod
@@ -136,7 +126,7 @@ class OngoingThrow(ABC):
 
     def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
-        return self._sum_up(stage, tick, self._stepper, self.events)
+        return self._make_result(stage, tick, self._stepper, self.events)
 
     def _go_to(self, time: float, max_events: int) -> tuple[State, tuple[Event, ...]]:
         """Advance to a time after the start; return the state and the new events."""
@@ -159,7 +149,7 @@ class OngoingThrow(ABC):
             self.ended_by = 'rest'
         return state, tuple(self.events[seen:]) if count > seen else ()
 
-    def _sum_up(
+    def _make_result(
         self, stage: str, tick: Tick, stepper: Stepper, events: Sequence[Event]
     ) -> ThrowResult:
         """Return the result by a stepper; an invalid throw has no events."""

@@ -146,9 +146,9 @@ def test_projectile_follows_the_prediction_and_the_state_follows_the_rig(quiet) 
 
 def test_residual_without_noise_is_zero(quiet) -> None:
     residuals = [outputs.residual for outputs in quiet.outputs if outputs.residual]
-    aloft = [item for item in residuals if item.stamp_ns < quiet.begin_ns + 0.08 * SECOND]
-    assert len(aloft) > 20
-    assert max(max(abs(item.projectile), abs(item.plate)) for item in aloft) < 1e-6
+    in_flight = [item for item in residuals if item.stamp_ns < quiet.begin_ns + 0.08 * SECOND]
+    assert len(in_flight) > 20
+    assert max(max(abs(item.projectile), abs(item.plate)) for item in in_flight) < 1e-6
     result = (quiet.results('final') or quiet.results('release'))[0]
     assert result.comparison.position_rms < 1e-6
 
@@ -296,10 +296,10 @@ def test_disturbed_samples_are_counted_and_have_little_effect() -> None:
     )
 
 
-@pytest.mark.parametrize(('rate', 'trusts_engine'), [(2500.0, True), (5000.0, False)])
-def test_outliers_are_ignored(rate, trusts_engine) -> None:
+@pytest.mark.parametrize(('rate', 'engine_is_nominal'), [(2500.0, True), (5000.0, False)])
+def test_outliers_are_ignored(rate, engine_is_nominal) -> None:
     run = Run(**MEASURED)
-    if not trusts_engine:  # the last throw was of another engine
+    if not engine_is_nominal:  # the last throw was of another engine
         run.measure(with_frequency(run.rig, 61.0), noise=5e-6, duration=0.2)
     begin_ns = run.schedule.deadline(run.session.step)
     samples = rigs.measured_throw(run.rig, begin_ns=begin_ns, rate=rate, noise=5e-6)
@@ -310,7 +310,7 @@ def test_outliers_are_ignored(rate, trusts_engine) -> None:
     run.send(samples)
     run.receive()
     release, exact = run.results('release')[-1], simulate(run.rig)
-    assert release.accuracy.basis == ('engine' if trusts_engine else 'plate')
+    assert release.accuracy.basis == ('engine' if engine_is_nominal else 'plate')
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=0.05)
     assert release.first.ejection_time == pytest.approx(exact.ejection_time, abs=2e-4)
     assert release.accuracy.samples_left_out >= 2
@@ -379,10 +379,10 @@ JITTERS = {
 }
 
 
-def throw_with_jitter(kind, seed, *, trusts_engine=True, **request) -> Any:
+def throw_with_jitter(kind, seed, *, engine_is_nominal=True, **request) -> Any:
     """Throw at 2.5 kHz with stamps that jitter; return the run, and how late stamps are [s]."""
     run = Run(**MEASURED, **request)
-    if not trusts_engine:  # the last throw was of another engine
+    if not engine_is_nominal:  # the last throw was of another engine
         run.measure(with_frequency(run.rig, 61.0), noise=5e-6, duration=0.12)
         run.session.reset()
     samples = rigs.measured_throw(
@@ -430,7 +430,7 @@ def test_certain_results_with_stamp_jitter_are_correct(kind) -> None:
 @pytest.mark.parametrize('kind', list(JITTERS))
 def test_smoothed_throw_released_by_noise_is_invalid_with_a_reason(kind) -> None:
     for seed in range(4):
-        run = throw_with_jitter(kind, seed, trusts_engine=False)
+        run = throw_with_jitter(kind, seed, engine_is_nominal=False)
         final = run.results('final')[-1]
         assert (final.throw, final.ended_by, final.is_valid) == (2, 'noise', False)
         values = final.values()
@@ -696,7 +696,7 @@ def test_measured_run_is_replayed_bit_by_bit_from_any_throw(seed, throw, rate) -
     assert all(map(same, again, run.outputs[begin:]))
 
 
-SPOILT = {
+INVALID = {
     'plate': st.sampled_from([0.0, 0.3004, -50.0, 99.0, 1e300, math.nan, -math.inf]),
     'plate_velocity': st.sampled_from([0.0, 10.0, -999.0, math.inf]),
     'projectile': st.sampled_from([math.nan, 5.0, -99.0, math.inf]),
@@ -708,21 +708,21 @@ SPOILT = {
     model=st.sampled_from(['travelling_wave', 'cells_glued', 'spring_mass']),
     rate=st.sampled_from([2000.0, 5000.0, 20_000.0]),
     wait=st.sampled_from([0.0, 1e-3]),
-    spoilt=st.lists(
-        st.tuples(st.floats(0.0, 1.0), st.fixed_dictionaries({}, optional=SPOILT)), max_size=20
+    invalid=st.lists(
+        st.tuples(st.floats(0.0, 1.0), st.fixed_dictionaries({}, optional=INVALID)), max_size=20
     ),
     moved=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(-(10**8), 10**8)), max_size=20),
     gap=st.tuples(st.floats(0.0, 1.0), st.integers(0, 100)),
 )
 def test_arbitrary_samples_are_followed_or_refused_and_replayed(
-    model, rate, wait, spoilt, moved, gap
+    model, rate, wait, invalid, moved, gap
 ) -> None:
     run = Run(**MEASURED, model=model, measured__latency=wait)
     samples = rigs.measured_throw(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
     last = len(samples) - 1
-    for place, values in spoilt:
+    for place, values in invalid:
         samples[int(place * last)] = samples[int(place * last)]._replace(**values)
     delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
     for place, shift in moved:

@@ -52,10 +52,10 @@ def rows_of(samples: Sequence[Sample]) -> Rows:
     return SampleBuffer(samples).rows
 
 
-def detect(samples: list[Sample], *, trusts_engine: bool = False) -> tuple[Onset | None, int]:
+def detect(samples: list[Sample], *, engine_is_nominal: bool = False) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
     monitor = PlateMonitor(MEASUREMENT, SampleCounts(), SensorChecks())
-    monitor.trusts_engine = trusts_engine
+    monitor.engine_is_nominal = engine_is_nominal
     for count, sample in enumerate(samples, 1):
         monitor.estimator.add_samples([sample], sample.stamp_ns)
         _, onset = monitor.advance(sample.stamp_ns)
@@ -76,7 +76,7 @@ def test_start_is_found_within_a_short_delay(start) -> None:
 def test_start_with_a_trusted_engine_is_found_after_a_millisecond() -> None:
     for seed in range(5):
         samples = noisy(make_samples(400, onset=0.03), seed)
-        onset, count = detect(samples, trusts_engine=True)
+        onset, count = detect(samples, engine_is_nominal=True)
         assert onset is not None
         assert count * INTERVAL / SECOND < 0.03 + 1.4e-3
         assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(0.03, abs=3e-4)
