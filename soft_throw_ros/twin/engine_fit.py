@@ -52,16 +52,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.smoothing import factorise, solve
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import MOST_SCATTER
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
@@ -93,36 +94,16 @@ _FEWEST_FOR_NOISE = 12
 """Fewest samples that distinguish noise from another motion. [-]"""
 _MIN_DURBIN_WATSON = 1.0
 """Least ratio of Durbin and Watson of noise; it is 2 for white noise, 0 for a motion. [-]"""
-_HALVINGS = 20
-"""Bisections of the error of stamps, which leave a millionth. [-]"""
+_STAMP_ERRORS = np.linspace(0.0, 1.0, 101)
+"""Errors of stamps that are compared, over the largest possible one. [-]"""
 _MOST_STEPS = 8
 """Gauss-Newton steps of one update. [-]"""
 _CONVERGED = 1e-2
 """Largest last step, in standard errors. [-]"""
 _SLOPE = 1e-4
 """Change of the damping ratio for a difference quotient. [-]"""
-
 _KEPT, _MOST = 128, 256
 """Samples kept after older ones went into the normal equations, and before. [-]"""
-
-_LEFT_OUT, _NORMALISED, _ERROR, _SPEED, _LEVERAGE = range(5)
-"""
-Columns of the residuals: whether the sample is an outlier, the residual over its standard error
-[-], the residual [m], the speed of the plate [m/s], and the variance of the fit there [m2].
-"""
-
-_ENGINE = np.dtype(
-    [
-        ('amplitude', 'f8'),  # [m]
-        ('omega', 'f8'),  # angular frequency [1/s]
-        ('zeta', 'f8'),  # damping ratio [-]
-        ('height_noise', 'f8'),  # standard deviation of heights [m]
-        ('speed_noise', 'f8'),  # of speeds [m/s]
-        ('stamp_error', 'f8'),  # of stamps [s]
-        ('most_stamp_error', 'f8'),  # largest possible one [s]
-    ],
-    align=True,
-)
 
 _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
@@ -138,20 +119,35 @@ def _shape(time: float, omega: float, zeta: float) -> tuple[float, float, float]
     return height, speed, omega * (omega * (1.0 - height) - 2.0 * zeta * speed)
 
 
+class _Model(NamedTuple):
+    """The engine before the throw, and the noise of the samples."""
+
+    amplitude: float  # [m]
+    omega: float  # angular frequency [1/s]
+    zeta: float  # damping ratio [-]
+    height_noise: float  # standard deviation of heights [m]
+    speed_noise: float  # of speeds [m/s]
+    stamp_error: float  # of stamps [s]
+    most_stamp_error: float  # largest possible one [s]
+
+
 @_jit
 def _add_up(
     samples: Floats,
-    engine: NDArray[np.void],
+    model: _Model,
     x: Floats,
     covariance: Floats,
     normal: Floats,
     right: Floats,
     residuals: Floats,
 ) -> None:
-    """Add samples (time, height, speed) to the normal equations; write their residuals."""
-    e = engine[0]
-    amplitude = e.amplitude * (1.0 + x[AMPLITUDE])
-    omega, zeta = e.omega * (1.0 + x[FREQUENCY]), e.zeta + x[DAMPING]
+    """
+    Add samples to the normal equations about the unknowns `x`; write their residuals.
+
+    Samples are rows of time, height and speed; residuals are columns, see `_Residuals`.
+    """
+    amplitude = model.amplitude * (1.0 + x[AMPLITUDE])
+    omega, zeta = model.omega * (1.0 + x[FREQUENCY]), model.zeta + x[DAMPING]
     by_height, by_speed = np.zeros(5), np.zeros(5)  # derivatives by the unknowns
     by_height[REST] = 1.0
     for n in range(len(samples)):
@@ -161,7 +157,8 @@ def _add_up(
         if since > 0.0:
             height, speed, acceleration = _shape(since, omega, zeta)
             above, faster, _ = _shape(since, omega, zeta + _SLOPE)
-            by_height[AMPLITUDE], by_speed[AMPLITUDE] = e.amplitude * height, e.amplitude * speed
+            by_height[AMPLITUDE] = model.amplitude * height
+            by_speed[AMPLITUDE] = model.amplitude * speed
             by_height[START], by_speed[START] = -amplitude * speed, -amplitude * acceleration
             stretch = amplitude / (1.0 + x[FREQUENCY])
             by_height[FREQUENCY] = stretch * since * speed
@@ -174,17 +171,17 @@ def _add_up(
         for i in range(5):
             for j in range(5):
                 leverage += by_height[i] * covariance[i, j] * by_height[j]
-        variance = e.height_noise**2 + (speed * e.stamp_error) ** 2
-        largest = e.height_noise**2 + (speed * e.most_stamp_error) ** 2 + leverage
-        is_left_out = error * error > OUTLIER_SIGMAS * OUTLIER_SIGMAS * largest
-        row = residuals[n]
-        row[_LEFT_OUT], row[_NORMALISED] = is_left_out, error / math.sqrt(variance)
-        row[_ERROR], row[_SPEED], row[_LEVERAGE] = error, speed, leverage
-        if is_left_out:
+        noise = model.height_noise**2
+        variance = noise + (speed * model.stamp_error) ** 2
+        largest = noise + (speed * model.most_stamp_error) ** 2 + leverage
+        is_outlier = error * error > OUTLIER_SIGMAS * OUTLIER_SIGMAS * largest
+        residuals[0, n], residuals[1, n] = error, error / math.sqrt(variance)
+        residuals[2, n], residuals[3, n], residuals[4, n] = speed, leverage, is_outlier
+        if is_outlier:
             continue
         _add(normal, right, by_height, error, variance)
         if since > 0.0 and np.isfinite(samples[n, 2]):
-            variance = e.speed_noise**2 + (acceleration * e.stamp_error) ** 2
+            variance = model.speed_noise**2 + (acceleration * model.stamp_error) ** 2
             _add(normal, right, by_speed, samples[n, 2] - speed, variance)
 
 
@@ -198,148 +195,68 @@ def _add(normal: Floats, right: Floats, row: Floats, error: float, variance: flo
 
 
 @_jit
-def _fit(
+def _solve(
     samples: Floats,
-    engine: NDArray[np.void],
+    model: _Model,
     information: Floats,
     pull: Floats,
+    scales: Floats,
     x: Floats,
     covariance: Floats,
     residuals: Floats,
 ) -> bool:
     """
-    Solve for the best unknowns `x`, from the last solution; return whether a solution exists.
+    Find the best unknowns `x` from the last solution on; return whether they exist.
 
-    `information` and `pull` are the normal equations, about the origin, of the prior and of
-    older samples.
+    `information` and `pull` are the normal equations, about the origin, of the prior and of older
+    samples; `scales` removes the units of the unknowns, which differ by ten orders of magnitude.
     """
-    normal, right, scale = np.empty((5, 5)), np.empty(5), np.empty(5)
-    e = engine[0]
     for _ in range(_MOST_STEPS):
-        normal[:] = information
-        right[:] = pull
-        for i in range(5):
-            for j in range(5):
-                right[i] -= information[i, j] * x[j]
-        _add_up(samples, engine, x, covariance, normal, right, residuals)
-        for i in range(5):
-            scale[i] = 1.0 / math.sqrt(normal[i, i])
-        for i in range(5):  # units differ by ten orders of magnitude
-            right[i] *= scale[i]
-            for j in range(5):
-                normal[i, j] *= scale[i] * scale[j]
-        if not factorise(normal):
+        normal, right = information.copy(), pull - information @ x
+        _add_up(samples, model, x, covariance, normal, right, residuals)
+        if not np.isfinite(normal).all():
+            return False  # the last solution, from which the fit has failed, was out of range
+        covariance[:] = scales * np.linalg.inv(scales * normal)
+        step = covariance @ right
+        x += step
+        x[DAMPING] = max(x[DAMPING], -model.zeta)
+        if not (x[AMPLITUDE] > -1.0 and x[FREQUENCY] > -1.0 and model.zeta + x[DAMPING] < 1.0):
             return False
-        solve(normal, right)
-        has_converged = True
-        for i in range(5):
-            column = covariance[i]
-            column[:] = 0.0
-            column[i] = 1.0
-            solve(normal, column)
-            has_converged &= right[i] * right[i] < _CONVERGED * _CONVERGED * column[i]
-            x[i] += scale[i] * right[i]
-            for j in range(5):
-                column[j] *= scale[i] * scale[j]
-        x[DAMPING] = max(x[DAMPING], -e.zeta)
-        if x[AMPLITUDE] <= -1.0 or x[FREQUENCY] <= -1.0 or e.zeta + x[DAMPING] >= 1.0:
-            return False
-        if has_converged:
+        if (step**2 < _CONVERGED**2 * np.diag(covariance)).all():
             break
     return True
 
 
-@_jit
-def _condense(
-    samples: Floats,
-    engine: NDArray[np.void],
-    x: Floats,
-    covariance: Floats,
-    information: Floats,
-    pull: Floats,
-    residuals: Floats,
-) -> None:
-    """Add samples to the prior information, linearised at the unknowns `x`."""
-    normal, right = np.zeros((5, 5)), np.zeros(5)
-    _add_up(samples, engine, x, covariance, normal, right, residuals)
-    for i in range(5):
-        pull[i] += right[i]
-        for j in range(5):
-            pull[i] += normal[i, j] * x[j]
-            information[i, j] += normal[i, j]
-
-
-@_jit
-def _stamp_error(residuals: Floats, engine: NDArray[np.void]) -> float:
-    """Estimate the standard error of stamps by residuals that grow with the speed [s]."""
-    e = engine[0]
-    high = e.most_stamp_error
-    total, expected, count = _excess(residuals, e.height_noise, 0.0)
-    if count < FEWEST:
-        return e.stamp_error  # type: ignore[no-any-return]
-    suspicion = _SUSPICION if count >= _FEWEST_FOR_NOISE else _EARLY_SUSPICION
-    if total <= largest_by_chance(expected, suspicion):
-        return 0.0
-    if not _is_noise(residuals, e.height_noise, high):
-        return e.stamp_error  # type: ignore[no-any-return]
-    low = 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        total, expected, _ = _excess(residuals, e.height_noise, middle)
-        if total > expected - math.sqrt(2.0 * expected):
-            low = middle
-        else:
-            high = middle
-    return high  # type: ignore[no-any-return]
-
-
-@_jit
-def _excess(residuals: Floats, noise: float, stamp_error: float) -> tuple[float, float, int]:
-    """Return the weighted squares of moving samples, their expectation, and how many there are."""
-    total, expected, count = 0.0, 0.0, 0
-    for n in range(len(residuals)):
-        row = residuals[n]
-        if row[_LEFT_OUT] or row[_SPEED] == 0.0:
-            continue
-        variance = noise * noise + (row[_SPEED] * stamp_error) ** 2
-        total += row[_ERROR] ** 2 / variance
-        expected += max(1.0 - row[_LEVERAGE] / variance, 0.0)
-        count += 1
-    return total, max(expected, 1.0), count
-
-
-@_jit
-def _is_noise(residuals: Floats, noise: float, stamp_error: float) -> bool:
-    """Return whether moving samples are as uneven as noise, by the ratio of Durbin and Watson."""
-    squares, steps, before = 0.0, 0.0, math.nan
-    for n in range(len(residuals)):
-        row = residuals[n]
-        if row[_LEFT_OUT] or row[_SPEED] == 0.0:
-            continue
-        value = row[_ERROR] / math.sqrt(noise * noise + (row[_SPEED] * stamp_error) ** 2)
-        squares += value * value
-        if not math.isnan(before):
-            steps += (value - before) ** 2
-        before = value
-    return steps >= _MIN_DURBIN_WATSON * squares
-
-
-@_jit
 def largest_by_chance(count: float, quantile: float) -> float:
     """Return the sum of `count` squares of standard normal numbers at a normal quantile [-]."""
     part = 2.0 / (9.0 * max(count, 1.0))  # Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931)
     return float(count * (1.0 - part + quantile * math.sqrt(part)) ** 3)
 
 
-@_jit
-def damped_states(
-    times: Floats, amplitude: float, omega: float, zeta: float, states: Floats
-) -> None:
-    """Write height, velocity and acceleration of a damped step at times since its start."""
-    for n in range(times.size):
-        height, speed, acceleration = _shape(times[n], omega, zeta)
-        states[n, 0], states[n, 1] = amplitude * height, amplitude * speed
-        states[n, 2] = amplitude * acceleration
+def plate_states(plate: Underdamped, times: Floats) -> Floats:
+    """Return height, velocity and acceleration at times since the start, shape (n, 3)."""
+    height, velocity = plate.position(times), plate.velocity(times)
+    omega = 2.0 * math.pi * plate.frequency
+    acceleration = omega * (
+        omega * (plate.amplitude - height) - 2.0 * plate.damping_ratio * velocity
+    )
+    return np.stack((height, velocity, acceleration), axis=1)
+
+
+def _is_noise(residuals: Floats) -> bool:
+    """Return whether normalised residuals are as uneven as noise, by Durbin and Watson."""
+    steps = np.diff(residuals)
+    return bool(steps @ steps >= _MIN_DURBIN_WATSON * (residuals @ residuals))
+
+
+class _Residuals(NamedTuple):
+    """Residuals of the heights of samples, each of shape (n,)."""
+
+    error: Floats  # [m]
+    normalised: Floats  # over their standard errors [-]
+    speed: Floats  # of the plate [m/s]
+    leverage: Floats  # variance of the fitted height [m2]
+    is_outlier: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -349,12 +266,10 @@ class EngineEstimate:
 
     Attributes
     ----------
-    start : float
-        After the time that the fit counts from. [s]
+    start_ns : int
+        Start of the motion. [ns]
     plate : Underdamped
         Motion of the plate.
-    rest : float
-        Height of the plate before. [m]
     unknowns : ndarray, shape (5,)
         The solution, see `AMPLITUDE`.
     covariance : ndarray, shape (5, 5)
@@ -364,45 +279,35 @@ class EngineEstimate:
 
     """
 
-    start: float
+    start_ns: int
     plate: Underdamped
-    rest: float
     unknowns: Floats
     covariance: Floats
     stamp_error: float = 0.0
 
-    def states(self, times: Floats) -> Floats:
-        """Return height above rest, velocity and acceleration at times since the start."""
-        plate, states = self.plate, np.empty((times.size, 3))
-        omega = 2.0 * math.pi * plate.frequency
-        damped_states(times, plate.amplitude, omega, plate.damping_ratio, states)
-        return states
-
 
 class EngineFit:
     """
-    Fits the engine's motion to the samples of a throw, see the module.
+    A fit of the engine's motion to the samples of a throw, see the module.
 
     Parameters
     ----------
     config : MeasurementConfig
-        How the plate is measured, and how its engine moves it.
+        Parameters of the measurement, with the motion of the engine.
     origin_ns : int
-        Time that `start` counts from, within a millisecond of the start. [ns]
+        First guess of the start, within a millisecond. [ns]
     rest, rest_error : float
         Height before the throw, and its standard error. [m]
     noise : float
         Standard deviation of heights. [m]
     stamp_scatter, stamp_error : float
-        Standard deviation of the stamps about an even rate, and as far as it is known that they
-        are wrong. [s]
+        Standard deviation of the stamps about an even rate, and its known part that is an error
+        of the stamps. [s]
 
     Attributes
     ----------
     has_failed : bool
         Whether the plate has not moved as the engine should.
-    stamp_error : float
-        Standard deviation of the stamps by the last fit. [s]
 
     """
 
@@ -419,23 +324,20 @@ class EngineFit:
     ) -> None:
         plate = config.plate
         self.has_failed = False
-        self.origin_ns = origin_ns
-        self._samples = np.empty((_MOST, 3))
-        self._residuals = np.zeros((_MOST, 5))
-        self._count = 0  # of the samples kept
-        self._condensed_left_out = 0
+        self._origin_ns = origin_ns
         self._known_stamp_error = stamp_error  # by earlier throws [s]
-        self._engine = np.zeros(1, _ENGINE)
-        most_stamp_error = max(MOST_SCATTER * stamp_scatter, stamp_error)
-        self._engine[0] = (
-            plate.amplitude,
-            2.0 * math.pi * plate.frequency,
-            plate.damping_ratio,
-            noise,
-            noise / config.position_noise * config.velocity_noise,
-            stamp_error,
-            most_stamp_error,
+        self._model = _Model(
+            amplitude=plate.amplitude,
+            omega=2.0 * math.pi * plate.frequency,
+            zeta=plate.damping_ratio,
+            height_noise=noise,
+            speed_noise=noise / config.position_noise * config.velocity_noise,
+            stamp_error=stamp_error,
+            most_stamp_error=max(MOST_SCATTER * stamp_scatter, stamp_error),
         )
+        self._engine = plate
+        self._samples = np.empty((0, 3))  # times [s], heights [m] and velocities [m/s]
+        self._condensed_outliers = 0
         errors = [
             _AMPLITUDE_ERROR,
             _START_ERROR,
@@ -444,131 +346,143 @@ class EngineFit:
             max(rest_error, _TIGHTEST * plate.amplitude),
         ]
         self._variances = np.array(errors) ** 2  # before the throw
-        self._information = np.diag(1.0 / self._variances)
+        self._scales = np.outer(errors, errors)
         self._x = np.array([0.0, 0.0, 0.0, 0.0, rest])
-        self._pull = self._information @ self._x
         self._covariance = np.diag(self._variances)
-
-    @property
-    def left_out(self) -> int:
-        """Number of outliers."""
-        last = self._residuals[: self._count, _LEFT_OUT]
-        return self._condensed_left_out + int(last.sum())
+        # normal equations of the prior and of older samples, about the origin
+        self._information = np.diag(1.0 / self._variances)
+        self._pull = self._information @ self._x
 
     @property
     def stamp_error(self) -> float:
         """Standard deviation of the stamps by the last fit [s]."""
-        return float(self._engine['stamp_error'][0])
+        return self._model.stamp_error
+
+    @property
+    def outliers(self) -> int:
+        """Number of outliers."""
+        is_fitted = len(self._samples) >= FEWEST
+        return self._condensed_outliers + is_fitted * int(self._residuals.is_outlier.sum())
 
     def update(self, rows: Rows) -> EngineEstimate | None:
         """Add later samples; return None if there are too few samples, or the fit fails."""
         while len(rows):
-            if self._count == _MOST:
+            if len(self._samples) == _MOST:
                 self._condense()
-            new = rows[: _MOST - self._count]
+            new = rows[: _MOST - len(self._samples)]
             rows = rows[len(new):]
-            last = self._count + len(new)
-            table = self._samples[self._count:last]
-            table[:, 0] = seconds_since(self.origin_ns, new)
-            table[:, 1], table[:, 2] = new['plate'], new['plate_velocity']
-            self._count = last
-            if last >= FEWEST:
+            added = seconds_since(self._origin_ns, new), new['plate'], new['plate_velocity']
+            self._samples = np.concatenate((self._samples, np.stack(added, axis=1)))
+            if len(self._samples) >= FEWEST:
                 self._fit_and_judge()
-        if self._count < FEWEST or self.has_failed or self._moved() < FEWEST:
+        if self.has_failed or self._moved() < FEWEST:
             return None
-        return self._estimate()
+        engine, x = self._engine, self._x.tolist()
+        plate = Underdamped(
+            frequency=engine.frequency * (1.0 + x[FREQUENCY]),
+            amplitude=engine.amplitude * (1.0 + x[AMPLITUDE]),
+            damping_ratio=engine.damping_ratio + x[DAMPING],
+        )
+        start_ns = self._origin_ns + round(x[START] * SECOND)
+        return EngineEstimate(
+            start_ns, plate, self._x.copy(), self._covariance.copy(), self.stamp_error
+        )
 
     def _moved(self) -> int:
         """Count the samples kept that are later than the start."""
-        return int((self._samples[: self._count, 0] > self._x[START]).sum())
+        return int((self._samples[:, 0] > self._x[START]).sum())
 
     def _condense(self) -> None:
-        """Move the oldest samples into the normal equations."""
-        old = _MOST - _KEPT
-        _condense(
-            self._samples[:old], self._engine, self._x, self._covariance,
-            self._information, self._pull, self._residuals[:old],
-        )
-        self._condensed_left_out += int(self._residuals[:old, _LEFT_OUT].sum())
-        for table in (self._samples, self._residuals):
-            table[:_KEPT] = table[old:].copy()
-        self._count = _KEPT
+        """Move the oldest samples into the normal equations, linearised at their solution."""
+        old, self._samples = self._samples[:-_KEPT], self._samples[-_KEPT:]
+        normal, right, residuals = np.zeros((5, 5)), np.zeros(5), np.empty((5, len(old)))
+        _add_up(old, self._model, self._x, self._covariance, normal, right, residuals)
+        self._information += normal
+        self._pull += right + normal @ self._x
+        self._condensed_outliers += int(residuals[4].sum())
 
     def _fit_and_judge(self) -> None:
         """Fit all, with the errors of stamps and the noise that the residuals show."""
-        engine = self._engine
         used = self._fit()
+        if not used.size:
+            return
         if self._moved() >= _FEWEST_FOR_NOISE:
-            self._known_stamp_error = 0.0  # this throw alone tells it better
-        if engine['most_stamp_error'][0] > 0.0:
+            self._known_stamp_error = 0.0  # the samples of this throw suffice
+        if self._model.most_stamp_error > 0.0:
             before = self.stamp_error
-            error = _stamp_error(self._residuals[: self._count], engine)
-            engine['stamp_error'] = max(error, self._known_stamp_error)
+            error = max(self._estimate_stamp_error(), self._known_stamp_error)
+            self._model = self._model._replace(stamp_error=error)
             if self.stamp_error != before:
                 used = self._fit()
         if self.has_failed and used.size >= _FEWEST_FOR_NOISE:
-            # once more with the noise that is there, if it is larger than at rest
+            # once more with the present noise, if it is larger than at rest
             larger = max(np.square(used).mean(), np.square(used[-_RECENT_SAMPLES:]).mean())
-            is_noise = np.square(np.diff(used)).sum() >= _MIN_DURBIN_WATSON * np.square(used).sum()
-            if is_noise and larger > 1.0:
-                engine['height_noise'] *= math.sqrt(larger)
-                engine['speed_noise'] *= math.sqrt(larger)
+            if larger > 1.0 and _is_noise(used):
+                model, factor = self._model, math.sqrt(larger)
+                self._model = model._replace(
+                    height_noise=factor * model.height_noise,
+                    speed_noise=factor * model.speed_noise,
+                )
                 self._fit()
 
     def _fit(self) -> Floats:
         """Fit, test whether the plate moves as the engine should, and return the residuals."""
-        residuals = self._residuals[: self._count]
-        is_solved = _fit(
-            self._samples[: self._count],
-            self._engine,
+        table = np.empty((5, len(self._samples)))
+        is_solved = _solve(
+            self._samples,
+            self._model,
             self._information,
             self._pull,
+            self._scales,
             self._x,
             self._covariance,
-            residuals,
+            table,
         )
-        left_out = residuals[:, _LEFT_OUT] > 0.0
-        used = residuals[~left_out, _NORMALISED]
-        most_in_a_row = np.convolve(left_out, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
+        error, normalised, speed, leverage, outlier = table
+        is_outlier = outlier > 0.0
+        self._residuals = _Residuals(error, normalised, speed, leverage, is_outlier)
+        if not is_solved:
+            self.has_failed = True
+            return np.empty(0)
+        used = normalised[~is_outlier]
+        most_in_a_row = np.convolve(is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
         known = slice(FREQUENCY, DAMPING + 1)
-        moved = self._x[known] ** 2
-        prior = self._variances[known]
-        told = prior - self._covariance.diagonal()[known]
-        squares = np.square(used)
-        recent = squares[-_RECENT_SAMPLES:]
+        changes, prior = self._x[known] ** 2, self._variances[known]
+        reduction = prior - self._covariance.diagonal()[known]
         self.has_failed = (
-            not is_solved
-            or most_in_a_row >= MAX_OUTLIERS_IN_A_ROW
-            or bool((moved > _REJECTION_QUANTILE**2 * told + 1e-3 * prior).any())
-            or squares.sum() > largest_by_chance(float(used.size), _REJECTION_QUANTILE)
-            or recent.sum() > largest_by_chance(float(recent.size), _REJECTION_QUANTILE)
+            most_in_a_row >= MAX_OUTLIERS_IN_A_ROW
+            or bool((changes > _REJECTION_QUANTILE**2 * reduction + 1e-3 * prior).any())
+            or any(
+                tested @ tested > largest_by_chance(tested.size, _REJECTION_QUANTILE)
+                for tested in (used, used[-_RECENT_SAMPLES:])
+            )
         )
-        return np.asarray(used if is_solved else used[:0])
+        return used
 
-    def _estimate(self) -> EngineEstimate:
-        engine, x = self._engine[0], self._x.tolist()
-        return EngineEstimate(
-            start=x[START],
-            plate=Underdamped(
-                frequency=float(engine['omega']) * (1.0 + x[FREQUENCY]) / (2.0 * math.pi),
-                amplitude=float(engine['amplitude']) * (1.0 + x[AMPLITUDE]),
-                damping_ratio=float(engine['zeta']) + x[DAMPING],
-            ),
-            rest=x[REST],
-            unknowns=self._x.copy(),
-            covariance=self._covariance.copy(),
-            stamp_error=self.stamp_error,
-        )
+    def _estimate_stamp_error(self) -> float:
+        """Estimate the standard error of stamps by residuals that grow with the speed [s]."""
+        residuals = self._residuals
+        is_used = (residuals.speed != 0.0) & ~residuals.is_outlier
+        error, _, speed, leverage, _ = (column[is_used] for column in residuals)
+        if error.size < FEWEST:
+            return self.stamp_error
+        levels = self._model.most_stamp_error * _STAMP_ERRORS
+        variance = self._model.height_noise**2 + np.square(np.outer(levels, speed))
+        total = (error**2 / variance).sum(axis=1)
+        expected = (1.0 - leverage / variance).clip(0.0).sum(axis=1).clip(1.0)
+        suspicion = _SUSPICION if error.size >= _FEWEST_FOR_NOISE else _EARLY_SUSPICION
+        if total[0] <= largest_by_chance(float(expected[0]), suspicion):
+            return 0.0
+        if not _is_noise(error / np.sqrt(variance[-1])):
+            return self.stamp_error
+        explains = total <= expected - np.sqrt(2.0 * expected)
+        explains[-1] = True
+        return float(levels[explains.argmax()])
 
 
 def warm_up() -> None:
     """Compile or load the kernels."""
-    x, pull, engine = np.zeros(5), np.ones(5), np.full(1, 0.1).astype(_ENGINE)
-    samples, residuals, information, covariance = (
-        np.zeros((2, 3)), np.zeros((4, 5)), np.eye(5), np.eye(5),
-    )
-    _fit(samples, engine, information, pull, x, covariance, residuals)
-    _condense(samples, engine, x, covariance, information, pull, residuals)
-    _stamp_error(residuals, engine)
-    largest_by_chance(1.0, 1.0)
-    damped_states(np.zeros(2), 1.0, 1.0, 0.0, np.empty((2, 3)))
+    x, matrix, model = np.zeros(5), np.eye(5), _Model(*np.full(7, 0.1).tolist())
+    samples, residuals = np.zeros((1, 3)), np.empty((5, 1))
+    _add_up(samples, model, x, matrix, matrix, x, residuals)
+    _solve(samples, model, matrix, x, matrix, x, matrix, residuals)

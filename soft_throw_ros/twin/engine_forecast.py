@@ -25,7 +25,14 @@ from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine
 from soft_throw_ros.core.stepper import Stepper, TIME
-from soft_throw_ros.twin.engine_fit import AMPLITUDE, DAMPING, EngineEstimate, FREQUENCY, START
+from soft_throw_ros.twin.engine_fit import (
+    AMPLITUDE,
+    DAMPING,
+    EngineEstimate,
+    FREQUENCY,
+    plate_states,
+    START,
+)
 
 Floats = NDArray[np.float64]
 Throw = Callable[[Engine], tuple[float, float] | None]
@@ -33,8 +40,12 @@ Throw = Callable[[Engine], tuple[float, float] | None]
 TWO_SIDED = 1.96
 """Half of a 95 % interval in standard errors. [-]"""
 
-_STEPS = {AMPLITUDE: 0.01, FREQUENCY: 2e-3, DAMPING: 5e-3}
-"""Steps of difference quotients by the unknowns of `engine_fit`. [-]"""
+_STEPS = {
+    AMPLITUDE: ('amplitude', 0.01),
+    FREQUENCY: ('frequency', 2e-3),
+    DAMPING: ('damping_ratio', 5e-3),
+}
+"""Fields of an engine, and steps of difference quotients by the unknowns of `engine_fit`. [-]"""
 
 _PIECES = 64
 """States of the plate in a period; quintics between them are exact to rounding. [-]"""
@@ -77,9 +88,11 @@ class EngineForecaster:
         """Return a forecaster by `throw`, which computes time and speed of a release, if any."""
         gradient = np.zeros((3, 5))
         gradient[0, START] = 1.0
-        for unknown, step in _STEPS.items():
-            down = min(step, engine.damping_ratio) if unknown == DAMPING else step
-            ends = [_changed(engine, unknown, step), _changed(engine, unknown, -down)]
+        for unknown, (field, step) in _STEPS.items():
+            value = getattr(engine, field)
+            unit = 1.0 if unknown == DAMPING else value
+            down = min(step, value / unit)  # the damping ratio may be 0
+            ends = [replace(engine, **{field: value + k * unit}) for k in (step, -down)]
             releases = [throw(end) for end in ends]
             if releases[0] is None or releases[1] is None:
                 return None
@@ -109,7 +122,7 @@ class EngineForecaster:
         """Put the stepper at the start of the throw of an estimate."""
         length = _LONGER * self.ejection_time
         self.stepper.reset()
-        self.stepper.append_plate_states(*self.states(estimate, 0.0, length))
+        self.stepper.append_plate_states(*engine_states(estimate.plate, 0.0, length))
 
     def advance(self, duration: float) -> bool:
         """Advance that throw; return whether it has come to the first release or to its end."""
@@ -117,23 +130,13 @@ class EngineForecaster:
         goal = min(float(stepper.state[TIME]) + duration, stepper.horizon)
         return stepper.advance_to(goal) > 0 or goal >= stepper.horizon
 
-    def states(
-        self, estimate: EngineEstimate, after: float, until: float
-    ) -> tuple[Floats, Floats]:
-        """
-        Return times since the start, and states of the plate, from one time to another.
 
-        The first time is the start if `after` is 0, else it is later than `after`.
-        """
-        count = max(math.ceil(_PIECES * (until - after) * estimate.plate.frequency), 1)
-        times = np.linspace(after, until, count + 1)[after > 0.0:]
-        return times, estimate.states(times)
+def engine_states(plate: Underdamped, after: float, until: float) -> tuple[Floats, Floats]:
+    """
+    Return times since the start, and states of the plate, from one time to another.
 
-
-def _changed(engine: Engine, unknown: int, step: float) -> Engine:
-    """Return an engine with one unknown changed by a step."""
-    if unknown == AMPLITUDE:
-        return replace(engine, amplitude=engine.amplitude * (1.0 + step))
-    if unknown == FREQUENCY:
-        return replace(engine, frequency=engine.frequency * (1.0 + step))
-    return replace(engine, damping_ratio=engine.damping_ratio + step)
+    The first time is the start if `after` is 0, else it is later than `after`.
+    """
+    count = max(math.ceil(_PIECES * (until - after) * plate.frequency), 1)
+    times = np.linspace(after, until, count + 1)[after > 0.0:]
+    return times, plate_states(plate, times)

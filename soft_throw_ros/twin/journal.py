@@ -248,7 +248,7 @@ def encode_onset(onset: Onset) -> Entry:
         'projectile_rest': None if math.isnan(rest.projectile) else rest.projectile,
         'noise': rest.noise,
         'rest_error': rest.error,
-        'trusts_engine': onset.trusts_engine,
+        'trusts_engine': onset.engine_is_nominal,
         'stamp_scatter': onset.stamp_scatter,
         'stamp_error': onset.stamp_error,
         **encode_samples([(0, onset.samples)]),
@@ -270,7 +270,7 @@ def decode_onset(values: Entry) -> Onset:
             samples=tuple(
                 sample for _, batch in decode_samples({**values, 'step': 0}) for sample in batch
             ),
-            trusts_engine=bool(values['trusts_engine']),
+            engine_is_nominal=bool(values['trusts_engine']),
             stamp_scatter=float(values.get('stamp_scatter', 0.0)),
             stamp_error=float(values.get('stamp_error', 0.0)),
         )
@@ -317,30 +317,20 @@ class JournalWriter:
         self._throw: _Checksum | None = None
 
     def write(self, kind: str, step: int, **values: object) -> None:
-        """Write an entry."""
+        """Write an entry, without `motions` if there are none."""
         if self._batches:
             self._flush(step)
+        if not values.get('motions', True):
+            del values['motions']
         self._on_line(encode({'kind': kind, 'line': self._line, 'step': step, **values}))
         self._line += 1
 
-    def begin(
-        self, kind: str, step: int, settings: Settings, motions: Mapping[str, str], **values: Any
-    ) -> None:
-        """Write the start of a session or a throw with encoded motions; begin a checksum."""
+    def begin(self, kind: str, step: int, settings: Settings, **values: Any) -> None:
+        """Write the start of a session or a throw, and begin a checksum."""
         self._write_checksum(step)
         if kind == 'throw':
             self._throw = _Checksum(step)
-        self.write(
-            kind, step, settings=dict(settings), versions=dict(VERSIONS), **values,
-            **({'motions': dict(motions)} if motions else {}),
-        )
-
-    def write_change(self, step: int, values: Settings, motions: Mapping[str, str]) -> None:
-        """Write a change of parameters with the encoded motions that it needs."""
-        self.write(
-            'input', step, input='parameters', values=dict(values),
-            **({'motions': dict(motions)} if motions else {}),
-        )
+        self.write(kind, step, settings=dict(settings), versions=dict(VERSIONS), **values)
 
     def keep_samples(self, step: int, samples: list[Sample]) -> None:
         """Store accepted samples for a later entry."""

@@ -29,7 +29,6 @@ import threading
 import time
 from types import ModuleType
 
-from numba.core import event
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
@@ -95,8 +94,7 @@ def load_kernels(parts: Iterable[str] = tuple(PARTS), *, say: Say = lambda _text
     parts : iterable of str
         Names of kernel groups, keys of `PARTS`.
     say : callable
-        Called with the name of the kernel being compiled, every other second; not called if all
-        kernels are cached. The caller may be another thread.
+        Called every other second while a part is being compiled, from another thread.
 
     """
     missing = missing_parts()
@@ -104,50 +102,26 @@ def load_kernels(parts: Iterable[str] = tuple(PARTS), *, say: Say = lambda _text
         if part not in missing:
             PARTS[part]()
             continue
-        with _locked(part, say), _Progress(say):
+        with _locked(part, say), _reported(part, say):
             PARTS[part]()
             _mark(part).touch()
 
 
-class _Progress(event.Listener):
-    """Report of the kernel that numba compiles, every other second."""
+@contextlib.contextmanager
+def _reported(part: str, say: Say) -> Iterator[None]:
+    """Report every other second that a part is being compiled within the context."""
+    begin, is_over = time.monotonic(), threading.Event()
 
-    def __init__(self, say: Say) -> None:
-        self._say = say
-        self._count = 0
-        self._compiled: list[str] = []  # stack: a kernel needs the next one
-        self._is_over = threading.Event()
+    def report() -> None:
+        while not is_over.wait(_INTERVAL):
+            elapsed = time.monotonic() - begin
+            say(f'compiling {part} ({elapsed:.0f} s elapsed; cached for later runs)')
 
-    def on_start(self, event: event.Event) -> None:
-        """Store the name of the kernel that numba begins to compile."""
-        kernel = event.data['dispatcher'].py_func
-        module = kernel.__module__
-        name = f'{module.rpartition(".")[2]}.{kernel.__name__}'
-        is_ours = module.startswith('soft_throw_ros.') or not self._compiled
-        self._count += 1
-        self._compiled.append(name if is_ours else self._compiled[-1])
-
-    def on_end(self, _event: event.Event) -> None:
-        """Return to the kernel that needed the compiled one."""
-        self._compiled.pop()
-
-    def __enter__(self) -> None:
-        event.register('numba:compile', self)
-        threading.Thread(target=self._report, daemon=True).start()
-
-    def __exit__(self, *_: object) -> None:
-        event.unregister('numba:compile', self)
-        self._is_over.set()
-
-    def _report(self) -> None:
-        begin = time.monotonic()
-        while not self._is_over.wait(_INTERVAL):
-            for kernel in self._compiled[-1:]:
-                passed = time.monotonic() - begin
-                self._say(
-                    f'compiling {kernel} (kernel {self._count}, {passed:.0f} s elapsed; cached '
-                    'for later runs)'
-                )
+    threading.Thread(target=report, daemon=True).start()
+    try:
+        yield
+    finally:
+        is_over.set()
 
 
 @contextlib.contextmanager

@@ -26,7 +26,6 @@ import dataclasses
 import math
 
 import numpy as np
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.stepper import (
     Event,
@@ -38,7 +37,7 @@ from soft_throw_ros.core.stepper import (
     TIME,
 )
 from soft_throw_ros.twin.engine_fit import EngineEstimate
-from soft_throw_ros.twin.engine_forecast import ReleaseErrors, TWO_SIDED
+from soft_throw_ros.twin.engine_forecast import EngineForecaster, ReleaseErrors, TWO_SIDED
 from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import PAST, PlateEstimator, PlateStates
 from soft_throw_ros.twin.plate_source import FittedEngine, PlateSource, SmoothedSamples
@@ -60,7 +59,7 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.throws import OngoingThrow, ThrowStep
+from soft_throw_ros.twin.throws import OngoingThrow, ThrowStep, Tick
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 LOST = PAST
@@ -80,31 +79,16 @@ _SKIPPED = 0.5
 
 
 class _Run:
-    """
-    A simulation of the throw up to the present, by one source of the plate's motion.
-
-    Attributes
-    ----------
-    track : Track
-        The stepper, which starts anew, and its forks.
-    source : PlateSource or None
-        Source of the following states of the plate; None while the plate is unknown.
-    start_ns : int
-        When the throw starts. [ns]
-    estimate : EngineEstimate or None
-        Fitted motion of the plate until the first release; None to use the smoothed plate.
-    times, states : list
-        The plate since the start, as the stepper knows it.
-
-    """
+    """A simulation of the throw from its start, by one source of the plate's motion."""
 
     def __init__(self, track: Track, source: PlateSource | None, start_ns: int) -> None:
         track.stepper.reset()
         self.track = track
-        self.source = source
-        self.start_ns = start_ns
+        self.source = source  # of the following states; None while the plate is unknown
+        self.start_ns = start_ns  # of the throw [ns]
+        # motion until the first release; None for the smoothed plate
         self.estimate = source.estimate if isinstance(source, FittedEngine) else None
-        self.times: list[float] = []
+        self.times: list[float] = []  # of the states of the plate that the stepper knows
         self.states: list[list[float]] = []
         self._last = -1.0  # time of the last state [s]
 
@@ -159,10 +143,10 @@ class MeasuredThrow(OngoingThrow):
         self._estimator = estimator
         self._smoothed = SmoothedSamples(onset, estimator)
         self._fit = onset.engine_fit(config)
-        self._is_fitted = False  # whether a period has passed, or the fit has failed
         self._fitted_ns = onset.onset_ns - config.smoothing_window_ns  # samples before are fitted
+        self._fit_end_ns = onset.onset_ns + round(SECOND / prepared.rig.engine.frequency)
         self._estimate: EngineEstimate | None = None
-        self._relies_on_engine = onset.trusts_engine and prepared.forecaster is not None
+        self._relies_on_engine = onset.engine_is_nominal and prepared.forecaster is not None
         track, self._spare = prepared.tracks
         self._pursuit: _Run | None = None  # a new simulation that has not caught up
         self._use(_Run(track, None, onset.onset_ns))
@@ -176,72 +160,77 @@ class MeasuredThrow(OngoingThrow):
         self._is_certain = False  # whether the plate cannot change the release any more
         self._accuracy: Accuracy | None = None
         self._lead: float | None = None  # of the first prediction
-        self._now_ns = 0  # time of the last step [ns]
+        self._due_ns = 0  # time of the last step [ns]
         self._time_skipped = 0.0  # of skipped steps [s]
+
+    @property
+    def engine_is_nominal(self) -> bool:
+        """Whether the motion so far is that of the engine."""
+        return not self._fit.has_failed
 
     @property
     def stamp_error(self) -> float:
         """Estimated standard deviation of the stamps, 0 without an estimate [s]."""
         return self._onset.stamp_error if self._fit.has_failed else self._fit.stamp_error
 
-    def advance(
-        self, step: int, now_ns: int, motion: PlateStates, config: TwinConfig
-    ) -> ThrowStep:
+    @property
+    def _is_fitted(self) -> bool:
+        """Whether the fit has failed, or has the samples of a period of the plate."""
+        return self._fit.has_failed or self._estimator.complete_ns > self._fit_end_ns
+
+    @property
+    def _forecaster(self) -> EngineForecaster:
+        assert self._prepared.forecaster is not None
+        return self._prepared.forecaster
+
+    def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:
         """Advance as far as the plate is known, and predict from there."""
-        crossing = self._prepared.rig.crossing_time
-        if motion.gap > crossing or now_ns - self._estimator.newest_ns > LOST:
+        crossing, max_events = self._prepared.rig.crossing_time, tick.config.max_events
+        if motion.gap > crossing or tick.due_ns - self._estimator.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
             self._smoothed.add(motion)
             self._update_fit()
             self._choose_source()
-        self._count_skipped_time(now_ns)
+        self._count_skipped_time(tick.due_ns)
         had_left = bool(self.events)
         known = self._run.known
-        events, residual = self._follow_plate(known, config.max_events)
+        events, residual = self._follow_plate(known, max_events)
         if self._relies_on_engine and self.events:
-            self._relies_on_engine = False  # the release is certain, and does not change
-            self._pursuit = None
+            self._abandon_engine()  # the release is certain, and does not change
         if self.events and not had_left and self._is_lost_in_noise():
             self.ended_by, self.events, events = 'noise', [], ()
-        prediction, forecast = self._look_ahead(known, step, now_ns, config)
+        prediction, forecast = self._predict_state(known, tick), self._forecast(known, tick)
         # a longer extrapolation has no meaning
         farthest = known + crossing + self._estimator.config.smoothing_window
-        now = (now_ns - self._start_ns) / SECOND
-        self._send(self._shown, max(known, min(now, farthest)))
-        state = State._make(self._shown.state.tolist()[1:])
+        now = (tick.due_ns - self._start_ns) / SECOND
+        self._advance_fork(self._display_fork, max(known, min(now, farthest)))
+        state = State._make(self._display_fork.state.tolist()[1:])
         return ThrowStep(state, events, forecast, prediction, residual)
 
-    def event_ns(self, event: Event, now_ns: int) -> int:  # noqa: ARG002
+    def event_ns(self, event: Event, tick: Tick) -> int:  # noqa: ARG002
         """Return the time of an event by the stamps of the samples [ns]."""
         return self._start_ns + round(event.time * SECOND)
 
     def _update_fit(self) -> None:
-        """Fit the engine's motion to the samples of a plate period."""
-        if self._is_fitted:
-            return
-        estimator, period = self._estimator, 1.0 / self._prepared.rig.engine.frequency
-        last_ns = self._onset.onset_ns + round(period * SECOND)
-        end_ns = min(estimator.complete_ns, last_ns)
-        rows = estimator.samples(self._fitted_ns, end_ns + 1)
-        if len(rows):
-            self._fitted_ns = int(rows['stamp_ns'][-1]) + 1
-            self._estimate = self._fit.update(rows) or self._estimate
-        self.engine_holds = not self._fit.has_failed
+        """Fit the engine's motion to the samples of a plate period; later ones may be at rest."""
+        if not self._fit.has_failed:
+            end_ns = min(self._estimator.complete_ns, self._fit_end_ns)
+            rows = self._estimator.samples(self._fitted_ns, end_ns + 1)
+            if len(rows):
+                self._fitted_ns = int(rows['stamp_ns'][-1]) + 1
+                self._estimate = self._fit.update(rows) or self._estimate
         self._smoothed.stamp_error = self.stamp_error
-        # samples after the period are not of the throw
-        self._is_fitted = self._fit.has_failed or end_ns < estimator.complete_ns
 
     def _choose_source(self) -> None:
         """Simulate the throw on, or anew, by the fitted engine or by smoothed samples."""
-        run, smoothed = self._run, self._smoothed
+        run, smoothed, estimate = self._run, self._smoothed, self._estimate
         if self._relies_on_engine:
-            if self._fit.has_failed:
-                self._relies_on_engine, self._pursuit = False, None
-            elif self._estimate is not None and self._is_outdated(run.estimate):
-                self._begin_pursuit(self._engine(self._estimate))
-            elif self._is_fitted:
-                self._relies_on_engine, self._pursuit = False, None
+            is_outdated = estimate is not None and self._is_outdated(run.estimate, estimate)
+            if self._fit.has_failed or (self._is_fitted and not is_outdated):
+                self._abandon_engine()
+            elif estimate is not None and is_outdated:
+                self._begin_pursuit(FittedEngine(estimate))
         if not self._relies_on_engine and run.source is not smoothed:
             is_known = run.source is not None and (self.events or not self._fit.has_failed)
             if is_known and (self._is_fitted or not smoothed.is_noisy):
@@ -254,34 +243,28 @@ class MeasuredThrow(OngoingThrow):
             self._pursuit.extend(complete_ns)
             self._pursue(self._pursuit)
 
+    def _abandon_engine(self) -> None:
+        self._relies_on_engine, self._pursuit = False, None
+
     def _is_lost_in_noise(self) -> bool:
         """Return whether noise of the smoothed plate may have released the projectile."""
         return self._run.estimate is None and self._smoothed.is_noisy
 
-    def _count_skipped_time(self, now_ns: int) -> None:
+    def _count_skipped_time(self, due_ns: int) -> None:
         """Count the time of skipped steps."""
-        late = (now_ns - self._now_ns) / SECOND - self._prepared.tick
-        if self._now_ns and late > _SKIPPED * self._prepared.tick:
+        late = (due_ns - self._due_ns) / SECOND - self._prepared.tick
+        if self._due_ns and late > _SKIPPED * self._prepared.tick:
             self._time_skipped += late
-        self._now_ns = now_ns
+        self._due_ns = due_ns
 
-    def _engine(self, estimate: EngineEstimate) -> FittedEngine:
-        assert self._prepared.forecaster is not None
-        return FittedEngine(
-            estimate, self._prepared.forecaster, origin_ns=self._onset.onset_ns
-        )
-
-    def _is_outdated(self, estimate: EngineEstimate | None) -> bool:
-        """Return whether the release of the last estimate differs from that of another one."""
-        forecaster, last = self._prepared.forecaster, self._estimate
-        if self._pursuit is not None or last is estimate:
+    def _is_outdated(self, simulated: EngineEstimate | None, latest: EngineEstimate) -> bool:
+        """Return whether the release of the latest estimate differs from the simulated one."""
+        if self._pursuit is not None or latest is simulated:
             return False
-        if estimate is None:
+        if simulated is None:
             return True
-        assert forecaster is not None
-        assert last is not None
-        changes, errors = forecaster.change(estimate, last), forecaster.errors(last)
-        pairs = zip(changes, errors, strict=True)
+        forecaster = self._forecaster
+        pairs = zip(forecaster.change(simulated, latest), forecaster.errors(latest), strict=True)
         return any(abs(change) > _SIGNIFICANT_CHANGE * error for change, error in pairs)
 
     def _begin_pursuit(self, source: PlateSource) -> None:
@@ -292,12 +275,10 @@ class MeasuredThrow(OngoingThrow):
         run = self._run
         now = run.time + (run.start_ns - pursuit.start_ns) / SECOND
         goal = min(max(now, 0.0), pursuit.known)
-        try:
-            pursuit.track.stepper.advance_to(
-                min(pursuit.time + self._prepared.catch_up, max(goal, pursuit.time))
-            )
-        except EventLimitError:
-            self.ended_by = 'max_events'
+        self._try_to_advance(
+            pursuit.track.stepper,
+            min(pursuit.time + self._prepared.catch_up, max(goal, pursuit.time)),
+        )
         if pursuit.time >= goal or self.ended_by:
             self._pursuit, self._spare = None, run.track
             self._use(pursuit)
@@ -306,14 +287,14 @@ class MeasuredThrow(OngoingThrow):
         """Switch to another simulation of the throw."""
         self._run = run
         self._start_ns = run.start_ns
-        self._stepper, self._shown, self._far_fork = run.track
+        self._stepper, self._display_fork, self._lookahead_fork = run.track
         self.events = []
 
     def _follow_plate(
         self, known: float, max_events: int
     ) -> tuple[tuple[Event, ...], Residual | None]:
         """Advance as far as the plate is known, and compare with samples of the projectile."""
-        onset = self._onset
+        rest = self._onset.rest
         until_ns = self._start_ns + math.ceil(known * SECOND)
         happened: list[Event] = []
         residual = None
@@ -326,43 +307,38 @@ class MeasuredThrow(OngoingThrow):
                 break
             self._compared_ns = stamp_ns
             is_passed = time < self._stepper.state[TIME]  # it is late for the start
-            if is_passed or math.isnan(projectile - onset.rest.projectile):
+            if is_passed or math.isnan(projectile - rest.projectile):
                 continue
             state, events = self._go_to(time, max_events)
             happened += events
             rise = state.projectile_position - self._prepared.rest.projectile_position
             residual = Residual(
                 stamp_ns,
-                state.plate_position - (plate - onset.rest.plate),
-                rise - (projectile - onset.rest.projectile),
+                state.plate_position - (plate - rest.plate),
+                rise - (projectile - rest.projectile),
             )
             self._residuals.add(time, residual.projectile, self.events)
         _, events = self._go_to(known, max_events)
         return (*happened, *events), residual
 
-    def _look_ahead(
-        self, known: float, step: int, now_ns: int, config: TwinConfig
-    ) -> tuple[PredictedState, ThrowResult | None]:
+    def _predict_state(self, known: float, tick: Tick) -> PredictedState:
         """Predict the projectile up to the time that the future plate cannot influence."""
-        prepared, fork = self._prepared, self._far_fork
-        ahead = known + prepared.lookahead
-        self._send(fork, ahead)
+        fork, ahead = self._lookahead_fork, known + self._prepared.lookahead
+        self._advance_fork(fork, ahead)
         stamp_ns = self._start_ns + round(ahead * SECOND)
-        prediction = PredictedState(
+        return PredictedState(
             stamp_ns,
             float(fork.state[PROJECTILE_POSITION]),
             float(fork.state[PROJECTILE_VELOCITY]),
             float(fork.state[PROJECTILE_FORCE]),
-            stamp_ns - now_ns,
+            stamp_ns - tick.due_ns,
         )
-        return prediction, self._forecast(known, step, now_ns, config)
 
-    def _forecast(
-        self, known: float, step: int, now_ns: int, config: TwinConfig
-    ) -> ThrowResult | None:
+    def _forecast(self, known: float, tick: Tick) -> ThrowResult | None:
         """Return the release when it is first known well enough, and when it is certain."""
-        prepared, fork = self._prepared, self._far_fork
-        if self._is_certain or self._fit_is_lost():
+        prepared, run, fork = self._prepared, self._run, self._lookahead_fork
+        is_fit_lost = run.estimate is not None and self._fit.has_failed and not self.events
+        if self._is_certain or is_fit_lost:
             return None
         release = fork.events()[0] if fork.event_count else None
         if release is not None and release.time <= known + prepared.release_lookahead:
@@ -370,12 +346,10 @@ class MeasuredThrow(OngoingThrow):
                 self.ended_by = 'noise'
                 return None
             self._is_certain = True
-            run = self._run
-            return self._predict(fork, release, run.start_ns, run.estimate, step, now_ns, config)
+            return self._predict(fork, release, run.estimate, tick)
         if not self._relies_on_engine or self._estimate is None or self._lead is not None:
             return None
-        forecaster = prepared.forecaster
-        assert forecaster is not None
+        forecaster = self._forecaster
         if self._forecast_by is None:
             error = TWO_SIDED * forecaster.errors(self._estimate).speed
             if error > self._estimator.config.prediction_error:
@@ -387,81 +361,59 @@ class MeasuredThrow(OngoingThrow):
         estimate, self._forecast_by = self._forecast_by, None
         if not forecaster.stepper.event_count:
             return None  # the next estimate may have a release
-        release, start_ns = forecaster.stepper.events()[0], self._engine(estimate).start_ns
-        return self._predict(
-            forecaster.stepper, release, start_ns, estimate, step, now_ns, config
-        )
-
-    def _fit_is_lost(self) -> bool:
-        """Return whether the present simulation is by an engine that does not hold."""
-        return self._run.estimate is not None and self._fit.has_failed and not self.events
+        return self._predict(forecaster.stepper, forecaster.stepper.events()[0], estimate, tick)
 
     def _predict(
-        self,
-        stepper: Stepper,
-        release: Event,
-        start_ns: int,
-        estimate: EngineEstimate | None,
-        step: int,
-        now_ns: int,
-        config: TwinConfig,
+        self, stepper: Stepper, release: Event, estimate: EngineEstimate | None, tick: Tick
     ) -> ThrowResult:
-        """Return the result at a release to come, by a stepper that stands there."""
-        lead = release.time - (now_ns - start_ns) / SECOND
-        self._lead = lead if self._lead is None else self._lead
+        """Return the result at a release to come, by a stepper that has reached the release."""
         self._measure_peak_speed(estimate)
-        self._accuracy = self._judge(release, start_ns, estimate)
-        return self._sum_up(
-            'predicted',
-            step,
-            config,
-            stepper,
-            [release],
-            lead=lead,
-            accuracy=self._accuracy,
-            disturbances=self._disturbances(),
-        )
+        self._accuracy = self._assess_accuracy(release, estimate)
+        lead = release.time - (tick.due_ns - self._start_of(estimate)) / SECOND
+        self._lead = lead if self._lead is None else self._lead
+        result = self._make_result('predicted', tick, stepper, [release])
+        return self._add_measurement(result, lead)
 
-    def _judge(
-        self, release: Event, start_ns: int, estimate: EngineEstimate | None
-    ) -> Accuracy:
+    def _start_of(self, estimate: EngineEstimate | None) -> int:
+        """Return the start of a throw with the fitted or the smoothed motion [ns]."""
+        return self._start_ns if estimate is None else estimate.start_ns
+
+    def _assess_accuracy(self, release: Event, estimate: EngineEstimate | None) -> Accuracy:
         """Return the accuracy of a release, by an estimate if that was simulated."""
         estimator = self._estimator
         errors = self._release_errors(release, estimate)
         speed = release.velocity
         transfer = (speed / self._peak_plate_speed) ** 2
-        left_out = estimator.outliers + self._fit.left_out
         return Accuracy(
             basis='plate' if estimate is None else 'engine',
             is_certain=self._is_certain,
-            release_ns=start_ns + round(release.time * SECOND),
+            release_ns=self._start_of(estimate) + round(release.time * SECOND),
             release_time_error=errors.time,
             ejection_speed_error=errors.speed * abs(speed),
             energy_transfer_error=errors.energy_transfer * transfer,
             samples=len(estimator.samples(self._start_ns)) + estimator.outliers,
-            samples_left_out=left_out,
+            samples_left_out=estimator.outliers + self._fit.outliers,
         )
 
     def _release_errors(self, release: Event, estimate: EngineEstimate | None) -> ReleaseErrors:
-        """Return the standard errors of a release, see `_judge`."""
+        """Return the standard errors of a release, see `_assess_accuracy`."""
         if estimate is None or self._estimate is None:
             return self._smoothed.release_errors(release.time, self._peak_plate_speed)
-        forecaster = self._prepared.forecaster
-        assert forecaster is not None
-        pairs = zip(
-            forecaster.errors(self._estimate),
-            forecaster.change(estimate, self._estimate),
-            strict=True,
-        )
-        return ReleaseErrors(*(math.hypot(error, change) for error, change in pairs))
+        forecaster = self._forecaster
+        changes = forecaster.change(estimate, self._estimate)
+        return ReleaseErrors(*map(math.hypot, forecaster.errors(self._estimate), changes))
 
-    def _send(self, fork: Stepper, time: float) -> None:
-        """Advance a fork to a time, or until its memory for events is full."""
-        fork.sync_from(self._stepper)
+    def _try_to_advance(self, stepper: Stepper, time: float) -> None:
+        """Advance a stepper to a time, or until its memory for events is full."""
         try:
-            fork.advance_to(time)
+            stepper.advance_to(time)
         except EventLimitError:
             self.ended_by = 'max_events'
+
+    def _advance_fork(self, fork: Stepper, time: float) -> None:
+        """Advance a fork of the present simulation to a time."""
+        fork.sync_from(self._stepper)
+        self._try_to_advance(fork, time)
 
     def _measure_peak_speed(self, estimate: EngineEstimate | None) -> None:
         """Update the largest speed of the plate, from the fit or from the smoothed samples."""
@@ -471,33 +423,31 @@ class MeasuredThrow(OngoingThrow):
             speeds = [speed for _, speed, _ in self._run.states]
             self._peak_plate_speed = self._smoothed.peak_speed(self._run.times, speeds)
 
-    def result(self, stage: str, step: int, config: TwinConfig) -> ThrowResult:
+    def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
-        run = self._run
-        self._measure_peak_speed(run.estimate)
-        if stage == 'release' and self.first_release is not None:
-            self._accuracy = self._judge(self.first_release, run.start_ns, run.estimate)
-        return self._sum_up(
-            stage,
-            step,
-            config,
-            self._stepper,
-            self.events,
-            lead=self._lead,
-            accuracy=self._accuracy,
-            comparison=self._residuals.compare(self.first_release),
-            disturbances=self._disturbances(),
-        )
+        release, estimate = self.first_release, self._run.estimate
+        self._measure_peak_speed(estimate)
+        if stage == 'release' and release is not None:
+            self._accuracy = self._assess_accuracy(release, estimate)
+        result = self._add_measurement(super().result(stage, tick), self._lead)
+        if not result.is_valid:
+            return result
+        return dataclasses.replace(result, comparison=self._residuals.compare(release))
 
-    def _disturbances(self) -> Disturbances:
-        """Return the faults of the measurement until now."""
+    def _add_measurement(self, result: ThrowResult, lead: float | None) -> ThrowResult:
+        """Add the faults of the measurement until now, and if the result is valid its accuracy."""
         stamp_error = self.stamp_error
         if self.ended_by == 'noise' and not stamp_error:
             stamp_error = self._onset.stamp_scatter  # the only information on the stamps
-        return Disturbances(
+        disturbances = Disturbances(
             stamp_error=stamp_error,
             samples_missing=self._estimator.missing_since(self._onset.onset_ns),
             time_skipped=self._time_skipped,
+        )
+        if not result.is_valid:
+            return dataclasses.replace(result, disturbances=disturbances)
+        return dataclasses.replace(
+            result, lead=lead, accuracy=self._accuracy, disturbances=disturbances
         )
 
     def throw_field(self) -> ThrowField | None:

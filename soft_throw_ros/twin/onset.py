@@ -24,7 +24,7 @@ import scipy  # imports its modules at their first use, which takes 0.3 s
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import BEHIND, FEWEST
-from soft_throw_ros.twin.engine_fit import EngineFit
+from soft_throw_ros.twin.engine_fit import EngineFit, plate_states
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
@@ -45,9 +45,6 @@ MOST_AMPLITUDE = 2.0
 
 _PARABOLAS = 3
 """Parabolas that are fitted in turn to find the time of the largest speed. [-]"""
-
-_LEAST_DETERMINANT = 1e-12
-"""Relative determinant below which samples do not determine a change of amplitude. [-]"""
 
 _MOST_FOR_START = 128
 """Most samples in the fit of the start, to bound its cost. [-]"""
@@ -88,7 +85,7 @@ class Onset:
     onset_ns: int  # time of the start [ns]
     rest: RestBaseline
     samples: tuple[Sample, ...]  # sorted, from a window before the start on
-    trusts_engine: bool = True  # whether the last motion was that of the engine
+    engine_is_nominal: bool = True  # whether the last motion was that of the engine
     stamp_scatter: float = 0.0  # standard deviation of stamps about an even rate [s]
     stamp_error: float = 0.0  # standard deviation of stamps in the last throw [s]
 
@@ -107,19 +104,18 @@ class Onset:
 
 
 def find_onset(
-    estimator: PlateEstimator, *, begun: float, time: float, height: float, speed: float
+    estimator: PlateEstimator, *, begun_ns: int, time_ns: int, height: float, speed: float
 ) -> Onset | None:
-    """Find the start of a plate that was fast at `begun`, if it still rises a window later."""
+    """Find the start of a plate that was fast at `begun_ns`, if it still rises a window later."""
     config = estimator.config
-    assert estimator.origin_ns is not None
     window_ns = config.smoothing_window_ns
-    rest_ns = estimator.origin_ns + round(begun * SECOND) - window_ns
+    rest_ns = begun_ns - window_ns
     rest = RestBaseline.before(estimator, rest_ns)
     if rest is None or speed <= config.start_speed:
         return None
     since = time_since_start(height - rest.plate, speed, config.plate)
-    onset_ns = estimator.origin_ns + round((time - since) * SECOND)
-    onset_ns += find_start(estimator.samples(rest_ns), onset_ns, rest.plate, config)
+    guess_ns = time_ns - round(since * SECOND)
+    onset_ns = find_start(estimator.samples(rest_ns), guess_ns, rest.plate, config)
     if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
         return None
     return _onset(estimator, onset_ns, rest)
@@ -136,43 +132,39 @@ def _onset(estimator: PlateEstimator, onset_ns: int, rest: RestBaseline) -> Onse
     )
 
 
-def find_engine_start(estimator: PlateEstimator, stamp_error: float) -> Onset | None:
+def find_engine_start(
+    estimator: PlateEstimator, begun_ns: int, stamp_error: float
+) -> Onset | None:
     """
-    Find the start of the plate from the first samples of a motion like that of the engine.
+    Find the start of a plate that was fast at `begun_ns`, if it moves like the engine so far.
 
-    They suffice about a millisecond after the start. The result is None if the plate rests, or
-    moves otherwise.
+    The samples suffice one or two milliseconds after the start.
     """
     config, plate = estimator.config, estimator.config.plate
-    end_ns = estimator.complete_ns
     margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
-    rest = RestBaseline.before(estimator, end_ns - margin_ns)
-    samples = estimator.samples(end_ns - margin_ns, end_ns + 1)
+    rest = RestBaseline.before(estimator, begun_ns - margin_ns)
+    samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
     if rest is None or len(samples) < FEWEST:
         return None
     # a slow engine moves for many samples; a subset suffices
     samples = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
-    last_ns = int(samples['stamp_ns'][-1])
-    height = max(float(samples['plate'][-1]) - rest.plate, 0.0)
-    begun = math.sqrt(2.0 * height / plate.amplitude) / (2.0 * math.pi * plate.frequency)
+    acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
     guess = Onset(
-        onset_ns=last_ns - round(begun * SECOND),
+        onset_ns=begun_ns - round(config.start_speed / acceleration * SECOND),
         rest=rest,
         samples=(),
         stamp_scatter=estimator.stamp_scatter,
         stamp_error=stamp_error,
     )
-    fit = guess.engine_fit(config)
-    estimate = fit.update(samples)
+    estimate = guess.engine_fit(config).update(samples)
     if estimate is None:
         return None
-    onset_ns = fit.origin_ns + round(estimate.start * SECOND)
-    now = (last_ns - onset_ns) / SECOND
+    now = (int(samples['stamp_ns'][-1]) - estimate.start_ns) / SECOND
     ratio = estimate.plate.amplitude / plate.amplitude
     is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
     if not is_like_it or estimate.plate.velocity(now) < config.start_speed:
         return None
-    return _onset(estimator, onset_ns, rest)
+    return _onset(estimator, estimate.start_ns, rest)
 
 
 def first_states(
@@ -181,16 +173,8 @@ def first_states(
     r"""
     Return the states of the plate in the time after its start whose windows include the rest.
 
-    Parameters
-    ----------
-    samples : ndarray of `SAMPLE`
-        Samples, those of the first window after the start among them.
-    start_ns : int
-        Time of the start. [ns]
-    plate_rest : float
-        Height of the plate before the start. [m]
-    config : MeasurementConfig
-        Parameters of the measurement, with the motion of the plate up to its amplitude.
+    A cubic cannot follow the jump of the acceleration at the start. Therefore the first window is
+    fitted by the engine's motion with an amplitude that changes linearly, by least squares.
 
     Returns
     -------
@@ -198,12 +182,6 @@ def first_states(
         Since the start, the first 0. [s]
     states : ndarray, shape (n, 3)
         Height above rest [m], velocity [m/s], acceleration [m/s2].
-
-    Notes
-    -----
-    A cubic cannot follow the jump of the acceleration at the start. Therefore the first window is
-    fitted by the damped step :math:`z(t)` with an amplitude that changes linearly,
-    :math:`(p + q t) z(t)`, by least squares.
 
     """
     plate, ratio = config.plate, config.position_noise / config.velocity_noise
@@ -216,48 +194,21 @@ def first_states(
     sizes = np.concatenate((position, ratio * velocity[measured]))
     slopes = np.concatenate((since * position, ratio * (position + since * velocity)[measured]))
     values = np.concatenate((heights, ratio * speeds[measured]))
-    a, b, c = (sizes * sizes).sum(), (sizes * slopes).sum(), (slopes * slopes).sum()
-    right, below = (sizes * values).sum(), (slopes * values).sum()
-    determinant = a * c - b * b
-    if determinant > _LEAST_DETERMINANT * a * c:
-        p, q = (c * right - b * below) / determinant, (a * below - b * right) / determinant
-    else:  # at most one sample, as after a gap
-        p, q = right / a if a > 0.0 else 1.0, 0.0
-
-    times = np.arange(round(BEHIND * STATES_PER_WINDOW)) * (state_spacing_ns(config) / SECOND)
-    z, v = plate.position(times), plate.velocity(times)
-    omega = 2.0 * math.pi * plate.frequency
-    acceleration: Floats = omega**2 * (plate.amplitude - z) - 2.0 * plate.damping_ratio * omega * v
-    size = p + q * times
-    states = np.stack((size * z, size * v + q * z, size * acceleration + 2.0 * q * v), axis=1)
-    return np.asarray(times), states
+    # differences from the engine are the smallest possible ones if there are too few samples
+    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes)
+    count = round(BEHIND * STATES_PER_WINDOW)
+    times = state_spacing_ns(config) / SECOND * np.arange(count, dtype=np.float64)
+    z, v, a = plate_states(plate, times).T
+    size = 1.0 + p + q * times
+    return times, np.stack((size * z, size * v + q * z, size * a + 2.0 * q * v), axis=1)
 
 
 def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
     r"""
     Return the time since the start of an underdamped plate of unknown amplitude.
 
-    The ratio of height and speed determines the time: without damping it is
-    :math:`\arctan(2 \pi f z / v) / \pi f`.
-
-    Parameters
-    ----------
-    height, speed : float
-        State of the plate during its first rise. [m], [m/s]
-    plate : Underdamped
-        Motion of the same frequency and damping ratio.
-
-    Returns
-    -------
-    float
-        Time since the start, at most that of the largest height. [s]
-
-    Examples
-    --------
-    >>> plate = Underdamped(frequency=63.2, amplitude=1.0, damping_ratio=0.064)
-    >>> round(time_since_start(3.0 * plate.position(2e-3), 3.0 * plate.velocity(2e-3), plate), 9)
-    0.002
-
+    The ratio of height [m] and speed [m/s] determines the time, at most that of the largest height
+    [s]: without damping it is :math:`\arctan(2 \pi f z / v) / \pi f`.
     """
     highest = math.pi / plate.exponent.imag
     ratio = max(height, 0.0) / speed
@@ -276,24 +227,9 @@ def find_start(
     samples: Rows, onset_ns: int, plate_rest: float, config: MeasurementConfig
 ) -> int:
     """
-    Find the start of the plate by least squares.
+    Return the start of the plate by least squares, within a quarter of a window of a guess [ns].
 
-    Parameters
-    ----------
-    samples : ndarray of `SAMPLE`
-        Samples from before the start to about a window after it.
-    onset_ns : int
-        First guess, within a quarter of the window. [ns]
-    plate_rest : float
-        Height before the start. [m]
-    config : MeasurementConfig
-        Parameters of the measurement, with the motion of the plate up to its amplitude.
-
-    Returns
-    -------
-    int
-        Start minus `onset_ns`. [ns]
-
+    The samples are from before the start to about a window after it.
     """
     since, heights = seconds_since(onset_ns, samples), samples['plate'] - plate_rest
 
@@ -307,7 +243,7 @@ def find_start(
     best = scipy.optimize.minimize_scalar(
         mismatch, bounds=(-reach, reach), method='bounded', options={'xatol': 1e-8}
     )
-    return round(float(best.x) * SECOND)
+    return onset_ns + round(float(best.x) * SECOND)
 
 
 def peak_speed(times: Sequence[float], speeds: Sequence[float], plate: Underdamped) -> float:

@@ -62,7 +62,7 @@ _jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
 class OutlierFilter:
     """
-    A filter that finds outliers among the positions of a body.
+    A filter that finds outliers among the positions of bodies that are measured together.
 
     A position is accepted if it is near the line through the last two accepted ones. The largest
     deviation is the path that the engine's `acceleration` [m/s2] allows plus `OUTLIER_SIGMAS`
@@ -73,8 +73,8 @@ class OutlierFilter:
     moved. A wrong stamp displaces a body by its speed times the error, which counts as noise.
     """
 
-    def __init__(self, acceleration: float, noise: float) -> None:
-        self._memory = np.zeros(1, _MEMORY)
+    def __init__(self, acceleration: float, noise: float, *, bodies: int) -> None:
+        self._memory = np.zeros(bodies, _MEMORY)
         self._memory['acceleration'] = acceleration
         self._memory['noise'] = noise
         self._memory['median_deviation'] = MEDIAN_DEVIATION
@@ -83,76 +83,84 @@ class OutlierFilter:
         """Set the standard deviation of stamps [s]."""
         self._memory['stamp_error'] = error
 
-    def judge(
-        self, times: Floats, positions: Floats, end: int, is_outlier: NDArray[np.bool_]
-    ) -> None:
-        """Mark the outliers among the positions before index `end`, with the help of the rest."""
-        _judge(self._memory, times, positions, end, is_outlier)
+    def find(self, times: Floats, positions: Floats) -> NDArray[np.bool_]:
+        """
+        Return which of the following positions are outliers, both of shape (n, bodies).
 
-    def needs_next(self, time: float, position: float) -> bool:
-        """Return whether a position can only be judged together with the next one."""
-        return bool(_needs_next(self._memory, time, position))
+        Positions that were not measured are NaN. The result lacks the last row if the last
+        position of a body can only be judged together with the next one.
+        """
+        is_outlier = np.zeros(positions.shape, dtype=np.bool_)
+        return is_outlier[: _find(self._memory, times, positions, is_outlier)]
+
+
+@_jit
+def _find(
+    memory: NDArray[np.void], times: Floats, positions: Floats, is_outlier: NDArray[np.bool_]
+) -> int:
+    """Test positions in order; return the number of times at which all bodies are judged."""
+    last = times.size - 1
+    for n in range(times.size):
+        for body in range(memory.size):
+            if n == last and _is_far(memory[body], times[n], positions[n, body]):
+                return n
+        for body in range(memory.size):
+            next_time = times[n + 1] if n < last else math.nan
+            next_position = positions[n + 1, body] if n < last else math.nan
+            is_outlier[n, body] = _judge(
+                memory[body], times[n], positions[n, body], next_time, next_position
+            )
+    return times.size
+
+
+@_jit
+def _is_far(s: Record, time: float, position: float) -> bool:
+    """Return whether a position is off the line through the last two."""
+    return s.count == 2 and _deviation(
+        s, time, position, s.before, s.last[0], s.last[1], _LIKELY_ACCELERATION
+    ) > _limit(s)
 
 
 @_jit
 def _judge(
-    memory: NDArray[np.void],
-    times: Floats,
-    positions: Floats,
-    end: int,
-    is_outlier: NDArray[np.bool_],
-) -> None:
-    """Test positions in order up to an end; skip NaN."""
-    s = memory[0]
-    for n in range(end):
-        is_outlier[n] = False
-        time, position = times[n], positions[n]
-        if math.isnan(position):
-            continue
-        if s.count < 2:
-            s.count += 1
-        else:
-            noise, excess = _distance(
-                s, time, position, s.before, s.last[0], s.last[1], _LIKELY_ACCELERATION
-            )
-            limit = OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median_deviation
-            is_outlier[n] = excess > limit * noise
-            if is_outlier[n] and n + 1 < times.size and not math.isnan(positions[n + 1]):
-                next_noise, next_excess = _distance(
-                    s, time, position, s.last, times[n + 1], positions[n + 1],
-                    _POSSIBLE_ACCELERATION,
-                )
-                is_outlier[n] = next_excess > limit * next_noise
-            is_larger = excess > s.median_deviation * noise
-            s.median_deviation *= _TRACKING if is_larger else 1.0 / _TRACKING
-            s.median_deviation = max(s.median_deviation, MEDIAN_DEVIATION)
-            if is_outlier[n]:
-                s.in_a_row += 1
-                if s.in_a_row < MAX_OUTLIERS_IN_A_ROW:
-                    s.outlier[0], s.outlier[1] = time, position
-                    continue
-                is_outlier[n] = False
-                s.last[0], s.last[1] = s.outlier[0], s.outlier[1]
-        s.in_a_row = 0
-        s.before[0], s.before[1] = s.last[0], s.last[1]
-        s.last[0], s.last[1] = time, position
-
-
-@_jit
-def _needs_next(memory: NDArray[np.void], time: float, position: float) -> bool:
-    """Return whether a position is off the line through the last two."""
-    s = memory[0]
-    if s.count < 2 or math.isnan(position):
+    s: Record, time: float, position: float, next_time: float, next_position: float
+) -> bool:
+    """Accept a position, or return that it is an outlier."""
+    if math.isnan(position):
         return False
-    noise, excess = _distance(
-        s, time, position, s.before, s.last[0], s.last[1], _LIKELY_ACCELERATION
-    )
-    limit = OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median_deviation
-    return excess > limit * noise  # type: ignore[no-any-return]
+    if s.count < 2:
+        s.count += 1
+    else:
+        deviation = _deviation(
+            s, time, position, s.before, s.last[0], s.last[1], _LIKELY_ACCELERATION
+        )
+        is_outlier = deviation > _limit(s)
+        if is_outlier and not math.isnan(next_position):
+            is_outlier = _deviation(
+                s, time, position, s.last, next_time, next_position, _POSSIBLE_ACCELERATION
+            ) > _limit(s)
+        s.median_deviation *= _TRACKING if deviation > s.median_deviation else 1.0 / _TRACKING
+        s.median_deviation = max(s.median_deviation, MEDIAN_DEVIATION)
+        if is_outlier:
+            s.in_a_row += 1
+            if s.in_a_row < MAX_OUTLIERS_IN_A_ROW:
+                s.outlier[0], s.outlier[1] = time, position
+                return True
+            s.last[0], s.last[1] = s.outlier[0], s.outlier[1]
+    s.in_a_row = 0
+    s.before[0], s.before[1] = s.last[0], s.last[1]
+    s.last[0], s.last[1] = time, position
+    return False
 
 
 @_jit
-def _distance(
+def _limit(s: Record) -> float:
+    """Return the largest deviation of a position that is no outlier, in standard errors [-]."""
+    return OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median_deviation  # type: ignore[no-any-return]
+
+
+@_jit
+def _deviation(
     s: Record,
     time: float,
     position: float,
@@ -160,18 +168,17 @@ def _distance(
     other_time: float,
     other_position: float,
     strength: float,
-) -> tuple[float, float]:
-    """Return the standard error of the distance from a line, and the excess over bending [m]."""
+) -> float:
+    """Return the distance from a line beyond the possible bending, in standard errors [-]."""
     speed = (other_position - one[1]) / (other_time - one[0])
     weight = (time - one[0]) / (other_time - one[0])
     distance = abs(position - one[1] - weight * (other_position - one[1]))
     bend = 0.5 * abs((time - one[0]) * (time - other_time)) * strength * s.acceleration
     noise = math.sqrt(s.noise**2 + (speed * s.stamp_error) ** 2)
-    return noise * math.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2), distance - bend
+    error = noise * math.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2)
+    return (distance - bend) / error  # type: ignore[no-any-return]
 
 
 def warm_up() -> None:
     """Compile the kernels, or load them from the cache on disk."""
-    outlier_filter = OutlierFilter(1.0, 1.0)
-    outlier_filter.judge(np.arange(4.0), np.zeros(4), 4, np.zeros(4, np.bool_))
-    outlier_filter.needs_next(5.0, 0.0)
+    OutlierFilter(1.0, 1.0, bodies=2).find(np.arange(4.0), np.zeros((4, 2)))

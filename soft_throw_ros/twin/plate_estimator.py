@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 import math
 from typing import NamedTuple
 
@@ -89,6 +90,17 @@ class PlateStates(NamedTuple):
     misfits: Floats = np.empty((0, 2))
 
 
+@dataclass
+class SampleCounts:
+    """Numbers of accepted samples, late and outlying ones included, and refusals by reason."""
+
+    taken: int = 0
+    out_of_order: int = 0
+    outliers: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    """By 'not finite', 'out of range', 'future', 'past', 'doubled' and 'late'."""
+
+
 NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))
 
 
@@ -118,9 +130,8 @@ class PlateEstimator:
         Time 0; by default the stamp of the first sample. [ns]
     samples : sequence of Sample
         Samples that have been accepted already, sorted.
-    refused : Counter of str, optional
-        Counts of refused samples by reason: 'not finite', 'out of range', 'future', 'past',
-        'doubled' and 'late'.
+    counts : SampleCounts, optional
+        Counts of samples, which the estimator updates.
 
     Attributes
     ----------
@@ -142,11 +153,11 @@ class PlateEstimator:
         *,
         origin_ns: int | None = None,
         samples: Sequence[Sample] = (),
-        refused: Counter[str] | None = None,
+        counts: SampleCounts | None = None,
     ) -> None:
         self.config = config
         self.origin_ns = origin_ns
-        self.refused: Counter[str] = Counter() if refused is None else refused
+        self.counts = counts or SampleCounts()
         self._samples = SampleBuffer(samples)
         self.newest_ns = samples[-1].stamp_ns if samples else -math.inf
         self._next = 0  # next time to estimate, in spacings
@@ -157,8 +168,7 @@ class PlateEstimator:
         acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
         self.stamp_scatter = 0.0
         self._unscattered = 0  # complete samples since the last estimate of the scatter
-        self._plate_filter = OutlierFilter(acceleration, config.position_noise)
-        self._projectile_filter = OutlierFilter(acceleration, config.position_noise)
+        self._outlier_filter = OutlierFilter(acceleration, config.position_noise, bodies=2)
 
     def samples(self, begin_ns: float, end_ns: float = math.inf) -> Rows:
         """Return the stored samples from one time to before another."""
@@ -188,21 +198,22 @@ class PlateEstimator:
         # the variance of second differences is six times that of a stamp
         deviation = float(np.median(np.abs(np.diff(stamps, 2)))) / MEDIAN_DEVIATION
         self.stamp_scatter = deviation / (math.sqrt(6.0) * SECOND)
-        for outlier_filter in (self._plate_filter, self._projectile_filter):
-            outlier_filter.set_stamp_error(MOST_SCATTER * self.stamp_scatter)
+        self._outlier_filter.set_stamp_error(MOST_SCATTER * self.stamp_scatter)
 
-    def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
+    def add_samples(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
         """Add samples in their order of arrival, count refused ones, and return the added ones."""
-        taken = []
+        added = []
         for sample in samples:
             reason = self._refusal(sample, now_ns)
             if reason:
-                self.refused[reason] += 1
+                self.counts.refused[reason] += 1
                 continue
-            taken.append(sample)
+            added.append(sample)
             self._samples.insert(sample)
+            self.counts.out_of_order += sample.stamp_ns < self.newest_ns
             self.newest_ns = max(self.newest_ns, sample.stamp_ns)
-        return taken
+        self.counts.taken += len(added)
+        return added
 
     def _refusal(self, sample: Sample, now_ns: int) -> str:
         stamp_ns, plate, velocity, projectile = sample
@@ -230,28 +241,19 @@ class PlateEstimator:
             return
         assert self.origin_ns is not None
         times = seconds_since(self.origin_ns, new)
-        plates, projectiles = new['plate'].copy(), new['projectile'].copy()
-        count = len(new)
-        is_out, is_projectile_out = np.zeros((2, count), dtype=np.bool_)
-        plate_filter, projectile_filter = self._plate_filter, self._projectile_filter
-        plate_filter.judge(times, plates, count - 1, is_out)
-        projectile_filter.judge(times, projectiles, count - 1, is_projectile_out)
-        last = times[-1:], plates[-1:], projectiles[-1:]
-        if plate_filter.needs_next(times[-1], plates[-1]) or projectile_filter.needs_next(
-            times[-1], projectiles[-1]
-        ):
-            self.complete_ns, count = int(new['stamp_ns'][-1]) - 1, count - 1
-        else:
-            plate_filter.judge(last[0], last[1], 1, is_out[-1:])
-            projectile_filter.judge(last[0], last[2], 1, is_projectile_out[-1:])
+        positions = np.stack((new['plate'], new['projectile']), axis=1)
+        is_outlier = self._outlier_filter.find(times, positions)
+        count = len(is_outlier)
+        if count < len(new):  # the last sample waits for the next one
+            self.complete_ns = int(new['stamp_ns'][-1]) - 1
         self._unscattered += count
         self._update_stamp_scatter()
-        is_out, is_projectile_out = is_out[:count], is_projectile_out[:count]
-        if not (is_out.any() or is_projectile_out.any()):
-            return
-        self.outliers += int((is_out | is_projectile_out).sum())
-        new['projectile'][:count][is_projectile_out] = math.nan
-        buffer.remove(first, is_out)
+        outliers = int(is_outlier.any(axis=1).sum())
+        if outliers:
+            self.outliers += outliers
+            self.counts.outliers += outliers
+            new['projectile'][:count][is_outlier[:, 1]] = math.nan
+            buffer.remove(first, is_outlier[:, 0])
 
     def advance(self, now_ns: int) -> PlateStates:
         """Return the motion since the last call, up to the latest known time."""

@@ -15,18 +15,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 import math
 
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, REST_WINDOWS, RISE
 from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import PlateEstimator, PlateStates
+from soft_throw_ros.twin.plate_estimator import PlateEstimator, PlateStates, SampleCounts
 from soft_throw_ros.twin.results import State
-from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 _EARLY_RISE = 0.1
 """Rise of the projectile before the plate, in amplitudes of the engine, that is no noise. [-]"""
@@ -34,21 +32,8 @@ _EARLY_RISE = 0.1
 _SAMPLES_BEFORE = 3
 """Last samples before the onset, which all show whether the projectile moved first. [-]"""
 
-_MIN_RISE = 0.02
-"""Smallest rise of the plate before its start is fitted, in amplitudes of the engine. [-]"""
-
 _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
-
-
-@dataclass
-class SampleCounts:
-    """Numbers of accepted samples, late and outlying ones included, and refusals by reason."""
-
-    taken: int = 0
-    out_of_order: int = 0
-    outliers: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
 
 
 class PlateMonitor:
@@ -60,7 +45,7 @@ class PlateMonitor:
     config : MeasurementConfig
         Parameters of the measurement.
     counts : SampleCounts
-        Counts of samples, which the monitor updates.
+        Counts of samples, which the estimator updates.
     checks : SensorChecks
         Diagnoses, which the monitor updates.
     onset : Onset, optional
@@ -72,7 +57,7 @@ class PlateMonitor:
         Samples in their order, and the smoothed motion.
     is_armed : bool
         Whether the plate is at rest, so that a throw starts when it moves up suddenly.
-    trusts_engine : bool
+    engine_is_nominal : bool
         Whether the motion in the last throw was that of the engine.
     stamp_error : float
         Standard deviation of the stamps in the last throw. [s]
@@ -82,8 +67,8 @@ class PlateMonitor:
     The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
     speed of a start, or four standard errors, and no more when it has been for `RISE` of its
     period. A throw has begun when it goes upwards at that speed, and at six standard errors of
-    it. The time of the start is found a window later, see `find_onset`; or at once, if the plate
-    does as the engine should, see `find_engine_start`.
+    it. The time of the start is found at once if the plate moves as the engine should, see
+    `find_engine_start`, and otherwise a window later, see `find_onset`.
 
     """
 
@@ -97,15 +82,14 @@ class PlateMonitor:
         # `find_start` imports SciPy, which is too slow during a throw
         import scipy.optimize  # noqa: F401
 
-        self._counts = counts
         self._checks = checks
-        self.trusts_engine = onset is None or onset.trusts_engine
+        self.engine_is_nominal = onset is None or onset.engine_is_nominal
         self.stamp_error = 0.0 if onset is None else onset.stamp_error
         self.estimator = PlateEstimator(
             config,
             origin_ns=None if onset is None else onset.onset_ns,
             samples=() if onset is None else onset.samples,
-            refused=counts.refused,
+            counts=counts,
         )
         self._wait_for_rest()
         # Heights of the plate at rest, at present, and when it last was slow: the projectile moves
@@ -116,9 +100,9 @@ class PlateMonitor:
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and use the parameters `config` from now on."""
         if config != self.estimator.config:
-            self.trusts_engine |= config.plate != self.estimator.config.plate
+            self.engine_is_nominal |= config.plate != self.estimator.config.plate
             self._checks.begin(self.estimator.config)
-            self.estimator = PlateEstimator(config, refused=self._counts.refused)
+            self.estimator = PlateEstimator(config, counts=self.estimator.counts)
         self._wait_for_rest()
 
     def _wait_for_rest(self) -> None:
@@ -128,26 +112,16 @@ class PlateMonitor:
         self._last_quiet_time = -math.inf  # last time at which it was not
         self._begun = math.inf  # time at which it was fast enough to have started
 
-    def take(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
-        """Add samples, or refuse and count them; return the accepted ones."""
-        newest_ns = self.estimator.newest_ns
-        taken = self.estimator.take(samples, now_ns)
-        self._counts.taken += len(taken)
-        for sample in taken:
-            self._counts.out_of_order += sample.stamp_ns < newest_ns
-            newest_ns = max(newest_ns, sample.stamp_ns)
-        return taken
-
     def advance(self, now_ns: int) -> tuple[PlateStates, Onset | None]:
         """Return the motion since the last call, and the onset of a throw if one has begun."""
-        before_ns, outliers = self.estimator.complete_ns, self.estimator.outliers
         motion = self.estimator.advance(now_ns)
-        self._counts.outliers += self.estimator.outliers - outliers
         if motion.times.size:
             self._see(motion)
         onset = self._detect(motion)
-        if onset is None and self.estimator.complete_ns > before_ns and self._may_have_started():
-            onset = find_engine_start(self.estimator, self.stamp_error)
+        if onset is None and self._begun < math.inf and self.engine_is_nominal:
+            onset = find_engine_start(
+                self.estimator, self._to_ns(self._begun), self.stamp_error
+            )
         if onset is None:
             return motion, None
         self.is_armed = False
@@ -159,7 +133,7 @@ class PlateMonitor:
             )
             return motion, None
         return motion, replace(
-            onset, trusts_engine=self.trusts_engine, stamp_error=self.stamp_error
+            onset, engine_is_nominal=self.engine_is_nominal, stamp_error=self.stamp_error
         )
 
     def _has_swapped(self, onset: Onset) -> bool:
@@ -171,14 +145,9 @@ class PlateMonitor:
         least = max(OUTLIER_SIGMAS * rest.noise, _EARLY_RISE * plate.amplitude)
         return len(rises) == _SAMPLES_BEFORE and bool((rises > least).all())
 
-    def _may_have_started(self) -> bool:
-        """Return whether the last sample is above the rest height, if the engine is trusted."""
-        if not (self.is_armed and self.trusts_engine):
-            return False
-        config, end_ns = self.estimator.config, self.estimator.complete_ns
-        last = self.estimator.samples(end_ns - config.smoothing_window_ns, end_ns + 1)
-        least = max(OUTLIER_SIGMAS * config.position_noise, _MIN_RISE * config.plate.amplitude)
-        return bool(len(last) and last['plate'][-1] - self._height > least)
+    def _to_ns(self, time: float) -> int:
+        assert self.estimator.origin_ns is not None
+        return self.estimator.origin_ns + round(time * SECOND)
 
     def _detect(self, motion: PlateStates) -> Onset | None:
         """Follow the smoothed motion of the plate; return the onset of a throw."""
@@ -195,11 +164,15 @@ class PlateMonitor:
                 self._first = self._last_moving_time = time
             if self._begun < math.inf:
                 if time >= self._begun + window:
-                    begun, self._begun = self._begun, math.inf
+                    begun_ns, self._begun = self._to_ns(self._begun), math.inf
                     self.is_armed = False
                     self._last_moving_time = time
                     onset = find_onset(
-                        self.estimator, begun=begun, time=time, height=height, speed=speed
+                        self.estimator,
+                        begun_ns=begun_ns,
+                        time_ns=self._to_ns(time),
+                        height=height,
+                        speed=speed,
                     )
                     if onset is not None:
                         return onset

@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 from soft_throw_ros.twin.engine_fit import EngineEstimate, largest_by_chance
-from soft_throw_ros.twin.engine_forecast import EngineForecaster, ReleaseErrors
+from soft_throw_ros.twin.engine_forecast import engine_states, ReleaseErrors
 from soft_throw_ros.twin.onset import find_start, first_states, Onset, peak_speed
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
@@ -54,68 +54,38 @@ _SIGNIFICANT = 2.6
 
 
 class PlateSource(ABC):
-    """
-    A source of states of the plate.
+    """A source of states of the plate."""
 
-    Attributes
-    ----------
-    start_ns : int
-        Start of the throw, the origin of times. [ns]
-
-    """
-
-    start_ns: int
+    start_ns: int  # of the throw, the origin of times [ns]
 
     @abstractmethod
     def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:
         """
-        Return the next states.
+        Return the states until samples are complete, later than the last one before, if any.
 
-        Parameters
-        ----------
-        after : float
-            Time of the last state before, negative if there is none. [s]
-        complete_ns : float
-            Time until which samples are complete. [ns]
-
-        Returns
-        -------
-        times : ndarray, shape (n,)
-            Increasing, later than `after`. [s]
-        states : ndarray, shape (n, 3)
-            Height above rest [m], velocity [m/s], acceleration [m/s2].
-
+        `after` is the time of the last one [s], or negative. The results are increasing times,
+        shape (n,) [s], and height above rest [m], velocity [m/s] and acceleration [m/s2], shape
+        (n, 3).
         """
 
 
 class FittedEngine(PlateSource):
     """The plate moves as the engine of an estimate does."""
 
-    def __init__(
-        self, estimate: EngineEstimate, forecaster: EngineForecaster, *, origin_ns: int
-    ) -> None:
+    def __init__(self, estimate: EngineEstimate) -> None:
         self.estimate = estimate
-        self.start_ns = origin_ns + round(estimate.start * SECOND)
-        self._forecaster = forecaster
+        self.start_ns = estimate.start_ns
 
     def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:
         """Return the states until samples are complete."""
         until = (complete_ns - self.start_ns) / SECOND
         if until <= max(after, 0.0):
             return np.empty(0), np.empty((0, 3))
-        return self._forecaster.states(self.estimate, max(after, 0.0), until)
+        return engine_states(self.estimate.plate, max(after, 0.0), until)
 
 
 class SmoothedSamples(PlateSource):
-    """
-    Motion of the plate by its smoothed samples; every state is returned once.
-
-    Attributes
-    ----------
-    stamp_error : float
-        Standard deviation of the stamps, as far as it is known. [s]
-
-    """
+    """Motion of the plate by its smoothed samples; every state is returned once."""
 
     def __init__(self, onset: Onset, estimator: PlateEstimator) -> None:
         self.start_ns = onset.onset_ns
@@ -123,7 +93,7 @@ class SmoothedSamples(PlateSource):
         self._estimator = estimator
         self._motions: list[PlateStates] = []  # not returned yet
         self._errors: list[float] = []  # of velocities [m/s]
-        self.stamp_error = onset.stamp_error
+        self.stamp_error = onset.stamp_error  # standard deviation of stamps, if known [s]
         self._misfit = np.zeros(2)  # sum of squares and degrees of freedom, see `PlateStates`
 
     def add(self, motion: PlateStates) -> None:
@@ -142,10 +112,8 @@ class SmoothedSamples(PlateSource):
         if self._estimator.complete_ns < end_ns:
             return False
         samples = self._estimator.samples(onset.onset_ns - window_ns, end_ns + 1)
-        later_ns = find_start(samples, onset.onset_ns, onset.rest.plate, config)
-        self.start_ns = onset.onset_ns + later_ns
-        first = first_states(samples, self.start_ns, onset.rest.plate, config)
-        self._first = first
+        self.start_ns = find_start(samples, onset.onset_ns, onset.rest.plate, config)
+        self._first = first_states(samples, self.start_ns, onset.rest.plate, config)
         return True
 
     def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:  # noqa: ARG002

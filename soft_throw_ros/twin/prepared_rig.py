@@ -61,8 +61,8 @@ class Track(NamedTuple):
     """A stepper of a measured plate, and two forks that run ahead."""
 
     stepper: Stepper
-    shown: Stepper  # stands at the present time
-    ahead: Stepper  # stands as far ahead as the projectile is known
+    display: Stepper  # a fork at the present time
+    lookahead: Stepper  # a fork as far ahead as the projectile is known
 
     @classmethod
     def of(cls, stepper: Stepper) -> Track:
@@ -180,14 +180,9 @@ def _forecaster(config: TwinConfig) -> EngineForecaster | None:
 
 def check_settings(settings: Settings, before: TwinConfig | None = None) -> TwinConfig:
     """
-    Return the configuration that settings describe if it can be stepped in real time.
+    Return the configuration that complete settings describe if it can be stepped in real time.
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings.
-    before : TwinConfig, optional
-        An earlier configuration; its rig is reused unless a parameter of the rig changes.
+    The rig of an earlier configuration is reused unless a parameter of the rig changes.
 
     Raises
     ------

@@ -131,22 +131,10 @@ class Disturbances:
 
     def describe(self, *, samples: int, speed: float, residual: float) -> str:
         """
-        Describe the disturbances that explain a residual.
+        Describe the disturbances that explain a residual, if any.
 
-        Parameters
-        ----------
-        samples : int
-            Number of samples in the throw.
-        speed : float
-            Speed of the body. [m/s]
-        residual : float
-            Rms of its positions. [m]
-
-        Returns
-        -------
-        str
-            Empty without such disturbances.
-
+        The arguments are the number of samples in the throw, and the speed [m/s] and the rms
+        residual [m] of the body.
         """
         causes = []
         if self.stamp_error * abs(speed) > _EXPLAINED_SHARE * residual:

@@ -30,7 +30,7 @@ from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
-from soft_throw_ros.twin.plate_monitor import SampleCounts
+from soft_throw_ros.twin.plate_estimator import SampleCounts
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.staged_settings import StagedSettings
@@ -91,7 +91,9 @@ class Session:
         self._journal = JournalWriter(on_entry, step=step)
         self._cycle = ThrowCycle(self._staged, self._journal, step=step)
         if pending is None:
-            self._journal.begin('start', step, settings, self._staged.encoded_motions)
+            self._journal.begin(
+                'start', step, settings, motions=self._staged.encoded_motions
+            )
 
     @classmethod
     def from_entry(
@@ -215,7 +217,7 @@ class Session:
         config : TwinConfig, optional
             The configuration with these changes, if it exists already.
         motion_of : callable
-            Returns the motion of a plate by the path of its file; by default it reads the file.
+            See `Session`.
 
         Raises
         ------
@@ -232,16 +234,16 @@ class Session:
                 staged.stage(wanted, prepared)
                 after = staged.encoded_motions
                 new = {path: after[path] for path in after if path not in before}
-                self._journal.write_change(self.step, values, new)
-                if 'throw.period' in values:
-                    self._cycle.set_throw_due()
+                self._journal.write(
+                    'input', self.step, input='parameters', values=dict(values), motions=new
+                )
 
     def measure(self, samples: Sequence[Sample]) -> None:
         """Add samples of the rig, if the plate is measured, or refuse and count them."""
         with self._lock:
-            taken = self._cycle.take(self.step, samples)
-            if taken:
-                self._journal.keep_samples(self.step, taken)
+            added = self._cycle.add_samples(self.step, samples)
+            if added:
+                self._journal.keep_samples(self.step, added)
 
     def diagnose_sensors(self) -> tuple[str, ...]:
         """Return new reports on the sensors of a measured plate; call it about once a second."""

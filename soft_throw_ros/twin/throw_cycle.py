@@ -25,8 +25,8 @@ from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.onset import Onset
-from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates
-from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
+from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates, SampleCounts
+from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig
 from soft_throw_ros.twin.results import (
     LayerState,
@@ -40,7 +40,13 @@ from soft_throw_ros.twin.results import (
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.staged_settings import StagedSettings
-from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, ThrowStep, time_until_over
+from soft_throw_ros.twin.throws import (
+    OngoingThrow,
+    ScheduledThrow,
+    ThrowStep,
+    Tick,
+    time_until_over,
+)
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 _PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
@@ -51,13 +57,6 @@ class AtRest:
     """Plate and projectile are at rest; the next throw starts when it is due or requested."""
 
     is_requested: bool = False
-
-
-@dataclass(frozen=True)
-class Throwing:
-    """A throw is under way."""
-
-    throw: OngoingThrow
 
 
 @dataclass(frozen=True)
@@ -74,28 +73,7 @@ class Returning:
     is_requested: bool = False  # the next throw starts when they have arrived
 
 
-RigState: TypeAlias = AtRest | Throwing | Returning
-
-
-@dataclass(frozen=True)
-class ThrowPeriod:
-    """Steps of throws by `throw.period`; infinite without one, or if the plate is measured."""
-
-    start: int
-    """First step of the throw, where its period begins."""
-    due: float
-    """Step at which the next throw starts."""
-    latest_end: float
-    """Step at which a throw ends, so that the rig returns in time."""
-
-    @classmethod
-    def after(cls, start: int, staged: StagedSettings) -> ThrowPeriod:
-        """Return the steps of the throw that follows one at a step."""
-        period, prepared = staged.config.throw_period, staged.prepared
-        if not period or staged.config.is_measured:
-            return cls(start, math.inf, math.inf)
-        due = start + prepared.period_ticks(period)
-        return cls(start, due, due - prepared.return_ticks(period))
+RigState: TypeAlias = AtRest | OngoingThrow | Returning
 
 
 def between(origin: State, goal: State, part: float, duration: float) -> State:
@@ -164,7 +142,7 @@ class ThrowCycle:
         self._journal = writer
         self._rig_state: RigState = AtRest()
         self._state = staged.prepared.rest
-        self._period = ThrowPeriod.after(step, staged)
+        self._period_start = step  # of the last throw, or of a reset
         self._layer_start, self._layer_row = step, -1
         self._rare_outputs = _RareOutputs(phases=((Phase.REST, None),))
         self._onset: Onset | None = None  # of the throw that a journal starts with
@@ -173,6 +151,14 @@ class ThrowCycle:
     @property
     def _prepared(self) -> PreparedRig:
         return self._staged.prepared
+
+    @property
+    def _due(self) -> float:
+        """Step of the next throw by `throw.period`; infinite without, or with a measured plate."""
+        config = self._staged.config
+        if not config.throw_period or config.is_measured:
+            return math.inf
+        return self._period_start + self._prepared.period_ticks(config.throw_period)
 
     def resume(self, step: int, entry: journal.Entry) -> None:
         """Start the throw of an entry of a journal at its step."""
@@ -198,34 +184,34 @@ class ThrowCycle:
                 return lambda: f'throw {self.throws + 1} is about to start'
             self._rig_state = AtRest(is_requested=True)
             return None
-        prepared, config, period = self._prepared, self._staged.config, self._period
+        prepared, config, due = self._prepared, self._staged.config, self._due
+        elapsed = (step - self._period_start) * prepared.tick
 
         def refusal() -> str:
             if isinstance(rig_state, Returning):
                 reason, ticks = 'resetting the rig', max(rig_state.end - step, 0.0)
             else:
-                reason = f'throw {rig_state.throw.number} is under way'
-                elapsed = (step - period.start) * prepared.tick
+                reason = f'throw {rig_state.number} is under way'
                 remaining = time_until_over(prepared, elapsed, max_events=config.max_events)
                 returning = prepared.return_ticks(config.throw_period)
-                ticks = min(remaining / prepared.tick + returning, period.due - step)
+                ticks = min(remaining / prepared.tick + returning, due - step)
             return f'{reason}: ready in {ticks / config.state_rate:.2f} s'
 
         return refusal
 
     def reset(self, step: int) -> None:
         """Abort a throw under way, return to rest, and count the period from here."""
-        if isinstance(self._rig_state, Throwing):
-            self._end_throw(step, self._rig_state.throw, 'reset')
+        if isinstance(self._rig_state, OngoingThrow):
+            self._end_throw(step, self._rig_state, 'reset')
         else:
             self._put_back(step)
-        self._period = ThrowPeriod.after(step, self._staged)
+        self._period_start = step
 
-    def take(self, step: int, samples: Sequence[Sample]) -> list[Sample]:
+    def add_samples(self, step: int, samples: Sequence[Sample]) -> list[Sample]:
         """Add samples of the rig if the plate is measured; return the accepted ones."""
         if self.monitor is None:
             return []
-        return self.monitor.take(samples, self.schedule.deadline(step))
+        return self.monitor.estimator.add_samples(samples, self.schedule.deadline(step))
 
     def diagnose_sensors(self) -> tuple[str, ...]:
         """Return new reports on the sensors of a measured plate."""
@@ -242,10 +228,10 @@ class ThrowCycle:
         motion = NO_STATES
         if self.monitor is not None:
             motion = self._watch_plate(step, self.monitor)
-        elif not isinstance(self._rig_state, Throwing):
+        elif not isinstance(self._rig_state, OngoingThrow):
             self._begin_throw_if_due(step, self._rig_state)
-        if isinstance(self._rig_state, Throwing):
-            advanced = self._advance_throw(step, self._rig_state.throw, motion)
+        if isinstance(self._rig_state, OngoingThrow):
+            advanced = self._advance_throw(step, self._rig_state, motion)
         else:
             advanced = ThrowStep(self._idle_state(step, self._rig_state), ())
             self._state = advanced.state
@@ -272,7 +258,7 @@ class ThrowCycle:
         has_returned = isinstance(rig_state, Returning)
         if isinstance(rig_state, Returning) and step < rig_state.end:
             return
-        if not rig_state.is_requested and step < self._period.due:
+        if not rig_state.is_requested and step < self._due:
             if has_returned:
                 self._enter(AtRest(), Phase.REST)
         elif has_returned or not self._staged.pending:
@@ -283,12 +269,12 @@ class ThrowCycle:
     def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
         self.throws += 1
         self._layer_start, self._layer_row = step, -1
-        self._period = ThrowPeriod.after(step, self._staged)
+        self._period_start = step
         self._journal.begin(
             'throw',
             step,
             self._staged.config.settings,
-            self._staged.encoded_motions,
+            motions=self._staged.encoded_motions,
             throw=self.throws,
             pending=self._staged.pending,
             schedule=journal.encode_schedule(self.schedule),
@@ -309,26 +295,29 @@ class ThrowCycle:
                 self._prepared, onset, self.monitor.estimator, number=self.throws
             )
         start_ns = None if onset is None else onset.onset_ns
-        self._enter(Throwing(throw), Phase.CONTACT, start_ns)
+        self._enter(throw, Phase.CONTACT, start_ns)
+
+    def _tick(self, step: int) -> Tick:
+        return Tick(step, self.schedule.deadline(step), self._staged.config)
 
     def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> ThrowStep:
         """Advance the throw under way, and end it if it is over."""
-        config = self._staged.config
+        tick = self._tick(step)
         had_left = bool(throw.events)
-        advanced = throw.advance(step, self.schedule.deadline(step), motion, config)
-        if self.monitor is not None:
-            self.monitor.trusts_engine = throw.engine_holds
+        advanced = throw.advance(tick, motion)
+        if self.monitor is not None and isinstance(throw, MeasuredThrow):
+            self.monitor.engine_is_nominal = throw.engine_is_nominal
             self.monitor.stamp_error = throw.stamp_error
         self._state = advanced.state
-        now_ns = self.schedule.deadline(step)
         self._rare_outputs.phases += tuple(
-            (_PHASES[event.kind], throw.event_ns(event, now_ns)) for event in advanced.events
+            (_PHASES[event.kind], throw.event_ns(event, tick)) for event in advanced.events
         )
         if advanced.forecast is not None:
             self._report(step, advanced.forecast)
         if throw.events and not had_left:
-            self._report(step, throw.result('release', step, config))
-        if throw.ended_by or step >= self._period.latest_end:
+            self._report(step, throw.result('release', tick))
+        latest_end = self._due - self._prepared.return_ticks(tick.config.throw_period)
+        if throw.ended_by or step >= latest_end:
             self._end_throw(step, throw, throw.ended_by or 'period')
         else:
             self._rare_outputs.throw_field = throw.throw_field()
@@ -347,7 +336,7 @@ class ThrowCycle:
 
     def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
         throw.ended_by = ended_by
-        self._report(step, throw.result('final', step, self._staged.config))
+        self._report(step, throw.result('final', self._tick(step)))
         self._rare_outputs.throw_field = throw.throw_field()
         self._put_back(step)
 
@@ -368,14 +357,9 @@ class ThrowCycle:
         """Put pending settings in effect; the time since the last start stays the same."""
         if not self._staged.pending:
             return
-        passed = (step - self._period.start) * self._prepared.tick
+        passed = (step - self._period_start) * self._prepared.tick
         self._staged.commit()
-        start = step - round(passed / self._prepared.tick)
-        self._period = ThrowPeriod.after(start, self._staged)
-
-    def set_throw_due(self) -> None:
-        """Compute the step of the next throw by a changed period."""
-        self._period = ThrowPeriod.after(self._period.start, self._staged)
+        self._period_start = step - round(passed / self._prepared.tick)
 
     def _layer(self, step: int) -> LayerState | None:
         """Return the state of the layer if it is due by `rate.field`."""
@@ -384,8 +368,8 @@ class ThrowCycle:
         if row == self._layer_row:
             return None
         self._layer_row = row
-        if isinstance(rig_state, Throwing):
-            return rig_state.throw.layer
+        if isinstance(rig_state, OngoingThrow):
+            return rig_state.layer
         return self._prepared.rest_layer if isinstance(rig_state, AtRest) else self._idle_layer()
 
     def _idle_layer(self) -> LayerState:
@@ -431,8 +415,8 @@ class ThrowCycle:
             if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
                 onset = None
         if onset is not None:
-            if isinstance(self._rig_state, Throwing):
-                self._end_throw(step, self._rig_state.throw, 'next')
+            if isinstance(self._rig_state, OngoingThrow):
+                self._end_throw(step, self._rig_state, 'next')
             self._commit(step)
             if self._staged.config.is_measured:
                 self._begin_throw(step, onset)

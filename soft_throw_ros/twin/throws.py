@@ -27,9 +27,6 @@ from soft_throw_ros.core.throw import apex_height, ejections
 from soft_throw_ros.twin.plate_estimator import PlateStates
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, stepper_of
 from soft_throw_ros.twin.results import (
-    Accuracy,
-    Comparison,
-    Disturbances,
     INVALID_ENDS,
     LayerState,
     PredictedState,
@@ -46,6 +43,14 @@ LONGEST_THROW = 10.0
 
 REST_SPEED = 1e-3
 """Largest speed at rest, over the largest speed of the plate. [-]"""
+
+
+class Tick(NamedTuple):
+    """A step that is due."""
+
+    step: int
+    due_ns: int  # by the clock of the ticks [ns]
+    config: TwinConfig  # in effect
 
 
 class ThrowStep(NamedTuple):
@@ -85,9 +90,8 @@ class OngoingThrow(ABC):
         self.number = number
         self.ended_by = ''  # while it goes on
         self.events: list[Event] = []  # so far
-        self.engine_holds = True  # whether the motion so far is that of the engine
         self._prepared = prepared
-        self._stepper = self._shown = prepared.stepper
+        self._stepper = self._display_fork = prepared.stepper
         self._start_ns = start_ns
         self._peak_plate_speed = prepared.peak_plate_speed
         self._has_shown_field = False
@@ -102,34 +106,27 @@ class OngoingThrow(ABC):
         return self.events[0] if self.events else None
 
     @property
-    def stamp_error(self) -> float:
-        """Estimated standard deviation of a measured plate's stamps, 0 without an estimate [s]."""
-        return 0.0
-
-    @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
         rows = np.empty((3, FIELD_POINTS))
-        self._shown.read_layer(rows)
+        self._display_fork.read_layer(rows)
         return LayerState(*rows)
 
     @abstractmethod
-    def advance(
-        self, step: int, now_ns: int, motion: PlateStates, config: TwinConfig
-    ) -> ThrowStep:
-        """Advance to a step that is due now, with the latest motion of a measured plate."""
+    def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:
+        """Advance to a step, with the latest motion of a measured plate."""
 
     @abstractmethod
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time once, when it is known for long enough or the throw ends."""
 
     @abstractmethod
-    def event_ns(self, event: Event, now_ns: int) -> int:
-        """Return the time of an event in a step that is due now, by the clock of ticks [ns]."""
+    def event_ns(self, event: Event, tick: Tick) -> int:
+        """Return the time of an event in a step, by the clock of the ticks [ns]."""
 
-    def result(self, stage: str, step: int, config: TwinConfig) -> ThrowResult:
+    def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
-        return self._sum_up(stage, step, config, self._stepper, self.events)
+        return self._make_result(stage, tick, self._stepper, self.events)
 
     def _go_to(self, time: float, max_events: int) -> tuple[State, tuple[Event, ...]]:
         """Advance to a time after the start; return the state and the new events."""
@@ -152,28 +149,19 @@ class OngoingThrow(ABC):
             self.ended_by = 'rest'
         return state, tuple(self.events[seen:]) if count > seen else ()
 
-    def _sum_up(
-        self,
-        stage: str,
-        step: int,
-        config: TwinConfig,
-        stepper: Stepper,
-        events: Sequence[Event],
-        *,
-        lead: float | None = None,
-        accuracy: Accuracy | None = None,
-        comparison: Comparison | None = None,
-        disturbances: Disturbances | None = None,
+    def _make_result(
+        self, stage: str, tick: Tick, stepper: Stepper, events: Sequence[Event]
     ) -> ThrowResult:
+        """Return the result by a stepper; an invalid throw has no events."""
         prepared, loads = self._prepared, stepper.loads
         if self.ended_by in INVALID_ENDS:
-            events, lead, accuracy, comparison = (), None, None, None
+            events = ()
         releases = ejections(events)
         kinds = [event.kind for event in events]
         rest_height = prepared.rest.projectile_position
         return ThrowResult(
             throw=self.number,
-            step=step,
+            step=tick.step,
             stage=stage,
             ended_by=self.ended_by,
             rig=prepared.rig,
@@ -181,7 +169,7 @@ class OngoingThrow(ABC):
             last=self._release(releases[-1]) if releases else None,
             peak_plate_speed=self._peak_plate_speed,
             peak_strain=loads.strain,
-            max_strain=config.max_strain,
+            max_strain=tick.config.max_strain,
             peak_acceleration=loads.acceleration,
             peak_force=loads.plate_force,
             plate_work=stepper.plate_work,
@@ -190,10 +178,6 @@ class OngoingThrow(ABC):
             ),
             recontacts=kinds.count('recontact'),
             landings=kinds.count('landing'),
-            lead=lead,
-            accuracy=accuracy,
-            comparison=comparison,
-            disturbances=disturbances,
         )
 
     def _release(self, event: Event) -> Release:
@@ -219,21 +203,15 @@ class ScheduledThrow(OngoingThrow):
         self._start_step = start_step
         self._time = 0.0
 
-    def advance(
-        self,
-        step: int,
-        now_ns: int,  # noqa: ARG002  only measured plates need the time and the motion
-        motion: PlateStates,  # noqa: ARG002
-        config: TwinConfig,
-    ) -> ThrowStep:
+    def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:  # noqa: ARG002
         """Advance to a step."""
-        self._time = (step - self._start_step) * self._prepared.tick
-        return ThrowStep(*self._go_to(self._time, config.max_events))
+        self._time = (tick.step - self._start_step) * self._prepared.tick
+        return ThrowStep(*self._go_to(self._time, tick.config.max_events))
 
-    def event_ns(self, event: Event, now_ns: int) -> int:
+    def event_ns(self, event: Event, tick: Tick) -> int:
         """Return the time of an event, relative to the step because steps may be skipped [ns]."""
         since = (self._time - event.time) / self._prepared.config.time_scale
-        return now_ns - round(since * SECOND)
+        return tick.due_ns - round(since * SECOND)
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time once, when that time has passed or the throw is over."""

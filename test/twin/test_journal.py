@@ -30,12 +30,13 @@ from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
+from twin_runs import replay, Run, same
 
 
 @pytest.fixture(scope='module')
-def eventful(start) -> Any:
+def eventful() -> Any:
     """Return a run with throws, changes, a reset and a request."""
-    run = start(throw__max_events=4)
+    run = Run(throw__max_events=4)
     run.go(1234)
     run.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
     run.session.change({'max_strain': 0.3})
@@ -57,7 +58,7 @@ def eventful(start) -> Any:
     return run
 
 
-def test_replay_writes_the_same_journal_and_starts_at_a_throw(eventful, replay, same) -> None:
+def test_replay_writes_the_same_journal_and_starts_at_a_throw(eventful) -> None:
     written: list[str] = []
     entries = list(map(journal.decode, eventful.journal))
     session = Session.from_entry(entries[0], on_entry=written.append)
@@ -74,7 +75,7 @@ def test_replay_writes_the_same_journal_and_starts_at_a_throw(eventful, replay, 
     assert all(map(same, without_start, eventful.outputs[first:]))
 
 
-def test_journal_with_former_parameter_names_is_replayed(eventful, replay, same) -> None:
+def test_journal_with_former_parameter_names_is_replayed(eventful) -> None:
     former = {new: old for old, new in TWIN.deprecated.items()}
     lines = []
     for line in eventful.journal:
@@ -87,8 +88,8 @@ def test_journal_with_former_parameter_names_is_replayed(eventful, replay, same)
     assert all(map(same, repeated, eventful.outputs))
 
 
-def test_journal_has_all_inputs_with_their_steps(start) -> None:
-    run = start()
+def test_journal_has_all_inputs_with_their_steps() -> None:
+    run = Run()
     run.go(7)
     run.session.request_throw()
     run.go(5)
@@ -150,8 +151,8 @@ def test_results_are_in_the_journal_with_all_digits_and_the_checksums_of_their_t
             )
 
 
-def test_infinite_apex_is_none_in_the_journal(start) -> None:
-    run = start(throw__period=0.1, gravity=0)
+def test_infinite_apex_is_none_in_the_journal() -> None:
+    run = Run(throw__period=0.1, gravity=0)
     run.go(250)
     values = run.entries('result')[0]['result']
     assert run.results('release')[0].apex_height == math.inf
@@ -184,7 +185,7 @@ def test_encoded_onsets_are_decoded(projectile) -> None:
     onset = Onset(
         onset_ns=10**18,
         rest=RestBaseline(plate=0.3, projectile=projectile, noise=5e-6, error=1e-6),
-        trusts_engine=False,
+        engine_is_nominal=False,
         stamp_scatter=3e-5,
         stamp_error=2e-5,
         samples=tuple(Sample(10**18 + 7 * k, 0.1 * k) for k in range(9)),

@@ -25,6 +25,7 @@ import pytest
 from soft_throw_ros.commands.warm_up import main
 from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.twin.kernels import load_kernels, missing_parts, needed_parts, PARTS
+from twin_runs import complete_settings, Run
 
 
 @pytest.fixture
@@ -60,14 +61,14 @@ def test_kernels_are_compiled_once_and_reported(warm_up, tmp_path) -> None:
     assert mark.exists()
 
 
-def test_warm_up_leaves_nothing_to_compile_or_load(start) -> None:
+def test_warm_up_leaves_nothing_to_compile_or_load() -> None:
     load_kernels()
     assert missing_parts() == []
     with event.install_recorder('numba:compiler_lock') as recorder:
         for model in MODELS:
-            run = start(throw__period=0.3, model=model)
+            run = Run(throw__period=0.3, model=model)
             run.go(700)
-        run = start(engine__motion='measured')
+        run = Run(engine__motion='measured')
         run.measure()
     assert run.session.throws == 1
     assert recorder.buffer == []
@@ -82,8 +83,8 @@ def test_warm_up_leaves_nothing_to_compile_or_load(start) -> None:
         ({'model': 'spring_mass', 'engine__motion': 'measured'}, {'cells', 'measured'}),
     ],
 )
-def test_rig_waits_only_for_kernels_of_its_model(settings, request_, parts) -> None:
-    assert set(needed_parts(settings(**request_))) == parts
+def test_rig_waits_only_for_kernels_of_its_model(request_, parts) -> None:
+    assert set(needed_parts(complete_settings(**request_))) == parts
 
 
 def test_unknown_kernel_group_is_refused_with_the_known_groups(capsys) -> None:

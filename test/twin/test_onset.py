@@ -23,7 +23,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.onset import (
     find_start,
@@ -32,28 +31,33 @@ from soft_throw_ros.twin.onset import (
     peak_speed,
     time_since_start,
 )
-from soft_throw_ros.twin.plate_monitor import PlateMonitor, SampleCounts
+from soft_throw_ros.twin.plate_estimator import SampleCounts
+from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
+from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
 
-BEGIN = 1_700_000_000 * SECOND
-INTERVAL = 200_000  # of the samples [ns]
-PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
+
+def noisy(samples: list[Sample], seed: int) -> list[Sample]:
+    """Return samples with a noise of 5 um of the plate."""
+    noise = 5e-6 * np.random.default_rng(seed).standard_normal(len(samples))
+    return [
+        sample._replace(plate=sample.plate + error)
+        for sample, error in zip(samples, noise.tolist(), strict=True)
+    ]
 
 
 def rows_of(samples: Sequence[Sample]) -> Rows:
     return SampleBuffer(samples).rows
 
 
-def detect(
-    config: MeasurementConfig, samples: list[Sample], *, trusts_engine: bool = False
-) -> tuple[Onset | None, int]:
+def detect(samples: list[Sample], *, engine_is_nominal: bool = False) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
-    monitor = PlateMonitor(config, SampleCounts(), SensorChecks())
-    monitor.trusts_engine = trusts_engine
+    monitor = PlateMonitor(MEASUREMENT, SampleCounts(), SensorChecks())
+    monitor.engine_is_nominal = engine_is_nominal
     for count, sample in enumerate(samples, 1):
-        monitor.take([sample], sample.stamp_ns)
+        monitor.estimator.add_samples([sample], sample.stamp_ns)
         _, onset = monitor.advance(sample.stamp_ns)
         if onset is not None:
             return onset, count
@@ -61,30 +65,24 @@ def detect(
 
 
 @pytest.mark.parametrize('start', [0.02, 0.0301234])
-def test_start_is_found_within_a_short_delay(make_samples, measurement, start) -> None:
-    onset, count = detect(measurement, make_samples(400, onset=start))
+def test_start_is_found_within_a_short_delay(start) -> None:
+    onset, count = detect(make_samples(400, onset=start))
     assert onset is not None
     assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(start, abs=5e-6)
     assert (onset.rest.plate, onset.rest.projectile) == pytest.approx((0.3, 0.5), abs=2e-6)
     assert count * INTERVAL / SECOND < start + 3.5e-3
 
 
-def test_start_with_a_trusted_engine_is_found_after_a_millisecond(
-    make_samples, measurement
-) -> None:
+def test_start_with_a_trusted_engine_is_found_after_a_millisecond() -> None:
     for seed in range(5):
-        noise = 5e-6 * np.random.default_rng(seed).standard_normal(400)
-        samples = [
-            sample._replace(plate=sample.plate + error)
-            for sample, error in zip(make_samples(400, onset=0.03), noise.tolist(), strict=True)
-        ]
-        onset, count = detect(measurement, samples, trusts_engine=True)
+        samples = noisy(make_samples(400, onset=0.03), seed)
+        onset, count = detect(samples, engine_is_nominal=True)
         assert onset is not None
         assert count * INTERVAL / SECOND < 0.03 + 1.4e-3
         assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(0.03, abs=3e-4)
 
 
-def test_slow_motion_and_downward_jumps_start_nothing(make_samples, measurement) -> None:
+def test_slow_motion_and_downward_jumps_start_nothing() -> None:
     samples = make_samples(1000)
     time = np.array([(sample.stamp_ns - BEGIN) / SECOND for sample in samples])
     creeping = 0.3 + 0.06 * np.maximum(time - 0.05, 0.0)
@@ -94,15 +92,15 @@ def test_slow_motion_and_downward_jumps_start_nothing(make_samples, measurement)
             sample._replace(plate=height)
             for sample, height in zip(samples, heights.tolist(), strict=True)
         ]
-        assert detect(measurement, moved)[0] is None
+        assert detect(moved)[0] is None
 
 
-def test_start_after_a_gap_needs_another_rest(make_samples, measurement) -> None:
+def test_start_after_a_gap_needs_another_rest() -> None:
     samples = make_samples(400, onset=0.04)
-    assert detect(measurement, samples[175:])[0] is None  # as does one soon after the first
-    assert detect(measurement, samples)[0] is not None
+    assert detect(samples[175:])[0] is None  # as does one soon after the first
+    assert detect(samples)[0] is not None
     del samples[120:150]  # up to 10 ms before it
-    assert detect(measurement, samples)[0] is None
+    assert detect(samples)[0] is None
 
 
 @given(
@@ -118,15 +116,10 @@ def test_time_since_the_start_does_not_depend_on_the_amplitude(zeta, share, ampl
     assert found == pytest.approx(since, rel=1e-6)
 
 
-def test_start_is_found_as_well_as_the_noise_allows(make_samples, measurement) -> None:
+def test_start_is_found_as_well_as_the_noise_allows() -> None:
     found = []
     for seed in range(100):
-        noise = 5e-6 * np.random.default_rng(seed).standard_normal(400)
-        samples = [
-            sample._replace(plate=sample.plate + error)
-            for sample, error in zip(make_samples(400, onset=0.025), noise.tolist(), strict=True)
-        ]
-        onset, _ = detect(measurement, samples)
+        onset, _ = detect(noisy(make_samples(400, onset=0.025), seed))
         assert onset is not None
         found.append((onset.onset_ns - BEGIN) / SECOND - 0.025)
     since = np.arange(0.0, 2.6e-3, 2e-4)
@@ -136,23 +129,21 @@ def test_start_is_found_as_well_as_the_noise_allows(make_samples, measurement) -
     assert np.std(found) < 1.5 * bound
 
 
-def test_start_is_found_near_its_estimate_without_later_samples(make_samples, measurement) -> None:
+def test_start_is_found_near_its_estimate_without_later_samples() -> None:
     samples = make_samples(20)
     onset_ns = samples[-1].stamp_ns + SECOND // 100
-    later_ns = find_start(rows_of(samples), onset_ns, 0.3, measurement)
-    assert abs(later_ns) <= 0.25 * measurement.smoothing_window_ns
-    _, states = first_states(rows_of(samples), onset_ns + later_ns, 0.3, measurement)
+    start_ns = find_start(rows_of(samples), onset_ns, 0.3, MEASUREMENT)
+    assert abs(start_ns - onset_ns) <= 0.25 * MEASUREMENT.smoothing_window_ns
+    _, states = first_states(rows_of(samples), start_ns, 0.3, MEASUREMENT)
     assert np.isfinite(states).all()
 
 
-def test_first_states_start_from_rest_with_a_jump_of_the_acceleration(
-    make_samples, measurement
-) -> None:
-    onset, _ = detect(measurement, make_samples(400, onset=0.02))
+def test_first_states_start_from_rest_with_a_jump_of_the_acceleration() -> None:
+    onset, _ = detect(make_samples(400, onset=0.02))
     assert onset is not None
     onset = replace(onset, onset_ns=BEGIN + SECOND // 50)
     rows = rows_of(onset.samples)
-    times, states = first_states(rows, onset.onset_ns, onset.rest.plate, measurement)
+    times, states = first_states(rows, onset.onset_ns, onset.rest.plate, MEASUREMENT)
     assert times == pytest.approx(0.25e-3 * np.arange(6))
     assert states[:, 0] == pytest.approx(PLATE.position(times), abs=1e-12)
     assert states[:, 1] == pytest.approx(PLATE.velocity(times), abs=1e-8)
@@ -161,11 +152,9 @@ def test_first_states_start_from_rest_with_a_jump_of_the_acceleration(
 
 
 @pytest.mark.parametrize('count', [0, 1])
-def test_first_states_follow_the_engine_where_samples_are_uninformative(
-    measurement, count
-) -> None:
+def test_first_states_follow_the_engine_where_samples_are_uninformative(count) -> None:
     samples = [Sample(BEGIN + 500_000, float(PLATE.position(5e-4)))][:count]
-    times, states = first_states(rows_of(samples), BEGIN, 0.0, measurement)
+    times, states = first_states(rows_of(samples), BEGIN, 0.0, MEASUREMENT)
     assert states[:, 0] == pytest.approx(PLATE.position(times), rel=1e-12)
     assert states[:, 1] == pytest.approx(PLATE.velocity(times), rel=1e-12)
 

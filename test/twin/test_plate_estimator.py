@@ -32,9 +32,7 @@ from soft_throw_ros.twin.plate_estimator import (
 )
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import SECOND
-
-BEGIN = 1_700_000_000 * SECOND
-INTERVAL = 200_000  # of the samples [ns]
+from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT
 
 
 def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> PlateStates:
@@ -42,7 +40,7 @@ def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> 
     found = []
     for first in range(0, len(samples), batch):
         now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
-        estimator.take(samples[slice(first, first + batch)], now_ns)
+        estimator.add_samples(samples[slice(first, first + batch)], now_ns)
         found.append(estimator.advance(now_ns))
     times, states, errors = (np.concatenate([motion[k] for motion in found]) for k in range(3))
     return PlateStates(times, states, errors, max(motion.gap for motion in found))
@@ -52,11 +50,9 @@ def same(ours: PlateStates, theirs: PlateStates) -> bool:
     return [array.tobytes() for array in ours[:3]] == [array.tobytes() for array in theirs[:3]]
 
 
-def test_plate_is_smoothed_by_local_fits_at_eighths_of_the_window(
-    make_samples, measurement
-) -> None:
+def test_plate_is_smoothed_by_local_fits_at_eighths_of_the_window() -> None:
     samples = make_samples(onset=0.01, noise=5e-6)
-    motion = run(PlateEstimator(measurement), samples)
+    motion = run(PlateEstimator(MEASUREMENT), samples)
     assert np.diff(motion.times) == pytest.approx(0.25e-3, rel=1e-9)
     assert motion.gap == pytest.approx(2e-4)
     fit = smooth(
@@ -70,16 +66,14 @@ def test_plate_is_smoothed_by_local_fits_at_eighths_of_the_window(
     assert motion.errors == pytest.approx(fit.errors)
 
 
-def test_plate_is_known_up_to_a_quarter_of_the_window_before_the_watermark(
-    make_samples, measurement
-) -> None:
+def test_plate_is_known_up_to_a_quarter_of_the_window_before_the_watermark() -> None:
     for latency_ns in (0, 1_000_000):
-        estimator = PlateEstimator(replace(measurement, latency_ns=latency_ns))
+        estimator = PlateEstimator(replace(MEASUREMENT, latency_ns=latency_ns))
         samples = make_samples()
         motion = run(estimator, samples, batch=1)
         newest = (samples[-1].stamp_ns - BEGIN) / SECOND
         behind = newest - motion.times[-1]
-        least = AHEAD * measurement.smoothing_window + latency_ns / SECOND
+        least = AHEAD * MEASUREMENT.smoothing_window + latency_ns / SECOND
         assert least <= behind < least + 0.25e-3
 
 
@@ -88,10 +82,8 @@ def test_plate_is_known_up_to_a_quarter_of_the_window_before_the_watermark(
     batch=st.integers(1, 30),
     doubled=st.sets(st.integers(0, 99), max_size=10),
 )
-def test_order_of_arrival_within_the_latency_changes_no_bit(
-    make_samples, measurement, seed, batch, doubled
-) -> None:
-    config = replace(measurement, latency_ns=2_000_000)
+def test_order_of_arrival_within_the_latency_changes_no_bit(seed, batch, doubled) -> None:
+    config = replace(MEASUREMENT, latency_ns=2_000_000)
     samples = make_samples(onset=0.008, noise=5e-6)
     random = np.random.default_rng(seed)
     delays = random.uniform(0.0, config.latency_ns, len(samples))
@@ -103,22 +95,22 @@ def test_order_of_arrival_within_the_latency_changes_no_bit(
         shuffled.insert(shuffled.index(samples[k]) + 1, samples[k])
     ordered, mixed = PlateEstimator(config), PlateEstimator(config)
     assert same(run(ordered, samples), run(mixed, shuffled, batch=batch))
-    assert mixed.refused == ({'doubled': len(doubled)} if doubled else {})
-    assert ordered.refused == {}
+    assert mixed.counts.refused == ({'doubled': len(doubled)} if doubled else {})
+    assert ordered.counts.refused == {}
 
 
-def test_late_samples_are_refused_and_change_nothing(make_samples, measurement) -> None:
+def test_late_samples_are_refused_and_change_nothing() -> None:
     samples = make_samples(onset=0.01, noise=5e-6)
     late = samples.pop(50)
-    without, with_late = PlateEstimator(measurement), PlateEstimator(measurement)
+    without, with_late = PlateEstimator(MEASUREMENT), PlateEstimator(MEASUREMENT)
     expected = run(without, samples, batch=1)
     before = run(with_late, samples[:60], batch=1)
-    assert with_late.take([late], samples[59].stamp_ns) == []
+    assert with_late.add_samples([late], samples[59].stamp_ns) == []
     after = run(with_late, samples[60:], batch=1)
     assert same(
         expected, PlateStates(*map(np.concatenate, zip(before[:3], after[:3], strict=True)))
     )
-    assert with_late.refused == {'late': 1}
+    assert with_late.counts.refused == {'late': 1}
 
 
 @pytest.mark.parametrize(
@@ -136,18 +128,18 @@ def test_late_samples_are_refused_and_change_nothing(make_samples, measurement) 
         (Sample(0, 0.0), 'past'),
     ],
 )
-def test_bad_samples_are_refused_with_a_reason(measurement, sample, reason) -> None:
-    estimator = PlateEstimator(measurement)
-    assert estimator.take([sample], BEGIN) == []
-    assert estimator.refused == {reason: 1}
+def test_bad_samples_are_refused_with_a_reason(sample, reason) -> None:
+    estimator = PlateEstimator(MEASUREMENT)
+    assert estimator.add_samples([sample], BEGIN) == []
+    assert estimator.counts.refused == {reason: 1}
     assert estimator.advance(BEGIN).times.size == 0
 
 
-def test_missing_samples_are_bridged_and_the_gap_is_reported(make_samples, measurement) -> None:
+def test_missing_samples_are_bridged_and_the_gap_is_reported() -> None:
     samples = make_samples(onset=0.005)
-    whole = run(PlateEstimator(measurement), samples)
+    whole = run(PlateEstimator(MEASUREMENT), samples)
     samples = [sample for k, sample in enumerate(samples) if k % 3 and not 60 <= k < 66]
-    motion = run(PlateEstimator(measurement, origin_ns=BEGIN), samples)
+    motion = run(PlateEstimator(MEASUREMENT, origin_ns=BEGIN), samples)
     assert motion.gap == pytest.approx(8 * INTERVAL / SECOND)
     shared = np.isin(whole.times, motion.times)
     assert shared.sum() > 60
@@ -157,40 +149,40 @@ def test_missing_samples_are_bridged_and_the_gap_is_reported(make_samples, measu
     )
 
 
-def test_gap_longer_than_the_window_is_reported_once(make_samples, measurement) -> None:
+def test_gap_longer_than_the_window_is_reported_once() -> None:
     samples = make_samples(200)
     del samples[80:140]
-    estimator = PlateEstimator(measurement)
+    estimator = PlateEstimator(MEASUREMENT)
     gaps = []
     for sample in samples:
-        estimator.take([sample], sample.stamp_ns)
+        estimator.add_samples([sample], sample.stamp_ns)
         gaps.append(estimator.advance(sample.stamp_ns).gap)
     assert sum(gap > 1e-3 for gap in gaps) == 1
     assert max(gaps) == pytest.approx(61 * INTERVAL / SECOND)
 
 
-def test_memory_does_not_grow(make_samples, measurement) -> None:
-    estimator = PlateEstimator(measurement)
+def test_memory_does_not_grow() -> None:
+    estimator = PlateEstimator(MEASUREMENT)
     run(estimator, make_samples(5000))
     assert len(estimator.samples(0)) < 400
     later = BEGIN + 3600 * SECOND  # after an hour of nothing
-    estimator.take([Sample(later, 0.3)], later)
+    estimator.add_samples([Sample(later, 0.3)], later)
     assert estimator.advance(later).times.size == 0
 
 
-def test_measured_velocities_are_used(make_samples, measurement) -> None:
+def test_measured_velocities_are_used() -> None:
     samples = make_samples(onset=0.004, noise=5e-6)
     since = [(sample.stamp_ns - BEGIN) / SECOND - 0.004 for sample in samples]
-    exact = measurement.plate.velocity(since).tolist()
+    exact = MEASUREMENT.plate.velocity(since).tolist()
     both = [
         sample._replace(plate_velocity=speed) for sample, speed in zip(samples, exact, strict=True)
     ]
     errors = []
     for measured in (samples, both):
-        motion = run(PlateEstimator(measurement), measured)
+        motion = run(PlateEstimator(MEASUREMENT), measured)
         late = motion.times > 0.008
         errors.append(
-            np.std(motion.states[late, 1] - measurement.plate.velocity(motion.times[late] - 0.004))
+            np.std(motion.states[late, 1] - MEASUREMENT.plate.velocity(motion.times[late] - 0.004))
         )
     assert errors[1] < 0.6 * errors[0]
 
@@ -203,8 +195,8 @@ def test_measured_velocities_are_used(make_samples, measurement) -> None:
         (200.0, 1e-2, 4000.0, 'period'),
     ],
 )
-def test_minimum_rate_has_a_reason(measurement, frequency, crossing_time, rate, reason) -> None:
-    plate = replace(measurement.plate, frequency=frequency)
-    least, why = least_rate(replace(measurement, plate=plate), crossing_time)
+def test_minimum_rate_has_a_reason(frequency, crossing_time, rate, reason) -> None:
+    plate = replace(MEASUREMENT.plate, frequency=frequency)
+    least, why = least_rate(replace(MEASUREMENT, plate=plate), crossing_time)
     assert least == pytest.approx(rate)
     assert reason in why

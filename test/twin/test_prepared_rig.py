@@ -30,7 +30,8 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
-from soft_throw_ros.twin.throws import ScheduledThrow, time_until_over
+from soft_throw_ros.twin.throws import ScheduledThrow, Tick, time_until_over
+from twin_runs import complete_settings, Run, same
 
 CASES = [
     {'model': 'travelling_wave'},
@@ -48,24 +49,24 @@ def prepare(values) -> PreparedRig:
 
 
 @pytest.mark.parametrize('loss', [1e-6, 0.05, 2.0])
-def test_internal_loss_selects_the_cell_model(settings, loss) -> None:
-    assert prepare(settings()).config.model == 'travelling_wave'
-    assert prepare(settings(layer__loss_tangent=loss)).config.model == 'cells'
+def test_internal_loss_selects_the_cell_model(loss) -> None:
+    assert prepare(complete_settings()).config.model == 'travelling_wave'
+    assert prepare(complete_settings(layer__loss_tangent=loss)).config.model == 'cells'
 
 
 @ANY_MODEL
-def test_throw_and_its_predicted_end_agree_with_a_simulation(settings, request_) -> None:
-    values = settings(**request_)
+def test_throw_and_its_predicted_end_agree_with_a_simulation(request_) -> None:
+    values = complete_settings(**request_)
     prepared = prepare(values)
     exact = simulate(rig_of(values), model=prepared.config.model)
     throw, config = ScheduledThrow(prepared, number=1), replace(prepared.config, max_events=2)
     release, tick = None, 0
     while not throw.ended_by:
         tick += 1
-        throw.advance(tick, 0, NO_STATES, config)
+        throw.advance(Tick(tick, 0, config), NO_STATES)
         if throw.first_release and release is None:
-            release = throw.result('release', tick, prepared.config)
-    final = throw.result('final', tick, prepared.config)
+            release = throw.result('release', Tick(tick, 0, config))
+    final = throw.result('final', Tick(tick, 0, config))
     assert release.first.ejection_time == pytest.approx(exact.ejection_time, rel=3e-4)
     assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=1e-3)
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
@@ -80,8 +81,8 @@ def test_throw_and_its_predicted_end_agree_with_a_simulation(settings, request_)
 
 
 @ANY_MODEL
-def test_throw_field_agrees_with_the_layer(settings, request_) -> None:
-    prepared = prepare(settings(**request_))
+def test_throw_field_agrees_with_the_layer(request_) -> None:
+    prepared = prepare(complete_settings(**request_))
     field, stepper = prepared.throw_field, prepared.stepper
     layer = np.empty((3, 64))
     spacing = prepared.rig.layer.thickness / 63
@@ -94,8 +95,8 @@ def test_throw_field_agrees_with_the_layer(settings, request_) -> None:
 
 
 @ANY_MODEL
-def test_layer_at_rest_carries_the_weight(settings, request_) -> None:
-    prepared = prepare(settings(**request_))
+def test_layer_at_rest_carries_the_weight(request_) -> None:
+    prepared = prepare(complete_settings(**request_))
     weight = prepared.rig.projectile.mass * prepared.rig.gravity
     is_glued = 'glued' in prepared.config.model
     load = weight + is_glued * prepared.rig.layer.mass * prepared.rig.gravity
@@ -115,7 +116,7 @@ def test_layer_at_rest_carries_the_weight(settings, request_) -> None:
     assert all(lower < upper for lower, upper in pairwise(prepared.rest_layer.height))
 
 
-def test_other_models_predict_the_first_release(settings) -> None:
+def test_other_models_predict_the_first_release() -> None:
     rig = rig_of(TWIN.defaults())
     frequency = rig.engine.frequency
     ratios = {
@@ -139,9 +140,10 @@ def test_other_models_predict_the_first_release(settings) -> None:
             phase, alpha = expected[name].ejection_phase, expected[name].energy_transfer
             assert release.ejection_time * frequency == pytest.approx(float(phase), rel=1e-4)
             assert release.energy_transfer == pytest.approx(float(alpha), rel=1e-3)
-    lossy = predict_by_other_models(rig_of(settings(layer__loss_tangent=0.1)), '')
+    lossy = predict_by_other_models(rig_of(complete_settings(layer__loss_tangent=0.1)), '')
     assert 'travelling_wave' not in lossy
-    weak = predict_by_other_models(rig_of(settings(gravity=30.0, engine__amplitude=1e-5)), '')
+    rig = rig_of(complete_settings(gravity=30.0, engine__amplitude=1e-5))
+    weak = predict_by_other_models(rig, '')
     assert weak['cells_elastic'] is weak['cells_glued'] is None
 
 
@@ -161,24 +163,24 @@ def test_other_models_predict_the_first_release(settings) -> None:
         ),
     ],
 )
-def test_rig_beyond_real_time_is_refused_with_the_number(settings, request_, value) -> None:
-    values = settings(**request_)
+def test_rig_beyond_real_time_is_refused_with_the_number(request_, value) -> None:
+    values = complete_settings(**request_)
     with pytest.raises(ValueError, match=value):
         check_settings(values)
     with pytest.raises(ValueError, match=value):
         prepare(values)
 
 
-def test_window_too_long_for_the_plate_is_refused_with_both_values(settings) -> None:
-    values = settings(engine__motion='measured', measured__smoothing_window=4e-3)
+def test_window_too_long_for_the_plate_is_refused_with_both_values() -> None:
+    values = complete_settings(engine__motion='measured', measured__smoothing_window=4e-3)
     with pytest.raises(ValueError, match=r'0\.003165.* 0\.004'):
         check_settings(values)
     check_settings({**values, 'engine.motion': 'underdamped'})
 
 
-def test_rate_too_high_for_a_measured_throw_is_refused_with_a_lower_rate(settings) -> None:
+def test_rate_too_high_for_a_measured_throw_is_refused_with_a_lower_rate() -> None:
     request = {'layer__thickness': 1e-3, 'layer__wave_speed': 100.0, 'rate__state': 5000.0}
-    values = settings(engine__motion='measured', **request)
+    values = complete_settings(engine__motion='measured', **request)
     with pytest.raises(ValueError, match='5000 Hz') as error:
         check_settings(values)
     feasible = float(str(error.value).rpartition('rate.state of ')[2].split()[0])
@@ -188,8 +190,8 @@ def test_rate_too_high_for_a_measured_throw_is_refused_with_a_lower_rate(setting
 
 
 @ANY_MODEL
-def test_session_of_any_model_is_replayed_bit_by_bit(start, same, request_) -> None:
-    run = start(throw__period=0.6, **request_)
+def test_session_of_any_model_is_replayed_bit_by_bit(request_) -> None:
+    run = Run(throw__period=0.6, **request_)
     run.go(700)
     run.session.change({'layer.thickness': 0.012})
     run.go(800)

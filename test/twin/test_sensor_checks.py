@@ -21,10 +21,11 @@ from soft_throw_ros.twin.plate_estimator import PlateEstimator
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
+from twin_runs import MEASUREMENT
 
 
 @pytest.fixture
-def estimate(measurement):
+def estimate():
     """Return an estimator of a plate at rest."""
 
     def estimate(*, rate=5000.0, noise=1e-6):
@@ -33,27 +34,27 @@ def estimate(measurement):
             Sample(round(index * SECOND / rate), noise * random.standard_normal())
             for index in range(100)
         ]
-        return PlateEstimator(measurement, samples=samples)
+        return PlateEstimator(MEASUREMENT, samples=samples)
 
     return estimate
 
 
-def test_good_sensor_is_not_reported(estimate, measurement) -> None:
+def test_good_sensor_is_not_reported(estimate) -> None:
     checks = SensorChecks()
-    checks.observe(measurement.plate.amplitude, measurement.plate.peak_velocity, was_at_rest=True)
+    checks.observe(MEASUREMENT.plate.amplitude, MEASUREMENT.plate.peak_velocity, was_at_rest=True)
     checks.observe(0.0, 0.0, was_at_rest=False)
     assert checks.diagnose(estimate(), 2e-3, is_armed=False) == ()
     assert checks.diagnose(estimate(), 2e-3, is_armed=True) == ()
 
 
-def test_noise_and_rate_are_reported_once_per_throw(estimate, measurement) -> None:
-    checks, noisy = SensorChecks(), estimate(rate=500.0, noise=4.0 * measurement.position_noise)
+def test_noise_and_rate_are_reported_once_per_throw(estimate) -> None:
+    checks, noisy = SensorChecks(), estimate(rate=500.0, noise=4.0 * MEASUREMENT.position_noise)
     rate, noise = checks.diagnose(noisy, 2e-3, is_armed=False)
     assert '500 Hz' in rate
     assert 'measured.position_noise' in noise
     assert checks.diagnose(noisy, 2e-3, is_armed=False) == ()
-    checks.begin(measurement)
-    again = estimate(rate=499.0, noise=4.0 * measurement.position_noise)
+    checks.begin(MEASUREMENT)
+    again = estimate(rate=499.0, noise=4.0 * MEASUREMENT.position_noise)
     assert len(checks.diagnose(again, 2e-3, is_armed=False)) == 2
 
 
@@ -65,13 +66,11 @@ def test_rate_must_suffice_for_the_layer_once_the_plate_is_at_rest(estimate) -> 
     assert 'crossing' in report
 
 
-def test_motion_is_reported_if_a_throw_begins_before_the_diagnosis(
-    estimate, measurement
-) -> None:
-    checks, plate = SensorChecks(), measurement.plate
+def test_motion_is_reported_if_a_throw_begins_before_the_diagnosis(estimate) -> None:
+    checks, plate = SensorChecks(), MEASUREMENT.plate
     checks.observe(0.0, 0.0, was_at_rest=False)
     checks.observe(200.0 * plate.amplitude, -0.9 * plate.peak_velocity, was_at_rest=True)
-    checks.begin(measurement)
+    checks.begin(MEASUREMENT)
     units, direction = checks.diagnose(estimate(), 2e-3, is_armed=True)
     assert 'divide them by 1000' in units
     assert 'change their sign' in direction

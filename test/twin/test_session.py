@@ -34,6 +34,7 @@ from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.session import RequestRejected, Session
+from twin_runs import replay, Run, same
 
 RETURN = round(1000 * RETURN_TIME)
 
@@ -51,16 +52,16 @@ RETURN = round(1000 * RETURN_TIME)
         (10.0, 10.0, 1, 2),
     ],
 )
-def test_period_is_time_of_the_rig(start, rate, time_scale, period, ticks) -> None:
-    run = start(rate__state=rate, time_scale=time_scale, throw__period=period, rate__field=10.0)
+def test_period_is_time_of_the_rig(rate, time_scale, period, ticks) -> None:
+    run = Run(rate__state=rate, time_scale=time_scale, throw__period=period, rate__field=10.0)
     run.go(5 * ticks + 1)
     assert run.starts() == [ticks * k for k in range(1, 6)]
     finals = [(result.throw, result.ended_by) for result in run.results('final')]
     assert finals == [(throw, 'period') for throw in range(1, 5)]
 
 
-def test_period_zero_throws_only_on_request(start) -> None:
-    run = start(throw__period=0)
+def test_period_zero_throws_only_on_request() -> None:
+    run = Run(throw__period=0)
     assert not any(outputs.phases for outputs in run.go(5000)[1:])
     run.session.request_throw()
     with pytest.raises(RequestRejected, match='throw 1'):
@@ -80,14 +81,14 @@ def test_period_zero_throws_only_on_request(start) -> None:
     assert len(run.starts()) == 3
 
 
-def test_request_is_rejected_with_the_remaining_time(start) -> None:
+def test_request_is_rejected_with_the_remaining_time() -> None:
     for steps, reason in ((1100, r'throw 1 .* 0\.90 s'), (1950, r'resetting.* 0\.05 s')):
-        run = start()
+        run = Run()
         run.go(steps)
         with pytest.raises(RequestRejected, match=reason):
             run.session.request_throw()
         assert run.entries('input') == []  # the journal has no rejected request
-    run = start(throw__period=0, throw__max_events=1)
+    run = Run(throw__period=0, throw__max_events=1)
     run.session.request_throw()
     run.go(100)
     with pytest.raises(RequestRejected) as rejection:
@@ -111,8 +112,8 @@ def test_request_is_rejected_with_the_remaining_time(start) -> None:
         ),  # nor leaves
     ],
 )
-def test_every_throw_ends(start, request_, reasons) -> None:
-    run = start(throw__period=0, **request_)
+def test_every_throw_ends(request_, reasons) -> None:
+    run = Run(throw__period=0, **request_)
     run.session.request_throw()
     run.go_until(Phase.RETURNING)
     run.go_until(Phase.REST)
@@ -128,8 +129,8 @@ def test_every_throw_ends(start, request_, reasons) -> None:
 
 
 @pytest.mark.parametrize('request_', [{}, {'time_scale': 0.5, 'rate__state': 333.0}])
-def test_phases_have_the_times_of_their_events_between_steps(start, request_) -> None:
-    run = start(throw__max_events=3, **request_)
+def test_phases_have_the_times_of_their_events_between_steps(request_) -> None:
+    run = Run(throw__max_events=3, **request_)
     run.go_until(Phase.RETURNING)
     _, contact, *others, returning = run.phase_changes()
     start_step = run.entries('throw')[0]['step']
@@ -141,8 +142,8 @@ def test_phases_have_the_times_of_their_events_between_steps(start, request_) ->
     assert returning.stamp_ns == run.schedule.deadline(run.session.step - 1)
 
 
-def test_phases_after_skipped_ticks_stay_between_the_stamps_of_their_steps(start) -> None:
-    run = start()
+def test_phases_after_skipped_ticks_stay_between_the_stamps_of_their_steps() -> None:
+    run = Run()
     run.go_until(Phase.CONTACT)
     run.schedule.skip(
         step=run.session.step, now=run.schedule.deadline(run.session.step) + 10**9,
@@ -155,8 +156,8 @@ def test_phases_after_skipped_ticks_stay_between_the_stamps_of_their_steps(start
     assert last < change.stamp_ns <= step
 
 
-def test_projectile_that_chatters_on_a_stiff_layer_is_thrown(start) -> None:
-    run = start(throw__period=0, gravity=0, engine__frequency=1.0, layer__wave_speed=73.0)
+def test_projectile_that_chatters_on_a_stiff_layer_is_thrown() -> None:
+    run = Run(throw__period=0, gravity=0, engine__frequency=1.0, layer__wave_speed=73.0)
     run.session.request_throw()
     run.go_until(Phase.RETURNING)
     (result,) = run.results('final')
@@ -164,9 +165,9 @@ def test_projectile_that_chatters_on_a_stiff_layer_is_thrown(start) -> None:
     assert result.first.ejection_time == pytest.approx(1.31e-3, abs=1e-5)
 
 
-def test_recontact_is_contact_and_no_landing(start) -> None:
+def test_recontact_is_contact_and_no_landing() -> None:
     # a thin stiff layer catches up with the projectile
-    run = start(engine__frequency=31.1, layer__thickness=2e-3, throw__period=0)
+    run = Run(engine__frequency=31.1, layer__thickness=2e-3, throw__period=0)
     run.session.request_throw()
     run.go_until(Phase.LANDED)
     phases = [phase.value for phase in run.phases()]
@@ -186,8 +187,8 @@ def test_recontact_is_contact_and_no_landing(start) -> None:
 
 
 @pytest.mark.parametrize('request_', [{}, {'throw__max_events': 1}, {'throw__period': 0.07}])
-def test_positions_are_continuous_through_changes(start, request_) -> None:
-    run = start(**request_)
+def test_positions_are_continuous_through_changes(request_) -> None:
+    run = Run(**request_)
     run.go(1500)
     run.session.change({'layer.thickness': 0.03, 'projectile.mass': 0.02})
     run.go(1700)
@@ -206,8 +207,8 @@ def test_positions_are_continuous_through_changes(start, request_) -> None:
     assert all((np.diff(height) > 0.0).all() for height in layers)
 
 
-def test_returning_ends_at_rest_without_a_jump(start) -> None:
-    run = start()
+def test_returning_ends_at_rest_without_a_jump() -> None:
+    run = Run()
     run.go_until(Phase.RETURNING)
     origin = run.outputs[-1].state
     path = np.array([outputs.state for outputs in run.go(RETURN)])
@@ -222,10 +223,8 @@ def test_returning_ends_at_rest_without_a_jump(start) -> None:
 # outputs
 
 
-def test_results_and_events_agree_with_the_exact_throw_and_loads_end_with_the_release(
-    start,
-) -> None:
-    run = start()
+def test_results_and_events_agree_with_the_exact_throw_and_loads_end_with_the_release() -> None:
+    run = Run()
     run.go(2000)
     exact = simulate(rig_of(TWIN.defaults()), until=0.291)
     (release,), (final,) = run.results('release'), run.results('final')
@@ -246,9 +245,9 @@ def test_results_and_events_agree_with_the_exact_throw_and_loads_end_with_the_re
         assert ours.velocity == pytest.approx(theirs.velocity, rel=1e-5)
 
 
-def test_result_has_first_and_last_release(start) -> None:
+def test_result_has_first_and_last_release() -> None:
     # 0.499 and 1.241 without gravity
-    run = start(
+    run = Run(
         engine__frequency=31.1, engine__damping_ratio=0.0, layer__thickness=2e-3, gravity=0,
         throw__period=0.3,
     )
@@ -261,8 +260,8 @@ def test_result_has_first_and_last_release(start) -> None:
 
 
 @pytest.mark.parametrize(('state', 'field'), [(1000.0, 50.0), (1000.0, 300.0), (100.0, 1000.0)])
-def test_layer_is_published_at_its_rate(start, state, field) -> None:
-    run = start(throw__period=0)
+def test_layer_is_published_at_its_rate(state, field) -> None:
+    run = Run(throw__period=0)
     run.session.change({'rate.state': state, 'rate.field': field})
     run.session.reset()
     run.go_until(Phase.REST)
@@ -270,8 +269,8 @@ def test_layer_is_published_at_its_rate(start, state, field) -> None:
     assert rows == pytest.approx(10 * min(state, field), abs=1)
 
 
-def test_layer_in_contact_reaches_from_plate_to_projectile(start) -> None:
-    run = start(rate__field=1000.0)
+def test_layer_in_contact_reaches_from_plate_to_projectile() -> None:
+    run = Run(rate__field=1000.0)
     run.go_until(Phase.CONTACT)
     for outputs in run.go(8):
         layer, state = outputs.layer, outputs.state
@@ -282,8 +281,8 @@ def test_layer_in_contact_reaches_from_plate_to_projectile(start) -> None:
         assert layer.force[0] == pytest.approx(-state.plate_force, abs=1e-6)
 
 
-def test_throw_field_is_published_once_per_throw_with_its_start(start) -> None:
-    run = start()
+def test_throw_field_is_published_once_per_throw_with_its_start() -> None:
+    run = Run()
     run.go(3100)
     shown = [(outputs.throw, outputs.throw_field) for outputs in run.outputs]
     fields = [(throw, field) for throw, field in shown if field is not None]
@@ -299,8 +298,8 @@ def test_throw_field_is_published_once_per_throw_with_its_start(start) -> None:
     np.testing.assert_allclose(free, 0.0, atol=1e-4)
 
 
-def test_strain_beyond_the_limit_is_reported_on_every_change(start) -> None:
-    run = start(max_strain=0.2)
+def test_strain_beyond_the_limit_is_reported_on_every_change() -> None:
+    run = Run(max_strain=0.2)
     run.go(1020)
     run.session.change({'max_strain': 0.1})
     run.go(1000)
@@ -310,8 +309,8 @@ def test_strain_beyond_the_limit_is_reported_on_every_change(start) -> None:
     assert '10 %' in after.describe()
 
 
-def test_shocks_before_the_release_are_reported(start) -> None:
-    run = start()
+def test_shocks_before_the_release_are_reported() -> None:
+    run = Run()
     run.go(1020)
     (result,) = run.results('release')
     soft = Rig(layer=Layer(wave_speed=2.0, stress_strain_law='neo_hookean'))
@@ -324,8 +323,8 @@ def test_shocks_before_the_release_are_reported(start) -> None:
 # changes
 
 
-def test_changes_of_the_rig_take_effect_together_at_the_next_throw(start) -> None:
-    run = start()
+def test_changes_of_the_rig_take_effect_together_at_the_next_throw() -> None:
+    run = Run()
     run.go(1200)
     run.session.change({'layer.thickness': 0.01})
     run.session.change({'projectile.mass': 2e-3, 'engine.amplitude': 1e-3})
@@ -340,8 +339,8 @@ def test_changes_of_the_rig_take_effect_together_at_the_next_throw(start) -> Non
     assert run.results('release')[1].rig.layer.thickness == 0.01
 
 
-def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first(start) -> None:
-    run = start(throw__period=0)
+def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first() -> None:
+    run = Run(throw__period=0)
     run.go(10)
     rest = run.outputs[-1].state
     run.session.change({'layer.thickness': 0.01})
@@ -362,8 +361,8 @@ def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first(start) 
     assert run.go(1)[0].state.projectile_position == pytest.approx(0.012, abs=1e-4)
 
 
-def test_change_during_a_reset_waits_for_the_next_throw(start) -> None:
-    run = start()
+def test_change_during_a_reset_waits_for_the_next_throw() -> None:
+    run = Run()
     run.go(1950)
     run.session.change({'layer.thickness': 0.01})
     run.go(2000)
@@ -373,8 +372,8 @@ def test_change_during_a_reset_waits_for_the_next_throw(start) -> None:
     assert thicknesses == [0.0168, 0.0168, 0.01]
 
 
-def test_rate_change_waits_like_a_rig_change(start) -> None:
-    run = start()
+def test_rate_change_waits_like_a_rig_change() -> None:
+    run = Run()
     run.go(1200)
     run.session.change({'rate.state': 500.0, 'time_scale': 0.5})
     assert (run.session.rate, run.session.time_scale) == (1000.0, 1.0)
@@ -384,8 +383,8 @@ def test_rate_change_waits_like_a_rig_change(start) -> None:
     assert run.starts()[1:] == [1900 + RETURN, 1900 + RETURN + 1000]  # as long for the rig
 
 
-def test_rig_that_cannot_be_stepped_is_refused_with_the_number(start) -> None:
-    run = start()
+def test_rig_that_cannot_be_stepped_is_refused_with_the_number() -> None:
+    run = Run()
     run.go(10)
     with pytest.raises(ValueError, match='200'):
         run.session.change(
@@ -397,8 +396,8 @@ def test_rig_that_cannot_be_stepped_is_refused_with_the_number(start) -> None:
     assert run.starts() == [1000]
 
 
-def test_reset_ends_the_throw_and_restarts_the_period(start) -> None:
-    run = start()
+def test_reset_ends_the_throw_and_restarts_the_period() -> None:
+    run = Run()
     run.go(1100)
     run.session.reset()
     outputs = run.go(2000)[0]
@@ -432,8 +431,8 @@ INPUTS = st.one_of(
     inputs=st.lists(st.tuples(st.integers(1, 300), INPUTS), min_size=1, max_size=12),
     data=st.data(),
 )
-def test_any_run_is_replayed_bit_by_bit_from_any_throw(start, same, inputs, data) -> None:
-    run = start(throw__period=0.15)
+def test_any_run_is_replayed_bit_by_bit_from_any_throw(inputs, data) -> None:
+    run = Run(throw__period=0.15)
     for steps, kind in inputs:
         run.go(steps)
         if kind == 'throw':
@@ -469,11 +468,9 @@ def write_motion(tmp_path):
     return write_motion
 
 
-def test_journal_replays_a_motion_file_without_the_file(
-    start, replay, write_motion
-) -> None:
+def test_journal_replays_a_motion_file_without_the_file(write_motion) -> None:
     path, other = write_motion(), write_motion('other.csv')
-    run = start(engine__motion_file=str(path))
+    run = Run(engine__motion_file=str(path))
     run.go(1400)
     run.session.change({'engine.motion_file': str(other), 'layer.thickness': 0.02})
     run.go(1600)
@@ -486,11 +483,9 @@ def test_journal_replays_a_motion_file_without_the_file(
     assert [each.state for each in outputs] == [each.state for each in run.outputs]
 
 
-def test_journals_with_one_path_and_two_motions_are_replayed_in_parallel(
-    start, same, write_motion
-) -> None:
+def test_journals_with_one_path_and_two_motions_are_replayed_in_parallel(write_motion) -> None:
     runs = [
-        start(engine__motion_file=str(write_motion(name, amplitude)))
+        Run(engine__motion_file=str(write_motion(name, amplitude)))
         for name, amplitude in (('a.csv', 1e-3), ('b.csv', 2e-3))
     ]
     for run in runs:
@@ -508,21 +503,21 @@ def test_journals_with_one_path_and_two_motions_are_replayed_in_parallel(
             assert same(session.advance(), run.outputs[step])
 
 
-def test_journal_without_its_motion_opens_no_file(start, write_motion) -> None:
-    run = start(engine__motion_file=str(write_motion()))
+def test_journal_without_its_motion_opens_no_file(write_motion) -> None:
+    run = Run(engine__motion_file=str(write_motion()))
     begin = journal.decode(run.journal[0])
     del begin['motions']
     with pytest.raises(journal.JournalError, match=r'has no motion of .*plate\.csv'):
         Session.from_entry(begin)
-    session = start().session
+    session = Run().session
     change = {'kind': 'input', 'step': 0, 'input': 'parameters', 'values': {}}
     change['values'] = {'engine.motion': 'file', 'engine.motion_file': str(write_motion())}
     with pytest.raises(journal.JournalError, match=r'has no motion of .*plate\.csv'):
         list(follow(session, change))
 
 
-def test_motion_that_is_removed_and_set_again_is_replayed(start, replay, write_motion) -> None:
-    run = start(engine__motion_file=str(write_motion()))
+def test_motion_that_is_removed_and_set_again_is_replayed(write_motion) -> None:
+    run = Run(engine__motion_file=str(write_motion()))
     run.go(50)
     for motion in ('underdamped', 'file'):
         run.session.change({'engine.motion': motion})
@@ -535,7 +530,7 @@ def test_motion_that_is_removed_and_set_again_is_replayed(start, replay, write_m
     assert [each.state for each in outputs] == [each.state for each in run.outputs]
 
 
-def test_change_builds_one_rig_and_ticks_build_none(start, monkeypatch, write_motion) -> None:
+def test_change_builds_one_rig_and_ticks_build_none(monkeypatch, write_motion) -> None:
     calls = []
 
     def count(name, function):
@@ -544,7 +539,7 @@ def test_change_builds_one_rig_and_ticks_build_none(start, monkeypatch, write_mo
     monkeypatch.setattr(twin_config, 'rig_of', count('rig', twin_config.rig_of))
     monkeypatch.setattr(motions, 'encode', count('motion', motions.encode))
     monkeypatch.setattr(motions, '_read', count('file', motions._read))
-    run = start(engine__motion_file=str(write_motion()), throw__period=0.1)
+    run = Run(engine__motion_file=str(write_motion()), throw__period=0.1)
     del calls[:]
     run.session.change({'layer.thickness': 0.02})
     assert calls == ['rig']
@@ -559,13 +554,11 @@ def test_change_builds_one_rig_and_ticks_build_none(start, monkeypatch, write_mo
     assert calls == ['rig', 'rig', 'file', 'motion']
 
 
-def test_library_may_change_or_disappear_while_its_stack_is_thrown(
-    start, replay, tmp_path
-) -> None:
+def test_library_may_change_or_disappear_while_its_stack_is_thrown(tmp_path) -> None:
     path = tmp_path / 'mine.yaml'
     gel = 'my_gel: {{description: d, source: s, density: 1000, wave_speed: {}, loss_tangent: 0.1}}'
     path.write_text(gel.format(9.0))
-    run = start(layer__library=str(path), layer__stack='8e-3 my_gel, 2e-3 20 1100')
+    run = Run(layer__library=str(path), layer__stack='8e-3 my_gel, 2e-3 20 1100')
     run.go(500)
     path.write_text(gel.format(4.5))
     os.utime(path, ns=(1, 1))

@@ -11,21 +11,21 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sessions to test with."""
+"""Sessions and measured plates to test the twin with."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 import itertools
 import math
 from typing import Any
 
 import numpy as np
-import pytest
-import rigs as measured_rigs
+import rigs
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.replay import advance_to, follow
@@ -66,7 +66,7 @@ class Run:
     def __init__(self, **request: Any) -> None:
         self.journal: list[str] = []
         self.outputs: list[Outputs] = []
-        self.settings = settings(**request)
+        self.settings = complete_settings(**request)
         self.rig = rig_of(self.settings)
         self.session = Session(self.settings, on_entry=self.journal.append)
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
@@ -106,10 +106,10 @@ class Run:
         while self._waiting:
             self.go(1)
 
-    def measure(self, rig: Any = None, **kwargs: Any) -> None:
+    def measure(self, rig: Rig | None = None, **kwargs: Any) -> None:
         """Measure a throw of a rig of its own, and go on to the end of the samples."""
         kwargs.setdefault('begin_ns', self.schedule.deadline(self.session.step))
-        self.send(measured_rigs.measured_throw(rig or self.rig, **kwargs))
+        self.send(rigs.measured_throw(rig or self.rig, **kwargs))
         self.receive()
 
     def results(self, stage: str) -> list[ThrowResult]:
@@ -159,7 +159,7 @@ MEASUREMENT = MeasurementConfig(
 INTERVAL = 200_000  # [ns]
 
 
-def make_plate_samples(
+def make_samples(
     count: int = 100, *, onset: float = math.inf, noise: float = 0.0
 ) -> list[Sample]:
     """Measure a plate every 0.2 ms, at a height of 0.3 m before it starts, and a projectile."""
@@ -173,13 +173,13 @@ def make_plate_samples(
     ]
 
 
-def settings(**request: Any) -> dict[str, Any]:
+def complete_settings(**request: Any) -> dict[str, Any]:
     """Return complete settings."""
     named = {name.replace('__', '.'): value for name, value in request.items()}
     return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named)}
 
 
-def same_bits(ours: Outputs, theirs: Outputs) -> bool:
+def same(ours: Outputs, theirs: Outputs) -> bool:
     """Compare outputs: numbers by all digits, and arrays by bytes."""
     return _content(ours) == _content(theirs)
 
@@ -188,45 +188,3 @@ def _content(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_content(part) for part in value]
     return value.tobytes() if hasattr(value, 'tobytes') else repr(value)
-
-
-@pytest.fixture(scope='session')
-def start() -> type[Run]:
-    """Return the class that runs a session with changed settings."""
-    return Run
-
-
-@pytest.fixture(scope='session', name='settings')
-def settings_() -> Callable[..., dict[str, Any]]:
-    """Return the function that completes settings by the defaults."""
-    return settings
-
-
-@pytest.fixture(scope='session', name='replay')
-def replay_() -> Callable[..., Iterator[Outputs]]:
-    """Return the function that replays a journal."""
-    return replay
-
-
-@pytest.fixture(scope='session')
-def same() -> Callable[[Outputs, Outputs], bool]:
-    """Return the function that compares outputs bit by bit."""
-    return same_bits
-
-
-@pytest.fixture(scope='session')
-def rigs() -> Any:
-    """Return the module that simulates measured rigs."""
-    return measured_rigs
-
-
-@pytest.fixture(scope='session')
-def make_samples() -> Callable[..., list[Sample]]:
-    """Return the function that makes samples of a plate."""
-    return make_plate_samples
-
-
-@pytest.fixture(scope='session')
-def measurement() -> MeasurementConfig:
-    """Return the configuration of the measurement."""
-    return MEASUREMENT
