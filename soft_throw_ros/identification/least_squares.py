@@ -220,6 +220,11 @@ class Fit:
         return name in self.names
 
     @property
+    def by_name(self) -> dict[str, float]:
+        """Return the values by their names."""
+        return dict(zip(self.names, self.values.tolist(), strict=True))
+
+    @property
     def errors(self) -> Floats:
         """Return standard errors."""
         return np.sqrt(np.diag(self.covariance))

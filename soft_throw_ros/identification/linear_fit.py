@@ -87,18 +87,6 @@ class LinearFit:
         found, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
         return float(left @ left - np.sum((left - extra @ found) ** 2)), np.asarray(found)
 
-    @property
-    def slopes_over_variance(self) -> Floats:
-        """Derivatives of all heights over their squared noise, 0 for outliers, shape (n, k)."""
-        slopes = np.zeros((self._position.size, self.fit.values.size))
-        slopes[self.fit.kept] = self._slopes
-        return slopes / self.fit.noise[:, None]
-
-    def split(self, rows: Floats) -> list[Floats]:
-        """Split rows of all samples by tracks."""
-        sizes = [track.time.size for _, track in self.model.tracks()]
-        return np.split(rows, np.cumsum(sizes)[:-1])
-
     def gradients(self, heights: Floats) -> Floats:
         """Return the gradients of half of chi squared by sizes of columns, from shape (k, n)."""
         return np.asarray(self._weigh(heights) @ self._slopes)
