@@ -18,22 +18,21 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 import math
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import cell_stepper, closed_form
-from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion
+from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
     EventLimitError,
-    FirstThrows,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
     Stepper,
 )
 from soft_throw_ros.core.throw import make_stepper
+from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_waves import PlateWithWaves
 
@@ -204,28 +203,12 @@ class FirstReleases(NamedTuple):
 
 def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
     """Compute the first releases of rigs that differ in numbers only."""
-    ratios: dict[str, Any] = {  # keyword arguments
-        'mass_ratio': np.array([rig.mass_ratio for rig in rigs]),
-        'speed_ratio': np.array([rig.speed_ratio for rig in rigs]),
-        'damping_ratio': np.array([rig.engine.damping_ratio for rig in rigs]),
-        'gravity_ratio': np.array([rig.gravity_ratio for rig in rigs]),
-    }
-    release: closed_form.FirstRelease | FirstThrows
-    if any(rig.layer.needs_cells for rig in rigs):
-        for name in ('loss_tangent', 'strain_ratio', 'constant_loss'):
-            ratios[name] = np.array([rig.cell_ratios[name] for rig in rigs])
-        release = cell_stepper.first_throws(
-            **ratios, stack=rigs[0].cell_ratios['stack'], unresolved='nan'
-        )
-    else:
-        release = closed_form.first_releases(**ratios, unresolved='nan')
-    phase = np.asarray(release.ejection_phase)
-    scale = np.array([rig.engine.speed_scale for rig in rigs])
-    crossings = np.nan_to_num(phase * ratios['speed_ratio'])
+    throws = throw_many(rigs)
+    crossings = throws.ejection_time / [rig.crossing_time for rig in rigs]
     return FirstReleases(
-        time=phase / [rig.engine.frequency for rig in rigs],
-        speed=release.speed * scale,
-        energy_transfer=np.asarray(release.energy_transfer),
-        peak_plate_speed=scale * [peak_velocity_ratio(rig.engine.damping_ratio) for rig in rigs],
-        echoes=((crossings - 1.0) // 2.0).astype(np.int64),
+        time=throws.ejection_time,
+        speed=throws.ejection_speed,
+        energy_transfer=throws.energy_transfer,
+        peak_plate_speed=throws.ejection_speed / np.sqrt(throws.energy_transfer),
+        echoes=((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64),
     )
