@@ -51,7 +51,7 @@ class LinearFit:
     fit : Fit
         Fit of the model.
     fixed : sequence of int
-        Places of values that are not adapted to the others.
+        Indices of values that are not adapted to the others.
 
     """
 
@@ -59,10 +59,10 @@ class LinearFit:
         self.model, self.fit = model, fit
         self._position = np.concatenate([track.position for _, track in model.tracks()])
         self._others = np.delete(np.arange(fit.values.size), fixed)
-        self._known = [place for place in self._others.tolist() if place in model.known]
+        self._known = [index for index in self._others.tolist() if index in model.known]
         rows = np.zeros((len(self._known), fit.values.size))
-        for row, place in zip(rows, self._known, strict=True):
-            row[place] = 1.0 / model.known[place].error
+        for row, index in zip(rows, self._known, strict=True):
+            row[index] = 1.0 / model.known[index].error
         slopes = self._weigh(model.jacobian(fit.values).T).T
         self._slopes = slopes
         design = np.concatenate([slopes, rows])[:, self._others]
@@ -137,22 +137,22 @@ def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float
     by 3.84, while Gauss-Newton steps with the derivatives of the fit adapt all other parameters.
     """
     correlation = np.abs(fit.correlation)
-    places = {name: fit.names.index(name) for name in LAYER if name in fit.names}
+    indices = {name: fit.names.index(name) for name in LAYER if name in fit.names}
     found = {}
-    for name, place in places.items():
-        others = [each for each in places.values() if each != place]
-        if correlation[place, others].max(initial=0.0) > INSEPARABLE:
+    for name, index in indices.items():
+        others = [each for each in indices.values() if each != index]
+        if correlation[index, others].max(initial=0.0) > INSEPARABLE:
             with contextlib.suppress(FitError):
-                system = LinearFit(model, fit, [place])
-                low, high = (_end_of_interval(system, fit, place, sign) for sign in (-1.0, 1.0))
+                system = LinearFit(model, fit, [index])
+                low, high = (_end_of_interval(system, fit, index, sign) for sign in (-1.0, 1.0))
                 found[name] = (low, high)
     return found
 
 
-def _end_of_interval(system: LinearFit, fit: Fit, place: int, sign: float) -> float:
+def _end_of_interval(system: LinearFit, fit: Fit, index: int, sign: float) -> float:
     """Find an end of the interval of 95 % of a parameter by bisection of its profile."""
     limit = system.adapt(fit.values)[1] + _CHI2_95 * max(1.0, fit.reduced_chi2)
-    direction = fit.covariance[place] / fit.covariance[place, place]
+    direction = fit.covariance[index] / fit.covariance[index, index]
 
     def is_inside(distance: float) -> bool:
         moved = fit.values + sign * distance * direction
@@ -163,8 +163,8 @@ def _end_of_interval(system: LinearFit, fit: Fit, place: int, sign: float) -> fl
         except (FitError, ValueError):
             return False  # such a rig is impossible
 
-    inside, outside = 0.0, _LONGEST * fit.errors[place]
+    inside, outside = 0.0, _LONGEST * fit.errors[index]
     for _ in range(_HALVES):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
-    return float(fit.values[place] + sign * inside)
+    return float(fit.values[index] + sign * inside)

@@ -129,15 +129,15 @@ def _try_term(linear: LinearFit, name: str) -> _Candidate:
     fit = linear.fit
     start = wider.start(fit)
     parts, trial = WAVES.get(name, (name,)), _TRIALS.get(name, _TRIAL)
-    start[[place for part in parts for place in wider.layout.indices_of(part)]] = 0.0
+    start[[index for part in parts for index in wider.layout.indices_of(part)]] = 0.0
     base = wider.predict(start)
     columns = []
     for part in parts:
         moved = start.copy()
         moved[wider.layout.indices_of(part)] = trial
         change = (wider.predict(moved) - base) / trial
-        for place in wider.layout.indices_of(part):
-            throws = [throw for throw, at in wider.layout.indices[part].items() if at == place]
+        for index in wider.layout.indices_of(part):
+            throws = [throw for throw, at in wider.layout.indices[part].items() if at == index]
             columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
     gain, found = linear.gain(np.stack(columns, axis=1))
     if name == _LOSS and found.max() <= 0.0:

@@ -266,10 +266,10 @@ class Planner:
     def _shared(self) -> dict[str, int]:
         """Names of shared parameters, and their indices among the values."""
         shared = {}
-        for place, ((name, key), throws) in enumerate(self._model.layout.groups.items()):
+        for index, ((name, key), throws) in enumerate(self._model.layout.groups.items()):
             if not isinstance(key, int):
                 is_own = key is None or _TARGET in throws
-                shared[name if is_own else f'{name}[{self._values[place]:.9g}]'] = place
+                shared[name if is_own else f'{name}[{self._values[index]:.9g}]'] = index
         return shared
 
     @property

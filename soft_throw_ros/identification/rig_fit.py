@@ -180,8 +180,8 @@ class RigFit:
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
-        places = [(throw, body, time) for body in ('plate', 'projectile')]
-        plate, projectile = self.model.paths(self.fit.values, places)
+        wanted = [(throw, body, time) for body in ('plate', 'projectile')]
+        plate, projectile = self.model.paths(self.fit.values, wanted)
         return plate.height, projectile.height
 
     def releases(self, count: int, seed: int = 0) -> FirstReleases:
@@ -253,10 +253,10 @@ class RigFit:
         fit, model = self.fit, self.model
         shift = release_shift(model, fit.values, 0)
         slopes = np.zeros((fit.values.size, 2))
-        for place in model.layout.waves_of(0):
+        for index in model.layout.waves_of(0):
             values = fit.values.copy()
-            values[place] += fit.errors[place]
-            slopes[place] = (release_shift(model, values, 0) - shift) / fit.errors[place]
+            values[index] += fit.errors[index]
+            slopes[index] = (release_shift(model, values, 0) - shift) / fit.errors[index]
         return shift, slopes
 
 
@@ -427,11 +427,11 @@ def _fit_plate(throw: ThrowTracks, description: FitDescription) -> PlateFit:
 def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescription) -> Rig:
     """Return the rig with the weighted means of the plates as free engine parameters."""
     values = {}
-    for place, name in enumerate(ENGINE):
+    for index, name in enumerate(ENGINE):
         if description.is_free(name):
-            weights = [1.0 / max(plate.fit.errors[place], 1e-100) ** 2 for plate in plates]
+            weights = [1.0 / max(plate.fit.errors[index], 1e-100) ** 2 for plate in plates]
             values[name] = float(
-                np.average([plate.fit.values[place] for plate in plates], weights=weights)
+                np.average([plate.fit.values[index] for plate in plates], weights=weights)
             )
     return changed_rig(rig, values)
 

@@ -59,7 +59,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 Change: TypeAlias = Callable[[Rig, PlateWithWaves], tuple[Rig, PlateWithWaves]]
-"""Returns another rig and motion of the plate to follow in their place."""
+"""Returns another rig and motion of the plate to follow instead."""
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -182,19 +182,19 @@ class RigModel:
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
         found: dict[int, Estimate | None] = {}
-        for place, ((part, _), (throw, *_)) in enumerate(self.layout.groups.items()):
+        for index, ((part, _), (throw, *_)) in enumerate(self.layout.groups.items()):
             name = TERM_OF.get(part, part)
             if name in DEFAULTS:
-                found[place] = self.description.known(
+                found[index] = self.description.known(
                     name, self.rigs[throw], self.throws[throw].name
                 )
-        return {place: known for place, known in found.items() if known is not None}
+        return {index: known for index, known in found.items() if known is not None}
 
     def value(self, values: Floats, name: str, throw: int) -> float:
         """Return a value of a throw; the default if it is not fitted."""
-        place = self.layout.indices.get(name, {}).get(throw)
-        if place is not None:
-            return float(values[place])
+        index = self.layout.indices.get(name, {}).get(throw)
+        if index is not None:
+            return float(values[index])
         if name in TERMS:
             return self.description.value(name, self.rigs[throw], self.throws[throw].name)
         return 0.0
@@ -243,7 +243,7 @@ class RigModel:
     def paths(
         self,
         values: Floats,
-        places: Sequence[tuple[int, str, Floats]] | None = None,
+        wanted: Sequence[tuple[int, str, Floats]] | None = None,
         change: Change | None = None,
     ) -> list[Trajectory]:
         """
@@ -252,13 +252,13 @@ class RigModel:
         They are those of throws, bodies, and times on the clock of the tracks; by default those
         of all channels. `change` returns another rig and motion to follow.
         """
-        if places is None:
-            places = [(throw, body, track.time) for throw, body, track in self.channels]
+        if wanted is None:
+            wanted = [(throw, body, track.time) for throw, body, track in self.channels]
         found = []
-        motions = {throw: self.motion(values, throw) for throw in {each[0] for each in places}}
+        motions = {throw: self.motion(values, throw) for throw in {each[0] for each in wanted}}
         if change is not None:
             motions = {throw: change(*motion) for throw, motion in motions.items()}
-        for throw, body, time in places:
+        for throw, body, time in wanted:
             rig, motion = motions[throw]
             since = self.since(values, throw, body, time)
             if body == 'plate':
@@ -315,34 +315,34 @@ class RigModel:
                 slope = -velocity * (1.0 if name == START else ~is_plate)
             else:
                 slope = self._slope(values, name)
-            for throw, place in by_throw.items():
-                jacobian[rows == throw, place] = slope[rows == throw]
+            for throw, index in by_throw.items():
+                jacobian[rows == throw, index] = slope[rows == throw]
         return jacobian
 
     def _slope(self, values: Floats, name: str) -> Floats:
         """Return the central difference by a parameter, changed in all throws."""
-        places = self.layout.indices_of(name)
+        indices = self.layout.indices_of(name)
         low, high = _BOUNDS.get(name, _ANYTHING)
         ends = []
         for sign in (1.0, -1.0):
             moved = values.copy()
-            step = _STEPS.get(name, 0.0) or _STEP * np.abs(values[places])
-            moved[places] = np.clip(values[places] + sign * step, low, high)
+            step = _STEPS.get(name, 0.0) or _STEP * np.abs(values[indices])
+            moved[indices] = np.clip(values[indices] + sign * step, low, high)
             ends.append(moved)
         width = np.ones(len(self.throws))
-        for throw, place in self.layout.indices[name].items():
-            width[throw] = ends[0][place] - ends[1][place]
+        for throw, index in self.layout.indices[name].items():
+            width[throw] = ends[0][index] - ends[1][index]
         return np.asarray((self.predict(ends[0]) - self.predict(ends[1])) / width[self.rows])
 
     def start(self, before: Fit | None = None) -> Floats:
         """Return start values, from a fit of fewer or more parameters, `initial` or the plates."""
         values = np.zeros(len(self.layout.names))
-        for name, places in self.layout.indices.items():
-            for throw, place in places.items():
+        for name, by_throw in self.layout.indices.items():
+            for throw, index in by_throw.items():
                 if name in PARAMETERS:
-                    values[place] = values_of(self.rigs[throw], [name])[name]
+                    values[index] = values_of(self.rigs[throw], [name])[name]
                 elif name in TERMS:
-                    values[place] = self.description.value(name, self.rig, self.throws[throw].name)
+                    values[index] = self.description.value(name, self.rig, self.throws[throw].name)
         for throw, plate in enumerate(self.plates):
             engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
             found = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
@@ -363,9 +363,9 @@ class RigModel:
     def without_faults(self, values: Floats) -> Floats:
         """Return the values with all priors at their means, except those of the plate."""
         start: Floats = values.copy()
-        for place, known in self.known.items():
-            if not self.layout.names[place].startswith('plate'):  # as the plates alone have it
-                start[place] = known.value
+        for index, known in self.known.items():
+            if not self.layout.names[index].startswith('plate'):  # as the plates alone have it
+                start[index] = known.value
         return start
 
     def fit(
@@ -378,8 +378,8 @@ class RigModel:
     ) -> Fit:
         """Fit all values, or only some parameters, by `fit_tracks`."""
         names = [name for name, _ in self.layout.groups]
-        free = [place for place, name in enumerate(names) if not only or name in only]
-        low, high = np.transpose([_BOUNDS.get(names[place], _ANYTHING) for place in free])
+        free = [index for index, name in enumerate(names) if not only or name in only]
+        low, high = np.transpose([_BOUNDS.get(names[index], _ANYTHING) for index in free])
 
         def whole(values: Floats) -> Floats:
             full: Floats = start.copy()
@@ -387,12 +387,12 @@ class RigModel:
             return full
 
         model = FitModel(
-            names=tuple(self.layout.names[place] for place in free),
+            names=tuple(self.layout.names[index] for index in free),
             predict=lambda values: self.predict(whole(values)),
             jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
             low=low,
             high=high,
-            known={k: self.known[place] for k, place in enumerate(free) if place in self.known},
+            known={k: self.known[index] for k, index in enumerate(free) if index in self.known},
             speed=lambda values: self.speed(whole(values)),
         )
         found = fit_tracks(
@@ -405,7 +405,7 @@ class RigModel:
         unseen = np.flatnonzero(~(found.errors < _UNSEEN))
         if unseen.size:
             raise FitError(
-                f'these tracks say nothing of {", ".join(found.names[place] for place in unseen)}'
+                f'these tracks say nothing of {", ".join(found.names[index] for index in unseen)}'
             )
         return found
 
