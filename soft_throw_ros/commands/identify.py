@@ -45,8 +45,7 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import CommandParser, naming, run_command
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.identification.answer import answer_of
-from soft_throw_ros.identification.ejection import ejection_of
+from soft_throw_ros.identification.ejection import answer_of, ejection_of
 from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
     ENGINE,
@@ -186,7 +185,7 @@ def _identify(
         description = description.change({'layer.wave_speed': 'held'})
     rig = rig_of(settings)
     found = fit_rig(throws, rig, description, tell=_show_progress)
-    warnings = found.warnings()
+    warnings = found.fit.warnings()
     lines = [*budget_lines(found), '', *found.remarks, *layer_lines(found.layers)]
     lines += fit_lines(found.fit)
     ejection = answer = None

@@ -26,8 +26,7 @@ from soft_throw_ros.commands.options import new_file
 from soft_throw_ros.commands.output import CommandParser, naming, print_text, to_json
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
 from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.identification.answer import Answer, GOOD_ENOUGH
-from soft_throw_ros.identification.ejection import Ejection
+from soft_throw_ros.identification.ejection import Answer, Ejection, GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.model_choice import LayerModel

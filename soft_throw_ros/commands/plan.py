@@ -40,7 +40,7 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.answer import GOOD_ENOUGH
+from soft_throw_ros.identification.ejection import GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import values_of
 from soft_throw_ros.identification.plan import (
     Condition,
@@ -127,7 +127,7 @@ def _run(arguments: argparse.Namespace) -> int:
             rig, measured = found.rig, Knowledge.of_fit(found)
         planner = Planner(rig, conditions, sight, description, measured)
         start = planner.start()
-        candidates = planner.judge(start)
+        candidates = planner.rank(start)
         goal = 0.01 * arguments.goal
         before = planner.energy_transfer(start)[1]
         chosen: list[PlannedThrow] = []

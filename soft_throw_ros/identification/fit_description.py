@@ -34,6 +34,7 @@ from typing import cast, Literal, NamedTuple
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.tracks import names_of
 
@@ -446,12 +447,7 @@ def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
 
 def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
     """Return a copy of a rig with some of `PARAMETERS` changed."""
-    changes: dict[str, dict[str, float]] = {}
-    for name, value in values.items():
-        part, _, item = name.partition('.')
-        changes.setdefault(part, {})[item] = value
-    parts = {part: replace(getattr(rig, part), **each) for part, each in changes.items()}
-    return replace(rig, **parts)
+    return rig_with(rig, {name.rpartition('.')[2]: value for name, value in values.items()})
 
 
 def _items(node: Located) -> tuple[tuple[str, Located], ...]:

@@ -16,48 +16,37 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import Any, NamedTuple
+import math
+import time
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import cell_stepper, closed_form
-from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion
+from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
     EventLimitError,
-    FirstThrows,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
     Stepper,
 )
 from soft_throw_ros.core.throw import make_stepper
+from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_waves import PlateWithWaves
 
 Floats = NDArray[np.float64]
 
-MAX_COST = 8.0
-"""Processor time for simulating one throw with all its trial rigs [s]."""
-
-_COST_PER_THROW = 1e-3
-"""Processor time of making a stepper [s]."""
-
-_COST_PER_SAMPLE = 4e-6
-"""Processor time of a state of the stepper [s]."""
-
-_MAX_SHARE = 0.02
-"""Largest share of `MAX_COST` for simulating a single rig [-]."""
-
-_HARD_LIMIT = 4.0
-"""Cost over `MAX_COST` beyond which even the required simulations are refused [-]."""
+_MAX_COST = 0.16
+"""Largest processor time of one simulation, as its stepper estimates it. [s]"""
 
 _MAX_CACHED = 64
 """Largest number of cached throws."""
 
 
-class BudgetExceeded(FitError):
-    """The simulations of a fit exceed their budget."""
+class DeadlineExceeded(Exception):
+    """A fit takes too long."""
 
 
 class ProjectilePath(NamedTuple):
@@ -69,23 +58,24 @@ class ProjectilePath(NamedTuple):
 
 
 class ThrowSimulator:
-    """Simulate throws within a budget of processor time; raise `BudgetExceeded` beyond it."""
+    """
+    Simulate throws until a deadline in processor time; raise `DeadlineExceeded` after it.
 
-    def __init__(self, *, throws: int = 1) -> None:
-        self.cost = 0.0
-        """Processor time of all simulations so far, as their models estimate it. [s]"""
-        self._budget = MAX_COST * throws
+    Parameters
+    ----------
+    seconds : float
+        Processor time of this thread from now to the deadline. [s]
+
+    """
+
+    def __init__(self, seconds: float = math.inf) -> None:
+        self._deadline = time.thread_time() + seconds
         self._cache: dict[Hashable, ProjectilePath] = {}
-
-    @property
-    def has_budget(self) -> bool:
-        """Whether the budget allows optional simulations."""
-        return self.cost < self._budget
 
     def follow(
         self,
         rig: Rig,
-        time: Floats,
+        moments: Floats,
         *,
         motion: PlateWithWaves | None = None,
         by_cells: bool = False,
@@ -97,54 +87,31 @@ class ThrowSimulator:
         ----------
         rig : Rig
             Rig to simulate.
-        time : ndarray, shape (n,)
-            Since the plate began to move, in any order; before that all is at rest. [s]
+        moments : ndarray, shape (n,)
+            Times since the start of the plate, in any order; before it all is at rest. [s]
         motion : PlateWithWaves, optional
-            How the plate moves; by default as the engine has it.
+            Motion of the plate; by default that of the engine.
         by_cells : bool
-            Whether to take cells though there is no internal loss: where the loss is fitted, all
-            that is compared has to be of one model.
+            Whether to use cells also without internal loss. All rigs that a fit of the loss
+            compares need the same model.
 
         Raises
         ------
         FitError
-            If the model refuses the rig, or would take too long.
+            If the model refuses the rig, or a single simulation would take too long.
+        DeadlineExceeded
+            If the deadline has passed.
 
         """
-        key = rig, motion, by_cells, time.tobytes()
+        key = rig, motion, by_cells, moments.tobytes()
         if key not in self._cache:
+            if time.thread_time() > self._deadline:
+                raise DeadlineExceeded
             if len(self._cache) >= _MAX_CACHED:
                 self._cache.pop(next(iter(self._cache)))
-            sampled = motion and motion.sampled(float(time.min()), float(time.max()))
-            self._cache[key] = self._follow(rig, time, sampled, by_cells)
+            sampled = motion and motion.sampled(float(moments.min()), float(moments.max()))
+            self._cache[key] = _follow(rig, moments, sampled, by_cells=by_cells)
         return self._cache[key]
-
-    def _follow(
-        self, rig: Rig, time: Floats, motion: SampledMotion | None, by_cells: bool
-    ) -> ProjectilePath:
-        """Follow a throw whose plate moves as it was sampled."""
-        begin = 0.0  # steppers begin at 0
-        if motion is not None:
-            begin = motion.start_time
-            motion = SampledMotion(motion.times - begin, motion.states)
-        moments, indices = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
-        try:
-            stepper = self._make_stepper(rig, motion, float(moments[-1]), moments.size, by_cells)
-            stepper.advance_to(float(moments[-1]))
-            events = stepper.events()
-            states, is_flying = _flights(events, moments, rig.gravity)
-            stepper.reset()
-            for index in np.flatnonzero(~is_flying).tolist():
-                stepper.advance_to(float(moments[index]))
-                states[0, index] = stepper.state[PROJECTILE_POSITION]
-                states[1, index] = stepper.state[PROJECTILE_VELOCITY]
-        except FitError:
-            raise
-        except (ValueError, EventLimitError) as error:
-            raise FitError(f'the throw cannot be followed: {error}') from None
-        position, velocity = states[:, indices]
-        on_clock = (event._replace(time=event.time + begin) for event in events)
-        return ProjectilePath(position, velocity, tuple(on_clock))
 
     def landing_time(self, rig: Rig, until: float, *, by_cells: bool = False) -> float:
         """Return the time of landing on the layer, infinity if after `until` [s]."""
@@ -154,28 +121,46 @@ class ThrowSimulator:
                     return event.time
         return float('inf')
 
-    def _make_stepper(
-        self, rig: Rig, motion: SampledMotion | None, until: float, samples: int, by_cells: bool
-    ) -> Stepper:
-        """Return a stepper, and charge its estimated cost."""
-        has_cells = by_cells or rig.layer.needs_cells
-        model = 'cells' if has_cells else 'travelling_wave'
+
+def _follow(
+    rig: Rig, time: Floats, motion: SampledMotion | None, *, by_cells: bool
+) -> ProjectilePath:
+    """Follow a throw with a sampled motion of the plate, or that of the engine."""
+    begin = 0.0  # steppers begin at 0
+    if motion is not None:
+        begin = motion.start_time
+        motion = SampledMotion(motion.times - begin, motion.states)
+    moments, indices = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
+    until = float(moments[-1])
+    model = 'cells' if by_cells or rig.layer.needs_cells else 'travelling_wave'
+    try:
         stepper = make_stepper(rig, motion, model=model, field_points=2)
-        cost = stepper.cost * until + _COST_PER_THROW + _COST_PER_SAMPLE * samples
-        self.cost += cost
-        limit = _MAX_SHARE * MAX_COST
-        if cost > limit:
-            raise FitError(
-                f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
-                f'{cost:.2g} s to simulate, the limit is {limit:.2g} s; leave out late samples'
-            )
-        limit = _HARD_LIMIT * self._budget
-        if self.cost > limit:
-            raise BudgetExceeded(
-                f'the fit takes more than {limit:.2g} s of simulations; leave out late samples '
-                'of the tracks, or fit fewer parameters'
-            )
-        return stepper
+        _check_cost(stepper, until, rig)
+        stepper.advance_to(until)
+        events = stepper.events()
+        states, is_flying = _flights(events, moments, rig.gravity)
+        stepper.reset()
+        for index in np.flatnonzero(~is_flying).tolist():
+            stepper.advance_to(float(moments[index]))
+            states[0, index] = stepper.state[PROJECTILE_POSITION]
+            states[1, index] = stepper.state[PROJECTILE_VELOCITY]
+    except FitError:
+        raise
+    except (ValueError, EventLimitError) as error:
+        raise FitError(f'the throw cannot be followed: {error}') from None
+    position, velocity = states[:, indices]
+    on_clock = (event._replace(time=event.time + begin) for event in events)
+    return ProjectilePath(position, velocity, tuple(on_clock))
+
+
+def _check_cost(stepper: Stepper, until: float, rig: Rig) -> None:
+    """Raise FitError if a simulation takes too long."""
+    cost = stepper.cost * until
+    if cost > _MAX_COST:
+        raise FitError(
+            f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
+            f'{cost:.2g} s to simulate, the limit is {_MAX_COST:g} s; leave out late samples'
+        )
 
 
 def _flights(
@@ -218,28 +203,12 @@ class FirstReleases(NamedTuple):
 
 def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
     """Compute the first releases of rigs that differ in numbers only."""
-    ratios: dict[str, Any] = {  # keyword arguments
-        'mass_ratio': np.array([rig.mass_ratio for rig in rigs]),
-        'speed_ratio': np.array([rig.speed_ratio for rig in rigs]),
-        'damping_ratio': np.array([rig.engine.damping_ratio for rig in rigs]),
-        'gravity_ratio': np.array([rig.gravity_ratio for rig in rigs]),
-    }
-    release: closed_form.FirstRelease | FirstThrows
-    if any(rig.layer.needs_cells for rig in rigs):
-        for name in ('loss_tangent', 'strain_ratio', 'constant_loss'):
-            ratios[name] = np.array([rig.cell_ratios[name] for rig in rigs])
-        release = cell_stepper.first_throws(
-            **ratios, stack=rigs[0].cell_ratios['stack'], unresolved='nan'
-        )
-    else:
-        release = closed_form.first_releases(**ratios, unresolved='nan')
-    phase = np.asarray(release.ejection_phase)
-    scale = np.array([rig.engine.speed_scale for rig in rigs])
-    crossings = np.nan_to_num(phase * ratios['speed_ratio'])
+    throws = throw_many(rigs)
+    crossings = throws.ejection_time / [rig.crossing_time for rig in rigs]
     return FirstReleases(
-        time=phase / [rig.engine.frequency for rig in rigs],
-        speed=release.speed * scale,
-        energy_transfer=np.asarray(release.energy_transfer),
-        peak_plate_speed=scale * [peak_velocity_ratio(rig.engine.damping_ratio) for rig in rigs],
-        echoes=((crossings - 1.0) // 2.0).astype(np.int64),
+        time=throws.ejection_time,
+        speed=throws.ejection_speed,
+        energy_transfer=throws.energy_transfer,
+        peak_plate_speed=throws.ejection_speed / np.sqrt(throws.energy_transfer),
+        echoes=((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64),
     )

@@ -11,32 +11,41 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Start values for a layer: a search over all possible ones, so that no guess is needed."""
+"""
+Search for the layer: start values without a guess, and other minima of chi squared.
+
+With a stiff layer, on which the projectile chatters, chi squared has several minima. `find_layers`
+compares the tracks with many layers; `find_best_minimum` fits those that may turn out to be the
+best, too. Minima within `NEAR` of the best are reported.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import contextlib
 from dataclasses import replace
 import math
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Engine, Rig
-from soft_throw_ros.identification.fit_description import changed_rig, LAYER
-from soft_throw_ros.identification.forward import BudgetExceeded
-from soft_throw_ros.identification.least_squares import Fit, FitError
+from soft_throw_ros.identification.fit_description import changed_rig, LAYER, values_of
+from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
 from soft_throw_ros.identification.parameter_layout import OWN, START
-from soft_throw_ros.identification.plate_fit import PlateFit
 from soft_throw_ros.identification.plate_waves import PlateWithWaves
-from soft_throw_ros.identification.rig_model import cut_after, RigModel
+from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import Track
 
-Floats = NDArray[np.float64]
+NEAR = 9.0
+"""Largest increase of chi squared at another minimum that is reported. [-]"""
 
-_WAVE_SPEEDS = np.geomspace(1.0, 200.0, 321)
-_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)  # coarse grid, relative to the given thickness
-_THICKNESSES_NEARBY = np.geomspace(0.75, 1.33, 41)  # fine grid, relative to a candidate
+_WAVE_SPEEDS = np.geomspace(1.0, 200.0, 961).tolist()
+"""Wave speeds of the grid; the valleys of chi squared may be less than a percent wide. [m/s]"""
+
+_THICKNESSES = np.geomspace(0.6, 1.6, 9).tolist()
+"""Thicknesses of the grid, relative to the given one. [-]"""
+
 _MIN_THICKNESS = 1e-4  # smallest thickness of the search [m]
 _LOSS_TANGENT = 0.05  # initial loss tangent
 
@@ -44,12 +53,12 @@ _THROWS = 3  # largest number of throws in the search
 _PERIODS = 2.0  # time of each throw in the search [plate periods]
 _SAMPLES = 120  # largest number of samples of each track in the search
 
-_NARROWED = 24  # largest number of valleys that are narrowed
-_NARROWING_STEPS = 12  # number of wave speeds within a narrowed valley
 _REFINED = 6  # largest number of refined candidates
-_REFINING_STEPS = 20  # largest number of evaluations of a refinement
+_EVALUATIONS = 20  # largest number of evaluations of the model in a fit of a candidate
 _MAX_RATIO = 20.0  # sum of squares, relative to the best, above which candidates are dropped
 _ALIKE = 5e-3  # relative difference below which two layers count as equal
+_MAX_STARTS = 4  # largest number of fits of other minima, the most promising ones first
+_APART = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
 
 
 class PlateAtWork(NamedTuple):
@@ -73,16 +82,17 @@ class LayerCandidate(NamedTuple):
         return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in pairs)
 
 
-def find_layers(model: RigModel, plates: Sequence[PlateFit], of_plates: Fit) -> list[Rig]:
+def find_layers(model: RigModel) -> list[Rig]:
     """
-    Find about which layer it is: look at many, nearer where it looks good, and refine the best.
+    Find rigs to start a fit from, the most likely one first, in a grid of layers.
 
-    Returns the best, and then others that might turn out to be. `of_plates` is a fit of the plates
-    alone.
+    A free loss is 0 in the grid: it is small, and the model without it the fastest.
 
-    Where a stiff layer makes the projectile chatter, the sum of squares has valleys less than a
-    percent wide. A loss that is looked for is none at first; it is small, and the model without
-    it the fastest. FitError if no layer can be followed.
+    Raises
+    ------
+    FitError
+        If no layer can be simulated.
+
     """
     free = {name for name in LAYER if model.description.is_free(name)}
     used = [channel.throw for channel in model.projectiles[:_THROWS]]
@@ -91,26 +101,69 @@ def find_layers(model: RigModel, plates: Sequence[PlateFit], of_plates: Fit) -> 
         for number, throw in enumerate(model.throws)
     )
     model = replace(model, throws=throws)
-    start = model.start_from(of_plates, plates)
+    start = model.start()
     at_work = {}
     for throw in used:
         rig, motion = model.motion(start, throw)
         at_work[throw] = PlateAtWork(rig.engine, motion, model.value(start, START, throw))
-    early = cut_after(model, plates, _PERIODS / model.rig.engine.frequency)
+    early = model.cut_after(_PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
-    candidates = _search_grid(early, plates, at_work, free)
-    if 'layer.thickness' in free:
-        candidates += _search_thicknesses(early, at_work, _best_of(candidates, _REFINED), free)
+    candidates = _best_of(_search_grid(early, at_work, free))
     # Early heights are much alike on many layers; the flight afterwards is not
-    seen = cut_after(model, plates, _fall_time(model, plates))
-    best = _best_of(candidates, _REFINED)
-    refined = _refine(seen, plates, of_plates, best, free)
-    return [candidate.rig for candidate in _best_of(refined or candidates, _REFINED)]
+    end = max(model.flight_end(candidates[0].rig), _PERIODS / model.rig.engine.frequency)
+    refined = _refine(model.cut_after(end), candidates, free)
+    return [candidate.rig for candidate in _best_of(refined or candidates)]
+
+
+def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> Fit:
+    """
+    Fit other possible layers; return the best fit with its near alternatives.
+
+    Parameters
+    ----------
+    model : RigModel
+        Model of all throws.
+    fit : Fit
+        Fit of the model.
+    others : sequence of Rig
+        Rigs with other possible layers, the most likely one first.
+
+    """
+    if 'layer.wave_speed' not in model.layout:
+        return fit
+    starts = [model.without_faults(fit.values)] if fit.is_mismatch else []
+    for rig in others:
+        start = fit.values.copy()
+        for name, value in values_of(rig, LAYER).items():
+            if name in model.layout:
+                start[model.layout.indices_of(name)] = value
+        starts.append(start)
+    fits = [fit]
+    for start in starts[:_MAX_STARTS]:
+        with contextlib.suppress(FitError):
+            fits.append(model.fit(start, noise=fit.noise, max_evaluations=_EVALUATIONS))
+    best, *others_found = sorted(fits, key=attrgetter('chi2'))
+    minima = [best]
+    for other in others_found:
+        is_near = other.chi2 - best.chi2 < NEAR
+        if is_near and all(_is_apart(minimum, other) for minimum in minima):
+            minima.append(other)
+    alternatives = [Alternative(each.values, each.chi2 - best.chi2) for each in minima[1:]]
+    if best is not fit:
+        best = model.fit(best.values)  # with its own noise
+    return best.spanning(alternatives)
+
+
+def _is_apart(fit: Fit, other: Fit) -> bool:
+    """Return whether a fit is another minimum, and not on the slope of the same one."""
+    way = other.values - fit.values
+    parabola = float(way @ np.linalg.lstsq(fit.covariance, way, rcond=1e-14)[0])
+    return parabola > _APART + 2.0 * (other.chi2 - fit.chi2)
 
 
 def _search_grid(
-    model: RigModel, plates: Sequence[PlateFit], at_work: Mapping[int, PlateAtWork], free: set[str]
+    model: RigModel, at_work: Mapping[int, PlateAtWork], free: set[str]
 ) -> list[LayerCandidate]:
     """Return the minima among all wave speeds and some thicknesses, without loss."""
     rig = model.rig
@@ -118,140 +171,76 @@ def _search_grid(
         rig = changed_rig(rig, {'layer.loss_tangent': 0.0})
     speeds = [rig.layer.wave_speed]
     if 'layer.wave_speed' in free:
-        speeds = sorted([*_WAVE_SPEEDS.tolist(), *speeds])  # in case somebody knows it
+        speeds = sorted([*_WAVE_SPEEDS, *speeds])  # the given one may be right
     candidates = []
-    for thickness in _thicknesses(model, plates, free):
+    for thickness in _thicknesses(model, free):
         row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
-        candidates += _valleys(model, at_work, [changed_rig(rig, each) for each in row])
+        candidates += _minima(model, at_work, [changed_rig(rig, each) for each in row])
     if not candidates:
         raise FitError('the models can follow no throw of such a projectile on any layer')
     return candidates
 
 
-def _search_thicknesses(
-    model: RigModel,
-    at_work: Mapping[int, PlateAtWork],
-    candidates: Sequence[LayerCandidate],
-    free: set[str],
-) -> list[LayerCandidate]:
-    """Return the minima among equally stiff layers of other thicknesses."""
-    power = 0.5 if 'layer.wave_speed' in free else 0.0
-    found = []
-    for candidate in candidates:
-        layer = candidate.rig.layer
-        row = [
-            {
-                'layer.wave_speed': layer.wave_speed * part**power,
-                'layer.thickness': layer.thickness * part,
-            }
-            for part in _THICKNESSES_NEARBY.tolist()
-        ]
-        found += _valleys(model, at_work, [changed_rig(candidate.rig, each) for each in row])
-    return found
-
-
 def _refine(
-    model: RigModel,
-    plates: Sequence[PlateFit],
-    of_plates: Fit,
-    candidates: Sequence[LayerCandidate],
-    free: set[str],
+    model: RigModel, candidates: Sequence[LayerCandidate], free: set[str]
 ) -> list[LayerCandidate]:
     """Fit the layer alone from each candidate; leave out those that no model can follow."""
     loss = {'layer.loss_tangent': _LOSS_TANGENT} if 'layer.loss_tangent' in free else {}
+    noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
     refined = []
     for candidate in candidates:
         trial = replace(model, rig=changed_rig(candidate.rig, loss))
-        noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in trial.tracks()])
-        try:
+        with contextlib.suppress(FitError):
             fit = trial.fit(
-                trial.start_from(of_plates, plates), noise=noise, only=(*free, *OWN),
-                max_evaluations=_REFINING_STEPS,
+                trial.start(), noise=noise, only=(*free, *OWN), max_evaluations=_EVALUATIONS
             )
-            rig = trial.rig_of(trial.start_from(fit, plates))
-        except BudgetExceeded:
-            raise
-        except FitError:
-            continue
-        refined.append(LayerCandidate(fit.chi2, rig))
+            refined.append(LayerCandidate(fit.chi2, trial.rig_of(trial.start(fit))))
     return refined
 
 
-def _best_of(candidates: list[LayerCandidate], count: int) -> list[LayerCandidate]:
+def _best_of(candidates: Sequence[LayerCandidate]) -> list[LayerCandidate]:
     """Return the candidates with the lowest sums of squares, without near duplicates."""
     chosen: list[LayerCandidate] = []
-    for candidate in sorted(candidates, key=lambda each: each.chi2):
-        if len(chosen) == count or (chosen and candidate.chi2 > _MAX_RATIO * chosen[0].chi2):
+    for candidate in sorted(candidates, key=attrgetter('chi2')):
+        if len(chosen) == _REFINED or (chosen and candidate.chi2 > _MAX_RATIO * chosen[0].chi2):
             break
         if not any(map(candidate.is_like, chosen)):
             chosen.append(candidate)
     return chosen
 
 
-def _fall_time(model: RigModel, plates: Sequence[PlateFit]) -> float:
-    """Return the time from the start to the first landing in the tracks."""
-    ends = [math.inf]
-    for throw, _, track in model.projectiles:
-        since = track.time - plates[throw].start_time
-        resting = float(np.median(track.position[: max(1, int((since < 0.0).sum()))]))
-        apex = int(np.argmax(track.position))
-        low = resting + 2.0 * plates[throw].motion.amplitude
-        down = np.flatnonzero(track.position[apex:] < low)
-        if down.size:
-            ends.append(float(since[apex + down[0]]))
-    return max(min(ends), _PERIODS / model.rig.engine.frequency)
-
-
-def _valleys(
-    model: RigModel, at_work: Mapping[int, PlateAtWork], rigs: list[Rig]
+def _minima(
+    model: RigModel, at_work: Mapping[int, PlateAtWork], rigs: Sequence[Rig]
 ) -> list[LayerCandidate]:
-    """Find rigs that fit better than their neighbours, and narrow the wave speed of the best."""
-
-    def mismatch(rig: Rig) -> LayerCandidate:
-        return LayerCandidate(_mismatch(model, at_work, rig), rig)
-
-    outside = LayerCandidate(math.inf, model.rig)
-    row = [outside, *map(mismatch, rigs), outside]
-    valleys = [
-        place
-        for place in range(1, len(row) - 1)
-        if row[place].chi2 < math.inf
-        and row[place].chi2 <= min(row[place - 1].chi2, row[place + 1].chi2)
+    """Return the rigs of a row that fit better than their neighbours."""
+    chi2 = [math.inf, *(_mismatch(model, at_work, rig) for rig in rigs), math.inf]
+    return [
+        LayerCandidate(chi2[k], rig)
+        for k, rig in enumerate(rigs, 1)
+        if chi2[k] < math.inf and chi2[k] <= min(chi2[k - 1], chi2[k + 1])
     ]
-    found = [row[place] for place in valleys]
-    valleys.sort(key=lambda place: row[place].chi2)
-    for place in valleys[:_NARROWED]:
-        near = [row[k].rig.layer.wave_speed for k in (place - 1, place + 1)]
-        if 1 < place < len(rigs) and near[0] < near[1]:
-            tried = [
-                mismatch(changed_rig(row[place].rig, {'layer.wave_speed': speed}))
-                for speed in np.linspace(near[0], near[1], _NARROWING_STEPS + 2)[1:-1].tolist()
-            ]
-            found.append(min(tried, key=lambda each: each.chi2))
-    return found
 
 
 def _mismatch(model: RigModel, at_work: Mapping[int, PlateAtWork], rig: Rig) -> float:
-    """Sum up squared distances wherever heights count from; infinity if it cannot be followed."""
+    """Return the sum of squares for any zero of heights; infinity for an impossible throw."""
     rigs = replace(model, rig=rig).rigs
     total = 0.0
     for throw, _, track in model.projectiles:
         plate = at_work[throw]
         some = slice(None, None, -(-track.time.size // _SAMPLES))
         time, height = track.time[some] - plate.start_time, track.position[some]
-        each = replace(rigs[throw], engine=plate.engine)
         try:
-            path = model.simulator.follow(each, time, motion=plate.motion)
-        except BudgetExceeded:
-            raise
+            path = model.simulator.follow(
+                replace(rigs[throw], engine=plate.engine), time, motion=plate.motion
+            )
         except FitError:
             return math.inf
         total += time.size * float(np.var(height - path.position)) / track.noise**2
     return total
 
 
-def _thicknesses(model: RigModel, plates: Sequence[PlateFit], free: set[str]) -> list[float]:
-    """Choose thicknesses to look at."""
+def _thicknesses(model: RigModel, free: set[str]) -> list[float]:
+    """Return the thicknesses of the grid [m]."""
     if 'layer.thickness' not in free:
         return [model.rig.layer.thickness]
     if model.description.heights == 'own':
@@ -259,9 +248,9 @@ def _thicknesses(model: RigModel, plates: Sequence[PlateFit], free: set[str]) ->
     half = 0.5 * model.rig.projectile.length if model.description.reference == 'centre' else 0.0
     gaps = []
     for throw, _, track in model.projectiles:
-        resting = track.position[track.time <= plates[throw].start_time]
+        resting = track.position[track.time <= model.plates[throw].start_time]
         lowest = resting if resting.size else track.position[:1]
-        gaps.append(float(np.median(lowest)) - plates[throw].offset - half)
+        gaps.append(float(np.median(lowest)) - model.plates[throw].offset - half)
     gap = float(np.mean(gaps))
     if gap <= _MIN_THICKNESS:
         raise FitError(

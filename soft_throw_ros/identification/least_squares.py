@@ -213,11 +213,16 @@ class Fit:
     """Shifts of the values by unseen effects, shape (k, n), which the covariance includes."""
 
     def __getitem__(self, name: str) -> Estimate:
-        place = self.names.index(name)
-        return Estimate(float(self.values[place]), float(self.errors[place]))
+        index = self.names.index(name)
+        return Estimate(float(self.values[index]), float(self.errors[index]))
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Return the values by their names."""
+        return dict(zip(self.names, self.values.tolist(), strict=True))
 
     @property
     def errors(self) -> Floats:
@@ -248,8 +253,8 @@ class Fit:
         index = self.names.index(name)
         row = self.seen_covariance[index]
         parts = {
-            self.names[place]: abs(float(row[place])) / known.error
-            for place, known in self.known.items()
+            self.names[other]: abs(float(row[other])) / known.error
+            for other, known in self.known.items()
         }
         noise = row[index] - sum(part**2 for part in parts.values())
         parts |= {
@@ -294,19 +299,19 @@ class Fit:
         found = []
         for each in self.alternatives:
             apart = np.abs(each.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
-            place = next(
+            index = next(
                 (k for k, n in enumerate(self.names) if 'wave_speed' in n), int(apart.argmax())
             )
             found.append(
-                f'{self.names[place]} may as well be {each.values[place]:.5g} '
+                f'{self.names[index]} may as well be {each.values[index]:.5g} '
                 f'(chi squared is larger by {each.excess:.1f} there); the errors span both'
             )
         correlation = self.correlation
         # Parameters of a single one of several throws have its number in brackets
         free = [
-            place
-            for place, name in enumerate(self.names)
-            if not name.endswith(']') and place not in self.known
+            index
+            for index, name in enumerate(self.names)
+            if not name.endswith(']') and index not in self.known
         ]
         for i, j in combinations(free, 2):
             if abs(correlation[i, j]) > INSEPARABLE:
@@ -316,11 +321,11 @@ class Fit:
                     f'tracks (correlation {correlation[i, j]:.4f}): the error of each is '
                     f'{factor:.0f} times larger than with the other known; hold one'
                 )
-        for place, known in self.known.items():
-            off = abs(self.values[place] - known.value) / known.error
+        for index, known in self.known.items():
+            off = abs(self.values[index] - known.value) / known.error
             if off > _CONTRADICTION:
                 found.append(
-                    f'{self.names[place]} is found {off:.1f} errors from what is known of it, '
+                    f'{self.names[index]} is found {off:.1f} errors from what is known of it, '
                     f'{known}: a given value may be wrong'
                 )
         if self.is_mismatch:
@@ -378,11 +383,11 @@ class FitModel:
 
         def jacobian(values: Floats) -> Floats:
             columns = []
-            for place, step in enumerate(steps):
+            for index, step in enumerate(steps):
                 above, below = values.copy(), values.copy()
-                above[place] = min(values[place] + step, high[place])
-                below[place] = max(values[place] - step, low[place])
-                width = above[place] - below[place]
+                above[index] = min(values[index] + step, high[index])
+                below[index] = max(values[index] - step, low[index])
+                width = above[index] - below[index]
                 columns.append((predict(above) - predict(below)) / width)
             return np.stack(columns, axis=1)
 

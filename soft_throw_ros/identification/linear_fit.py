@@ -51,7 +51,7 @@ class LinearFit:
     fit : Fit
         Fit of the model.
     fixed : sequence of int
-        Places of values that are not adapted to the others.
+        Indices of values that are not adapted to the others.
 
     """
 
@@ -59,10 +59,10 @@ class LinearFit:
         self.model, self.fit = model, fit
         self._position = np.concatenate([track.position for _, track in model.tracks()])
         self._others = np.delete(np.arange(fit.values.size), fixed)
-        self._known = [place for place in self._others.tolist() if place in model.known]
+        self._known = [index for index in self._others.tolist() if index in model.known]
         rows = np.zeros((len(self._known), fit.values.size))
-        for row, place in zip(rows, self._known, strict=True):
-            row[place] = 1.0 / model.known[place].error
+        for row, index in zip(rows, self._known, strict=True):
+            row[index] = 1.0 / model.known[index].error
         slopes = self._weigh(model.jacobian(fit.values).T).T
         self._slopes = slopes
         design = np.concatenate([slopes, rows])[:, self._others]
@@ -86,18 +86,6 @@ class LinearFit:
         left = self._project(self._left(self.fit.values))
         found, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
         return float(left @ left - np.sum((left - extra @ found) ** 2)), np.asarray(found)
-
-    @property
-    def slopes_over_variance(self) -> Floats:
-        """Derivatives of all heights over their squared noise, 0 for outliers, shape (n, k)."""
-        slopes = np.zeros((self._position.size, self.fit.values.size))
-        slopes[self.fit.kept] = self._slopes
-        return slopes / self.fit.noise[:, None]
-
-    def split(self, rows: Floats) -> list[Floats]:
-        """Split rows of all samples by tracks."""
-        sizes = [track.time.size for _, track in self.model.tracks()]
-        return np.split(rows, np.cumsum(sizes)[:-1])
 
     def gradients(self, heights: Floats) -> Floats:
         """Return the gradients of half of chi squared by sizes of columns, from shape (k, n)."""
@@ -149,22 +137,22 @@ def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float
     by 3.84, while Gauss-Newton steps with the derivatives of the fit adapt all other parameters.
     """
     correlation = np.abs(fit.correlation)
-    places = {name: fit.names.index(name) for name in LAYER if name in fit.names}
+    indices = {name: fit.names.index(name) for name in LAYER if name in fit.names}
     found = {}
-    for name, place in places.items():
-        others = [each for each in places.values() if each != place]
-        if correlation[place, others].max(initial=0.0) > INSEPARABLE:
+    for name, index in indices.items():
+        others = [each for each in indices.values() if each != index]
+        if correlation[index, others].max(initial=0.0) > INSEPARABLE:
             with contextlib.suppress(FitError):
-                system = LinearFit(model, fit, [place])
-                low, high = (_end_of_interval(system, fit, place, sign) for sign in (-1.0, 1.0))
+                system = LinearFit(model, fit, [index])
+                low, high = (_end_of_interval(system, fit, index, sign) for sign in (-1.0, 1.0))
                 found[name] = (low, high)
     return found
 
 
-def _end_of_interval(system: LinearFit, fit: Fit, place: int, sign: float) -> float:
+def _end_of_interval(system: LinearFit, fit: Fit, index: int, sign: float) -> float:
     """Find an end of the interval of 95 % of a parameter by bisection of its profile."""
     limit = system.adapt(fit.values)[1] + _CHI2_95 * max(1.0, fit.reduced_chi2)
-    direction = fit.covariance[place] / fit.covariance[place, place]
+    direction = fit.covariance[index] / fit.covariance[index, index]
 
     def is_inside(distance: float) -> bool:
         moved = fit.values + sign * distance * direction
@@ -175,8 +163,8 @@ def _end_of_interval(system: LinearFit, fit: Fit, place: int, sign: float) -> fl
         except (FitError, ValueError):
             return False  # such a rig is impossible
 
-    inside, outside = 0.0, _LONGEST * fit.errors[place]
+    inside, outside = 0.0, _LONGEST * fit.errors[index]
     for _ in range(_HALVES):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
-    return float(fit.values[place] + sign * inside)
+    return float(fit.values[index] + sign * inside)

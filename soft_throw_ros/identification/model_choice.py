@@ -29,8 +29,6 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-import contextlib
 from dataclasses import replace
 import math
 from operator import attrgetter
@@ -39,23 +37,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import (
-    changed_rig,
-    FitDescription,
-    FIXED,
-    LAYER,
-)
+from soft_throw_ros.identification.fit_description import changed_rig, FIXED
+from soft_throw_ros.identification.layer_search import find_best_minimum
 from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.linear_fit import LinearFit
-from soft_throw_ros.identification.minima import find_best_minimum
-from soft_throw_ros.identification.parameter_layout import OWN, RINGING, WAVES
-from soft_throw_ros.identification.plate_fit import PlateFit
+from soft_throw_ros.identification.parameter_layout import RINGING, WAVES
 from soft_throw_ros.identification.rig_model import RigModel
 
 Floats = NDArray[np.float64]
 
 _EVALUATIONS = 20  # largest number of evaluations of the model per kind of layer
-_SOFTER = (1.0, 0.85)  # initial wave speeds of other kinds of layers, over the fitted one
 _MOST_TERMS = 3  # largest number of added terms
 _STRONG = 6.0  # smallest decrease of the criterion for which a term is added
 _PROVEN = 12.0  # increase of chi squared above which a kind of layer is excluded
@@ -79,17 +70,14 @@ class LayerModel(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """A model with one more term, and the decrease of chi squared to first order."""
+    """A model with one more term, and the decrease of the criterion to first order."""
 
     name: str
     model: RigModel
     gain: float
-    size: int
 
 
-def add_terms(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit
-) -> tuple[RigModel, Fit, list[str]]:
+def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[str]]:
     """
     Add the terms that the tracks need, one by one, the best first.
 
@@ -97,16 +85,14 @@ def add_terms(
     """
     remarks = []
     for _ in range(_MOST_TERMS):
-        if not model.simulator.has_budget:
-            remarks.append('not all that a bench may add was looked for: the fit takes too long')
-            break
         try:
-            best = _best_term(model, plates, fit)
+            best = _best_term(model, fit)
             if best is None:
                 break
-            start = best.model.start_from(fit, plates)
-            if best.name == _LOSS and 'layer.wave_speed' in best.model.layout:
-                start = _start_layer(best.model, start, fit.noise)
+            start = best.model.start(fit)
+            if best.name == _LOSS:
+                start = best.model.without_faults(start)
+                start[best.model.layout.indices_of(_LOSS)] = _FIRST_LOSS
             found = best.model.fit(start)
         except FitError:
             break  # the model with this term cannot be fitted
@@ -118,18 +104,18 @@ def add_terms(
     return model, fit, remarks
 
 
-def _best_term(model: RigModel, plates: Sequence[PlateFit], fit: Fit) -> _Candidate | None:
+def _best_term(model: RigModel, fit: Fit) -> _Candidate | None:
     """Return the term that lowers the criterion most, None if no term does so strongly."""
-    names = model.description.if_seen
+    names = [
+        name
+        for name in model.description.if_seen
+        if name.startswith('plate') or model.projectiles
+    ]
     if not names:
         return None
-    best, most = None, _STRONG
     linear = LinearFit(model, fit)
-    for name in names:
-        each = _try_term(linear, plates, name, model.description.activate(name))
-        if each is not None and each.gain - _penalty(fit, each.size) > most:
-            best, most = each, each.gain - _penalty(fit, each.size)
-    return best
+    best = max((_try_term(linear, name) for name in names), key=attrgetter('gain'))
+    return best if best.gain > _STRONG else None
 
 
 def _penalty(fit: Fit, parameters: int) -> float:
@@ -137,51 +123,28 @@ def _penalty(fit: Fit, parameters: int) -> float:
     return parameters * math.log(fit.dof + fit.values.size)
 
 
-def _try_term(
-    linear: LinearFit, plates: Sequence[PlateFit], name: str, description: FitDescription
-) -> _Candidate | None:
-    """Try a term beside a model; None if no track could show it."""
-    if not name.startswith('plate') and not linear.model.projectiles:
-        return None
-    wider = replace(linear.model, description=description)
+def _try_term(linear: LinearFit, name: str) -> _Candidate:
+    """Try a term beside a model."""
+    wider = replace(linear.model, description=linear.model.description.activate(name))
     fit = linear.fit
-    start = wider.start_from(fit, plates)
+    start = wider.start(fit)
     parts, trial = WAVES.get(name, (name,)), _TRIALS.get(name, _TRIAL)
-    start[[place for part in parts for place in wider.layout.indices_of(part)]] = 0.0
+    start[[index for part in parts for index in wider.layout.indices_of(part)]] = 0.0
     base = wider.predict(start)
     columns = []
     for part in parts:
         moved = start.copy()
         moved[wider.layout.indices_of(part)] = trial
         change = (wider.predict(moved) - base) / trial
-        for place in wider.layout.indices_of(part):
-            throws = [throw for throw, at in wider.layout.indices[part].items() if at == place]
+        for index in wider.layout.indices_of(part):
+            throws = [throw for throw, at in wider.layout.indices[part].items() if at == index]
             columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
     gain, found = linear.gain(np.stack(columns, axis=1))
     if name == _LOSS and found.max() <= 0.0:
         gain = 0.0
     if fit.is_mismatch:
         gain /= max(1.0, fit.reduced_chi2)
-    return _Candidate(name, wider, gain, len(columns))
-
-
-def _start_layer(model: RigModel, values: Floats, noise: Floats) -> Floats:
-    """Return start values with a layer of another kind, which is fitted alone first."""
-    start = model.without_faults(values)
-    if _LOSS in model.layout:
-        start[model.layout.indices_of(_LOSS)] = _FIRST_LOSS
-    best, least = start, math.inf
-    for part in _SOFTER:
-        moved = start.copy()
-        moved[model.layout.indices_of('layer.wave_speed')] *= part
-        with contextlib.suppress(FitError):
-            found = model.fit(
-                moved, noise=noise, only=(*LAYER, *OWN), max_evaluations=_EVALUATIONS
-            )
-            if found.chi2 < least:
-                moved[[model.layout.names.index(name) for name in found.names]] = found.values
-                best, least = moved, found.chi2
-    return best
+    return _Candidate(name, wider, gain - _penalty(fit, len(columns)))
 
 
 def _remark(name: str, before: Fit, fit: Fit) -> str:
@@ -195,7 +158,7 @@ def _remark(name: str, before: Fit, fit: Fit) -> str:
 
 
 def compare_layers(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit
+    model: RigModel, fit: Fit
 ) -> tuple[list[LayerModel], tuple[Rig, Fit] | None]:
     """
     Compare the fitted layer with one without loss and one of large strain; empty if not possible.
@@ -203,7 +166,7 @@ def compare_layers(
     Second comes a layer of large strain, if that alone explains the throws, and its fit.
     """
     is_sought = model.projectiles and model.description.is_free('layer.wave_speed')
-    if not is_sought or not model.simulator.has_budget:
+    if not is_sought:
         return [], None
     simple, plain, fits = model, fit, {}
     try:
@@ -215,12 +178,12 @@ def compare_layers(
                 rig=changed_rig(model.rig, {_LOSS: 0.0}),
             )
             plain = simple.fit(
-                simple.start_from(fit, plates), noise=fit.noise, max_evaluations=_EVALUATIONS
+                simple.start(fit), noise=fit.noise, max_evaluations=_EVALUATIONS
             )
         fits[_WITHOUT_LOSS] = plain
         strained = _fit_large_strain(simple, plain, fit.noise)
     except FitError:
-        return [], None  # the throws cannot be followed, or not in time
+        return [], None  # the throws cannot be followed
     if strained:
         fits[_LARGE_STRAIN] = strained[1]
     scale = max(1.0, min(each.chi2 for each in fits.values()) / plain.dof)
@@ -239,7 +202,7 @@ def compare_layers(
 
 
 def _fit_large_strain(model: RigModel, fit: Fit, noise: Floats) -> tuple[Rig, Fit] | None:
-    """Fit a layer of large strain; None if it is one, or cannot be followed in time."""
+    """Fit a layer of large strain; None if it is one, or cannot be followed."""
     layer = model.rig.layer
     if not layer.is_uniform or layer.stress_strain_law == 'neo_hookean':
         return None
@@ -249,11 +212,7 @@ def _fit_large_strain(model: RigModel, fit: Fit, noise: Floats) -> tuple[Rig, Fi
     start[model.layout.indices_of('layer.wave_speed')] = model.rig_of(start).layer.wave_speed
     if 'layer.stiffening' in model.layout:  # which it has by itself
         start[model.layout.indices_of('layer.stiffening')] = 0.0
-    tried: list[Fit] = []
-    with contextlib.suppress(FitError):
-        tried.append(other.fit(start, noise=noise, max_evaluations=_EVALUATIONS))
-    if fit.is_mismatch and (not tried or tried[0].chi2 > fit.chi2):
-        with contextlib.suppress(FitError):
-            start = _start_layer(other, start, noise)
-            tried.append(other.fit(start, noise=noise, max_evaluations=_EVALUATIONS))
-    return (rig, min(tried, key=attrgetter('chi2'))) if tried else None
+    try:
+        return rig, other.fit(start, noise=noise, max_evaluations=_EVALUATIONS)
+    except FitError:
+        return None

@@ -33,7 +33,7 @@ parameters (D-optimal), which needs no scales; a throw may be chosen again. The 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 from typing import NamedTuple
@@ -46,6 +46,7 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     FitDescription,
+    LAYER,
     ParameterRole,
     PARAMETERS,
     Treatment,
@@ -54,14 +55,11 @@ from soft_throw_ros.identification.fit_description import (
 from soft_throw_ros.identification.forward import first_releases, ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.rig_fit import draw_normal, RigFit
-from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.rig_model import IN_FLIGHT, RigModel
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
-from soft_throw_ros.identification.unseen import unseen_effects, UnseenEffect
+from soft_throw_ros.identification.unseen import ROUNDING, unseen_effects, UnseenEffect
 
 Floats = NDArray[np.float64]
-
-SOUGHT = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
-"""Parameters whose errors the plan reduces, unless they are held."""
 
 _CONDITIONS = ('projectile.mass', 'layer.thickness', 'engine.amplitude')
 _WEAKLY_KNOWN = 1.0  # relative error of the weak prior of free parameters
@@ -72,7 +70,6 @@ _DRAWS = 2000
 """Number of drawn rigs for the error of alpha, whose own sampling error is then 1.6 %. [-]"""
 
 _REST = 0.25  # length of the record before the start [plate periods]
-_IN_FLIGHT = 0.97  # share of the time until the landing that a fit uses
 _TARGET = 0  # index of the rig for alpha among the throws of the model
 
 
@@ -123,94 +120,60 @@ class Sight:
             checks.require_positive(name, getattr(self, name))
 
 
-class UnseenInformation(NamedTuple):
-    """Information of throws about an unseen effect with k causes."""
-
-    effect: UnseenEffect | None
-    """None if it is not known how the release changes."""
-    gradients: Floats
-    """Derivatives of half of chi squared by the sizes of the causes, shape (k, n)."""
-    squares: Floats
-    """Gain of chi squared by a cause of size 1 if all parameters were known, shape (k,)."""
-    is_posterior: bool = False
-    """Whether the effect and the gradients have the sizes that a fit leaves open."""
-
-    def after(self, other: UnseenInformation) -> UnseenInformation:
-        """Add another throw."""
-        return self._replace(
-            gradients=self.gradients + other.gradients, squares=self.squares + other.squares
-        )
-
-    def shifts(self, covariance: Floats) -> tuple[Floats, Floats]:
-        """Return the sizes of the causes after these throws, and the shifts of the parameters."""
-        shifts = self.gradients @ covariance
-        sizes = np.ones(len(shifts))
-        if self.effect is not None and not self.is_posterior:
-            seen = np.maximum(self.squares - np.sum(shifts * self.gradients, axis=1), 0.0)
-            sizes = self.effect.sizes(seen, np.zeros(len(shifts)))
-        return sizes, sizes[:, None] * shifts
-
-
 @dataclass(frozen=True, kw_only=True)
 class Knowledge:
-    """Information about the parameters that all throws share."""
+    """Information about the parameters that all throws share, and about k unseen causes."""
 
     names: tuple[str, ...]
-    """Names of parameters; thicknesses and masses unlike the rig's have values in brackets."""
+    """Names of n parameters; thicknesses and masses unlike the rig's have values in brackets."""
     information: Floats
-    """Inverse of the covariance without unseen effects, shape (n, n)."""
-    unseen: Mapping[str, UnseenInformation] = field(default_factory=dict)
-    """Information about unseen effects, by their names."""
+    """Inverse of the covariance of parameters and causes, shape (n + k, n + k)."""
+    effects: tuple[UnseenEffect, ...] = ()
+    """Unseen effects; their causes of size 1 follow the parameters."""
 
     @classmethod
     def of_fit(cls, found: RigFit) -> Knowledge:
         """Return the information of earlier throws from their fit, including all priors."""
         names = [name for name in found.fit.names if '[' not in name]
         indices = [found.fit.names.index(name) for name in names]
-        information = np.linalg.inv(found.fit.seen_covariance[np.ix_(indices, indices)])
-        unseen = {
-            effect.name: UnseenInformation(
-                effect,
-                found.fit.unseen[effect.name][:, indices] @ information,
-                np.zeros(effect.time.size),
-                is_posterior=True,
-            )
-            for effect in found.effects
-        }
-        return cls(names=tuple(names), information=np.asarray(information), unseen=unseen)
+        # Rounding has many causes, of which none changes a release
+        effects = tuple(effect for effect in found.effects if effect.name != ROUNDING)
+        shifts = np.concatenate([
+            np.zeros((0, len(names))),
+            *(found.fit.unseen[effect.name][:, indices] for effect in effects),
+        ])
+        seen = _inverse(found.fit.covariance[np.ix_(indices, indices)] - shifts.T @ shifts)
+        # A cause of size 1 shifts the fitted values, whose errors then have the other sign
+        joint = np.vstack([np.eye(len(names)), shifts])
+        information = joint @ seen @ joint.T
+        information[len(names):, len(names):] += np.eye(len(shifts))
+        return cls(names=tuple(names), information=information, effects=effects)
 
-    @property
-    def seen_covariance(self) -> Floats:
-        """Covariance of the parameters without unseen effects."""
-        scale = 1.0 / np.sqrt(np.diag(self.information))
-        scaled = self.information * np.outer(scale, scale)
-        return np.linalg.inv(scaled) * np.outer(scale, scale)
-
-    @property
+    @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the parameters."""
-        seen = self.seen_covariance
-        shifts = [each.shifts(seen)[1] for each in self.unseen.values()]
-        return np.asarray(seen + sum(each.T @ each for each in shifts))
+        """Covariance of parameters and causes."""
+        return _inverse(self.information)
 
     def errors(self) -> dict[str, float]:
         """Return standard errors by names."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))
 
-    def after(
-        self, information: Floats, unseen: Mapping[str, UnseenInformation] | None = None
-    ) -> Knowledge:
+    def after(self, information: Floats) -> Knowledge:
         """Add the information of a throw."""
-        effects = dict(self.unseen)
-        for name, added in (unseen or {}).items():
-            effects[name] = effects[name].after(added) if name in effects else added
-        return replace(self, information=self.information + information, unseen=effects)
+        return replace(self, information=self.information + information)
 
     @property
-    def volume(self) -> float:
+    def log_det_covariance(self) -> float:
         """Logarithm of the determinant of the covariance of the sought parameters."""
-        places = [k for k, name in enumerate(self.names) if name.partition('[')[0] in SOUGHT]
-        return float(np.linalg.slogdet(self.covariance[np.ix_(places, places)])[1])
+        sought = [k for k, name in enumerate(self.names) if name.partition('[')[0] in LAYER]
+        return float(np.linalg.slogdet(self.covariance[np.ix_(sought, sought)])[1])
+
+
+def _inverse(matrix: Floats) -> Floats:
+    """Invert a positive matrix whose rows have different units."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    units = np.outer(scale, scale)
+    return np.asarray(np.linalg.inv(matrix * units) * units)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,21 +224,21 @@ class Planner:
     def __post_init__(self) -> None:
         if not self.conditions:
             raise FitError('there is no throw to choose from')
-        if not any(self.description.treatment(name).is_varied for name in SOUGHT):
-            raise FitError(f'nothing is sought: one of {", ".join(SOUGHT)} must be free')
+        if not any(self.description.treatment(name).is_varied for name in LAYER):
+            raise FitError(f'nothing is sought: one of {", ".join(LAYER)} must be free')
 
     @cached_property
     def _model(self) -> RigModel:
         """Return a model of the rig and of all possible throws, as if they were measured."""
         description, throws = replace(self.description, throws={}), []
         found = {}
-        simulator = ThrowSimulator(throws=len(self.conditions) + 1)
+        simulator = ThrowSimulator()
         for number, condition in enumerate((Condition.of(self.rig), *self.conditions)):
             for name, treatment in condition.treatments(self.description).items():
                 description = description.set_condition(str(number), name, treatment)
             throws.append(self._tracks(str(number), condition, simulator))
             found[number] = condition.values()
-        return RigModel(tuple(throws), self.rig, description, simulator, found)
+        return RigModel(tuple(throws), self.rig, description, simulator, found=found)
 
     def _tracks(self, name: str, condition: Condition, simulator: ThrowSimulator) -> ThrowTracks:
         """Return empty tracks at the times at which a throw would be seen."""
@@ -286,7 +249,7 @@ class Planner:
         duration = self.sight.duration
         time = np.arange(-_REST / rig.engine.frequency, duration, 1.0 / self.sight.rate)
         landing = simulator.landing_time(rig, duration)
-        flying = time[time < _IN_FLIGHT * landing]
+        flying = time[time < IN_FLIGHT * landing]
         if flying.size < FEWEST:
             raise FitError(f'{flying.size} samples of a throw, where {FEWEST} are needed')
         plate, projectile = (
@@ -297,16 +260,16 @@ class Planner:
 
     @cached_property
     def _values(self) -> Floats:
-        return self._model.start([])
+        return self._model.start()
 
     @cached_property
     def _shared(self) -> dict[str, int]:
         """Names of shared parameters, and their indices among the values."""
         shared = {}
-        for place, ((name, key), throws) in enumerate(self._model.layout.groups.items()):
+        for index, ((name, key), throws) in enumerate(self._model.layout.groups.items()):
             if not isinstance(key, int):
                 is_own = key is None or _TARGET in throws
-                shared[name if is_own else f'{name}[{self._values[place]:.9g}]'] = place
+                shared[name if is_own else f'{name}[{self._values[index]:.9g}]'] = index
         return shared
 
     @property
@@ -315,68 +278,62 @@ class Planner:
         return tuple(self._shared)
 
     @cached_property
-    def effects(self) -> list[UnseenEffect]:
-        """Effects that no throw shows."""
-        return unseen_effects(self._model, self._values)[0]
-
-    @property
-    def information(self) -> tuple[Floats, ...]:
-        """Return the information of each condition about the shared parameters."""
-        return tuple(information for information, _ in self._added)
+    def _effects(self) -> tuple[UnseenEffect, ...]:
+        """Unseen effects of the throws; with a fit, those of its throws, which more reduce."""
+        if self.measured:
+            return self.measured.effects
+        return tuple(effect.scaled() for effect in unseen_effects(self._model, self._values)[0])
 
     @cached_property
-    def _added(self) -> tuple[tuple[Floats, dict[str, UnseenInformation]], ...]:
-        """Information of each condition about shared parameters and unseen effects."""
-        jacobian = self._model.jacobian(self._values) / self.sight.noise
-        shared = list(self._shared.values())
-        added = []
+    def information(self) -> tuple[Floats, ...]:
+        """Information of each throw about the shared parameters and the unseen causes."""
+        columns = self._model.jacobian(self._values)
+        shared = columns[:, list(self._shared.values())]
+        causes = [effect.heights.T for effect in self._effects]
+        if self.measured:
+            causes = [np.zeros((len(columns), effect.time.size)) for effect in self._effects]
+        sought = np.concatenate([shared, *causes], axis=1)
+        found = []
         for number in range(1, len(self.conditions) + 1):
             own = [
-                place
-                for place, ((_, key), throws) in enumerate(self._model.layout.groups.items())
+                index
+                for index, ((_, key), throws) in enumerate(self._model.layout.groups.items())
                 if isinstance(key, int) and number in throws
             ]
-            known = np.array([1.0 / self._model.known[p].error if p in self._model.known else 0.0
-                              for p in own])
+            known = np.array([1.0 / self._model.known[k].error if k in self._model.known else 0.0
+                              for k in own])
             rows = self._model.rows == number
-            seen = jacobian[rows]
-            of_shared = np.concatenate([seen[:, shared], np.zeros((len(own), len(shared)))])
-            basis, _ = np.linalg.qr(np.concatenate([seen[:, own], np.diag(known)]))
-            residual = of_shared - basis @ (basis.T @ of_shared)
-            unseen = {}
-            for effect in self.effects:
-                columns = np.zeros((len(effect.heights), len(basis)))
-                columns[:, : rows.sum()] = effect.heights[:, rows] / self.sight.noise
-                columns -= columns @ basis @ basis.T
-                unseen[effect.name] = UnseenInformation(
-                    effect, columns @ residual, np.sum(columns**2, axis=1)
-                )
-            added.append((residual.T @ residual, unseen))
-        return tuple(added)
+            basis, _ = np.linalg.qr(
+                np.concatenate([columns[rows][:, own] / self.sight.noise, np.diag(known)])
+            )
+            seen = np.concatenate(
+                [sought[rows] / self.sight.noise, np.zeros((len(own), sought.shape[1]))]
+            )
+            residual = seen - basis @ (basis.T @ seen)
+            found.append(residual.T @ residual)
+        return tuple(found)
 
     def start(self) -> Knowledge:
         """Return the information before the next throw."""
         measured = self.measured.names if self.measured else ()
         errors = [  # the measured information includes the priors
-            math.inf if name in measured else self._prior_error(name, place)
-            for name, place in self._shared.items()
+            math.inf if name in measured else self._prior_error(name, index)
+            for name, index in self._shared.items()
         ]
-        information, unseen = np.diag(np.array(errors) ** -2.0), {}
+        count = sum(effect.time.size for effect in self._effects)
+        precision = np.array(errors) ** -2.0
+        information = np.diag(np.append(precision, np.full(count, 0.0 if measured else 1.0)))
         if self.measured:
-            kept = [number for number, name in enumerate(measured) if name in self._shared]
-            here = [self.names.index(measured[number]) for number in kept]
-            covariance = self.measured.seen_covariance[np.ix_(kept, kept)]
-            information[np.ix_(here, here)] += np.linalg.inv(covariance)
-            for effect, before in self.measured.unseen.items():
-                shifts = before.shifts(self.measured.seen_covariance)[1][:, kept]
-                gradients = np.zeros((len(shifts), len(self.names)))
-                gradients[:, here] = shifts @ np.linalg.inv(covariance)
-                unseen[f'{effect}, measured'] = UnseenInformation(
-                    before.effect, gradients, np.zeros(len(shifts)), is_posterior=True
-                )
-        return Knowledge(names=self.names, information=information, unseen=unseen)
+            kept = [k for k, name in enumerate(measured) if name in self._shared]
+            here = [self.names.index(measured[k]) for k in kept]
+            kept += range(len(measured), len(measured) + count)
+            here += range(len(errors), len(errors) + count)
+            information[np.ix_(here, here)] += _inverse(
+                self.measured.covariance[np.ix_(kept, kept)]
+            )
+        return Knowledge(names=self.names, information=information, effects=self._effects)
 
-    def judge(self, known: Knowledge) -> list[PlannedThrow]:
+    def rank(self, known: Knowledge) -> list[PlannedThrow]:
         """Rank the throws that can be made next, the best one first."""
         return [self._planned(number, after) for number, after in self._ranked(known)]
 
@@ -388,33 +345,25 @@ class Planner:
 
     def _ranked(self, known: Knowledge) -> list[tuple[int, Knowledge]]:
         """Add the information of each throw, the best one first."""
-        after = [
-            # With a fit, the unseen effects are those of its throws, which more throws reduce
-            (number, known.after(information, None if self.measured else unseen))
-            for number, (information, unseen) in enumerate(self._added)
-        ]
-        return sorted(after, key=lambda each: each[1].volume)
+        after = [known.after(information) for information in self.information]
+        return sorted(enumerate(after), key=lambda each: each[1].log_det_covariance)
 
     def energy_transfer(self, known: Knowledge) -> tuple[float, float]:
         """Return alpha of the rig and its standard error over alpha, over drawn rigs as a fit."""
-        indices = list(self._shared.values())
         random = np.random.default_rng(0)
-        seen = known.seen_covariance
-        steps = draw_normal(random, seen, _DRAWS)
-        slower = np.zeros(1 + _DRAWS)
-        for unseen in known.unseen.values():
-            sizes, shifts = unseen.shifts(seen)
-            if unseen.effect is None:
-                steps -= random.normal(size=(_DRAWS, len(shifts))) @ shifts
-            else:
-                causes, changes = unseen.effect.draw(random, sizes, _DRAWS)
-                steps -= causes @ shifts
-                slower[1:] += changes[:, 1]
+        steps = draw_normal(random, known.covariance, _DRAWS)
+        first, slower = len(self.names), np.zeros(1 + _DRAWS)
+        for effect in known.effects:
+            causes = steps[:, first:first + effect.time.size]
+            slower[1:] += effect.changes(random, causes)[:, 1]
+            first += effect.time.size
         # Where little is known yet, steps of an error would leave the range of real rigs
         sizes = np.array([self._size(name) for name in self.names])
         limits = np.where(sizes > 0.0, _LARGEST_STEP * sizes, np.inf)
         values = np.tile(self._values, (1 + _DRAWS, 1))
-        values[1:, indices] += np.clip(steps, -limits, limits)
+        values[1:, list(self._shared.values())] += np.clip(
+            steps[:, :len(self.names)], -limits, limits
+        )
         # Neither loss nor damping becomes negative
         signed = [self._shared[name] for name in _WEAK_ERRORS if name in self._shared]
         values[:, signed] = np.maximum(values[:, signed], 0.0)

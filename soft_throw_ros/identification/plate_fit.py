@@ -32,13 +32,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.least_squares import (
-    Estimate,
-    Fit,
-    fit_best,
-    FitError,
-    FitModel,
-)
+from soft_throw_ros.identification.least_squares import Fit, fit_best, FitError, FitModel
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -86,20 +80,6 @@ class PlateFit:
     def start_time(self) -> float:
         """Start of the motion, on the clock of the track [s]."""
         return self.fit['start_time'].value
-
-    @property
-    def peak_velocity(self) -> Estimate:
-        """:math:`V_p^*` (D4), with its standard error [m/s]."""
-        return estimate_peak_velocity(self.motion, self.fit.covariance[:3, :3])
-
-
-def estimate_peak_velocity(motion: Underdamped, covariance: Floats) -> Estimate:
-    """Return :math:`V_p^*` (D4) [m/s]; the covariance is of frequency, damping and amplitude."""
-    rest = 1.0 - motion.damping_ratio**2
-    by_damping = motion.damping_ratio / rest - math.acos(motion.damping_ratio) / rest**1.5
-    peak = motion.peak_velocity
-    slopes = peak * np.array([1.0 / motion.frequency, by_damping, 1.0 / motion.amplitude])
-    return Estimate(peak, math.sqrt(float(slopes @ covariance @ slopes)))
 
 
 def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:

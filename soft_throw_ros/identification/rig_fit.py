@@ -35,12 +35,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
@@ -52,73 +52,85 @@ from soft_throw_ros.identification.fit_description import (
     values_of,
 )
 from soft_throw_ros.identification.forward import (
+    DeadlineExceeded,
     first_releases,
     FirstReleases,
     ThrowSimulator,
 )
-from soft_throw_ros.identification.layer_search import find_layers
+from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.linear_fit import profile_intervals
-from soft_throw_ros.identification.minima import find_best_minimum
 from soft_throw_ros.identification.model_choice import (
     add_terms,
     compare_layers,
     LayerModel,
 )
 from soft_throw_ros.identification.parameter_layout import START
-from soft_throw_ros.identification.plate_fit import estimate_peak_velocity, fit_plate, PlateFit
-from soft_throw_ros.identification.rig_model import cut_after, RigModel
+from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
+from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
-from soft_throw_ros.identification.unseen import (
-    add_unseen,
-    release_shift,
-    ReleaseShift,
-    UnseenEffect,
-)
+from soft_throw_ros.identification.unseen import add_unseen, release_shift, UnseenEffect
 
 Floats = NDArray[np.float64]
 
 _LEAST_NOISE = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
-_IN_FLIGHT = 0.97  # share of the time until the landing that the fit uses
 _SLOPE_STEP = 0.05  # step of the derivatives of the ejection time [standard errors]
 _LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
+
+_SECONDS_PER_THROW = 60.0
+"""Processor time of a fit; it includes the compilation of kernels. [s]"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFit:
-    """A rig fitted to throws."""
+    """A rig fitted to throws: the state between the steps of `fit_rig`, and its result."""
 
+    model: RigModel
     fit: Fit
     """
     Fit of all varied parameters. Each throw adds its `start_time` and, unless fixed, the heights
     at rest `plate_offset` and `projectile_offset`. The name of a parameter that only some throws
     share ends with the number of its first throw in brackets, from 1.
     """
-    rig: Rig
-    """
-    Rig with the fitted values, the mean of values per throw, and the wave speed of the layer at
-    the strain of these throws.
-    """
-    throws: tuple[ThrowTracks, ...]
-    """Fitted tracks, without samples after a landing and without outliers."""
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
     """Sentences about the terms that the fit has added."""
-    layers: tuple[LayerModel, ...]
+    layers: tuple[LayerModel, ...] = ()
     """Fitted kinds of layers, the best first."""
-    intervals: Mapping[str, tuple[float, float]]
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Intervals of 95 % where standard errors are inaccurate, see `profile_intervals`."""
-    _model: RigModel
     effects: tuple[UnseenEffect, ...] = ()
     """Unseen effects, of the sizes that the fit leaves open."""
 
+    @cached_property
+    def rig(self) -> Rig:
+        """
+        Rig with the fitted values, and the mean of values per throw.
+
+        The wave speed of the layer is that at the strain of these throws.
+        """
+        return self.model.rig_of(self.fit.values)
+
+    @cached_property
+    def throws(self) -> tuple[ThrowTracks, ...]:
+        """Fitted tracks, without samples after a landing and without outliers."""
+        tracks: list[dict[str, Track]] = [{} for _ in self.model.throws]
+        for (throw, body, _), residual in zip(
+            self.model.channels, self.fit.residuals, strict=True
+        ):
+            tracks[throw][body] = residual.track
+        return tuple(
+            ThrowTracks(name=throw.name, **bodies)
+            for throw, bodies in zip(self.model.throws, tracks, strict=True)
+        )
+
     def estimates(self) -> dict[str, Estimate]:
         """Return the fitted parameters of the rig, with the mean of values per throw."""
-        return {name: self.estimate(name) for name in PARAMETERS if name in self._model.layout}
+        return {name: self.estimate(name) for name in PARAMETERS if name in self.model.layout}
 
     def terms(self) -> dict[str, Estimate]:
         """Return the other shared parameters, without starts and heights at rest."""
-        shared = {name for name, key in self._model.layout.groups if key is None}
+        shared = {name for name, key in self.model.layout.groups if key is None}
         return {n: self.fit[n] for n in self.fit.names if n in shared and n not in PARAMETERS}
 
     def estimate(self, name: str) -> Estimate:
@@ -128,31 +140,27 @@ class RigFit:
         The wave speed is that of the squeezed layer, for a linear model, and its error that with
         which it is the one of a layer at rest.
         """
-        places = self._model.layout.indices_of(name)
-        if not self._model.layout.is_per_throw(name):
-            places = places[:1]
-        variance = float(self.fit.covariance[np.ix_(places, places)].mean())
-        return Estimate(values_of(self.rig, [name])[name], math.sqrt(variance))
+        return Estimate(values_of(self.rig, [name])[name], self._error_of(self._weights(name)))
 
     def rest_wave_speed(self) -> Estimate:
         """Return the wave speed of the layer at rest [m/s]."""
-        weights = self._wave_speed_weights()
+        weights = self._weights('layer.wave_speed')
         return Estimate(float(weights @ self.fit.values), self._error_of(weights))
 
     def effective_wave_speed(self) -> Estimate:
         """Return the wave speed of the layer at the amplitude of the throws [m/s]."""
-        weights = self._wave_speed_weights()
-        stiffening = self._model.layout.indices.get('layer.stiffening', {}).get(0)
+        weights = self._weights('layer.wave_speed')
+        stiffening = self.model.layout.indices.get('layer.stiffening', {}).get(0)
         if stiffening is not None:
             engine = self.rig.engine
             weights[stiffening] = 2.0 * math.pi * engine.frequency * engine.amplitude
         return Estimate(self.rig.layer.wave_speed, self._error_of(weights))
 
-    def _wave_speed_weights(self) -> Floats:
-        """Return the weights of the fitted values in the wave speed at rest."""
-        layout = self._model.layout
-        indices = layout.indices_of('layer.wave_speed')
-        if not layout.is_per_throw('layer.wave_speed'):
+    def _weights(self, name: str) -> Floats:
+        """Return the weights of the fitted values in a parameter, or in the mean over throws."""
+        layout = self.model.layout
+        indices = layout.indices_of(name)
+        if not layout.is_per_throw(name):
             indices = indices[:1]
         weights = np.zeros_like(self.fit.values)
         weights[indices] = 1.0 / len(indices)
@@ -164,35 +172,17 @@ class RigFit:
 
     def held_values(self) -> dict[str, float]:
         """Return the parameters of the rig that were held."""
-        return values_of(self.rig, [name for name in PARAMETERS if name not in self._model.layout])
-
-    def warnings(self) -> list[str]:
-        """Return warnings about the fit, each a sentence."""
-        return self.fit.warnings()
+        return values_of(self.rig, [name for name in PARAMETERS if name not in self.model.layout])
 
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
-        return self.fit[self.fit.names[self._model.layout.indices[START][throw]]]
+        return self.fit[self.fit.names[self.model.layout.indices[START][throw]]]
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
-        places = [(throw, body, time) for body in ('plate', 'projectile')]
-        plate, projectile = self._model.paths(self.fit.values, places)
+        wanted = [(throw, body, time) for body in ('plate', 'projectile')]
+        plate, projectile = self.model.paths(self.fit.values, wanted)
         return plate.height, projectile.height
-
-    def peak_plate_speed(self, throw: int) -> Estimate:
-        """Return the peak velocity of the step of a throw, :math:`V_p^*` (D4) [m/s]."""
-        motion = Underdamped.of(self._model.rig_of(self.fit.values, throw).engine)
-        layout = self._model.layout
-        varied = {
-            row: layout.indices[name][throw]
-            for row, name in enumerate(ENGINE)
-            if throw in layout.indices.get(name, ())
-        }
-        covariance = np.zeros((len(ENGINE), len(ENGINE)))
-        of_fit = self.fit.covariance[np.ix_([*varied.values()], [*varied.values()])]
-        covariance[np.ix_([*varied], [*varied])] = of_fit
-        return estimate_peak_velocity(motion, covariance)
 
     def releases(self, count: int, seed: int = 0) -> FirstReleases:
         """
@@ -207,14 +197,14 @@ class RigFit:
         shift, slopes = self._shift_of_release()
         shifts = np.tile(shift, (1 + count, 1))
         for effect in self.effects:
-            causes, changes = effect.draw(rng, np.ones(effect.time.size), count)
+            causes = rng.normal(size=(count, effect.time.size))
             steps -= causes @ fit.unseen[effect.name]
-            shifts[1:] += changes
+            shifts[1:] += effect.changes(rng, causes)
         shifts[1:] += steps @ slopes
         rigs, kept = [], []
         for row, values in enumerate(fit.values + np.vstack([np.zeros(fit.values.size), steps])):
             with contextlib.suppress(ValueError):
-                rigs.append(self._model.rig_of(values))
+                rigs.append(self.model.rig_of(values))
                 kept.append(row)
         found = first_releases(rigs)
         speed = found.speed + shifts[kept, 1]
@@ -246,7 +236,7 @@ class RigFit:
         rigs, widths = [], []
         for offset in offsets:
             try:
-                rigs.append(self._model.rig_of(values + offset))
+                rigs.append(self.model.rig_of(values + offset))
                 widths.append(float(np.abs(offset).sum()))
             except ValueError:  # the value is at its bound
                 rigs.append(rigs[0])
@@ -258,16 +248,15 @@ class RigFit:
         slopes = np.divide(above - below, width, out=np.zeros_like(width), where=width > 0.0)
         return np.asarray(np.nan_to_num(slopes))
 
-    def _shift_of_release(self) -> tuple[ReleaseShift, Floats]:
+    def _shift_of_release(self) -> tuple[Floats, Floats]:
         """Return the effect of waves of the plate on the release, and its derivatives."""
-        fit, model = self.fit, self._model
+        fit, model = self.fit, self.model
         shift = release_shift(model, fit.values, 0)
         slopes = np.zeros((fit.values.size, 2))
-        for place in model.layout.waves_of(0):
+        for index in model.layout.waves_of(0):
             values = fit.values.copy()
-            values[place] += fit.errors[place]
-            there = release_shift(model, values, 0)
-            slopes[place] = np.subtract(there, shift) / fit.errors[place]
+            values[index] += fit.errors[index]
+            slopes[index] = (release_shift(model, values, 0) - shift) / fit.errors[index]
         return shift, slopes
 
 
@@ -314,69 +303,81 @@ def fit_rig(
     free = [name for name in LAYER if description.is_free(name)]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
-    throws = _with_like_noise(throws)
-    plates = [_fit_plate(throw, description) for throw in throws]
-    rig = _with_engine_of(plates, description.prepare(rig), description)
-    simulator = ThrowSimulator(throws=len(throws))
-    model = RigModel(tuple(throws), rig, description, simulator)
-    tell('fitting the plate')
-    model, of_plates, remarks = _fit_plates(model, plates)
-    others: list[Rig] = []
-    if free:
-        tell('looking at all layers that it may be')
-        model, others = _find_layers(model, plates, of_plates, free)
-    tell('fitting')
-    model, fit = _fit_until_landing(model, plates, of_plates)
-    tell('looking for other minima')
-    fit = find_best_minimum(model, fit, others)
-    tell('looking for effects of the bench, and comparing layers')
-    model, fit, layers, more = _choose_layer(model, plates, fit)
-    intervals = profile_intervals(model, fit)
-    fit, effects, skipped = add_unseen(model, fit)
-    remarks += more + skipped
-    tracks: list[dict[str, Track]] = [{} for _ in throws]
-    for (number, body, _), residual in zip(model.channels, fit.residuals, strict=True):
-        tracks[number][body] = residual.track
-    used = [ThrowTracks(name=old.name, **of) for old, of in zip(throws, tracks, strict=True)]
-    return RigFit(
+    seconds = _SECONDS_PER_THROW * len(throws)
+    simulator = ThrowSimulator(seconds)
+    try:
+        tell('fitting the plate')
+        model, remarks = _fit_plates(throws, rig, description, simulator)
+        others: list[Rig] = []
+        if free:
+            tell('looking at all layers that it may be')
+            model, others = _find_layers(model, free)
+        tell('fitting')
+        found = replace(_fit_until_landing(model), remarks=remarks)
+    except DeadlineExceeded:
+        raise FitError(
+            f'the fit takes more than {seconds:g} s; leave out late samples of the tracks, or fit '
+            'fewer parameters'
+        ) from None
+    try:
+        tell('looking for other minima')
+        found = replace(found, fit=find_best_minimum(found.model, found.fit, others))
+        tell('looking for effects of the bench, and comparing layers')
+        found = _choose_layer(found)
+    except DeadlineExceeded:
+        remark = 'not all that a bench may add was looked for: the fit takes too long'
+        found = replace(found, remarks=(*found.remarks, remark))
+    tell('computing the errors')
+    model = replace(found.model, simulator=ThrowSimulator())
+    fit, effects, skipped = add_unseen(model, found.fit)
+    return replace(
+        found,
+        model=model,
         fit=fit,
-        rig=model.rig_of(fit.values),
-        throws=tuple(used),
-        remarks=tuple(remarks),
-        layers=tuple(layers),
-        intervals=intervals,
-        _model=model,
+        intervals=profile_intervals(model, found.fit),
         effects=tuple(effects),
+        remarks=(*found.remarks, *skipped),
     )
 
 
-def _fit_plates(model: RigModel, plates: Sequence[PlateFit]) -> tuple[RigModel, Fit, list[str]]:
-    """Fit the plates alone, with their ringing, which no layer changes."""
-    alone = replace(model, throws=tuple(replace(throw, projectile=None) for throw in model.throws))
-    alone, fit, remarks = add_terms(alone, plates, alone.fit(alone.start(plates)))
+def _fit_plates(
+    throws: Sequence[ThrowTracks],
+    rig: Rig,
+    description: FitDescription,
+    simulator: ThrowSimulator,
+) -> tuple[RigModel, tuple[str, ...]]:
+    """Fit the plates alone, with their ringing, which no layer changes; return the whole model."""
+    throws = _with_like_noise(throws)
+    plates = tuple(_fit_plate(throw, description) for throw in throws)
+    rig = _with_engine_of(plates, description.prepare(rig), description)
+    alone = RigModel(
+        tuple(replace(throw, projectile=None) for throw in throws),
+        rig, description, simulator, plates,
+    )
+    alone, fit, remarks = add_terms(alone, alone.fit(alone.start()))
     # Waves that the tracks of the plates do not show must not explain a projectile later
     waves = [name for name in alone.description.if_seen if name.startswith('plate')]
     description = alone.description.change(dict.fromkeys(waves, FIXED))
-    return replace(model, description=description), fit, remarks
+    model = RigModel(
+        tuple(throws), rig, description, simulator, plates, initial=fit.by_name
+    )
+    return model, tuple(remarks)
 
 
-def _choose_layer(
-    model: RigModel, plates: Sequence[PlateFit], fit: Fit
-) -> tuple[RigModel, Fit, list[LayerModel], list[str]]:
+def _choose_layer(found: RigFit) -> RigFit:
     """Add the terms that the tracks show, and choose the law of the layer that explains them."""
-    simple = model
-    model, fit, remarks = add_terms(model, plates, fit)
-    layers, strained = compare_layers(model, plates, fit)
-    if strained is not None and model.simulator.has_budget:
+    simple = found.model
+    model, fit, remarks = add_terms(simple, found.fit)
+    layers, strained = compare_layers(model, fit)
+    if strained is not None:
         other = replace(simple, rig=strained[0])
-        fit = other.fit(other.start_from(strained[1], plates))
-        model, fit, remarks = add_terms(other, plates, fit)
-    return model, fit, layers, remarks
+        model, fit, remarks = add_terms(other, other.fit(other.start(strained[1])))
+    return replace(
+        found, model=model, fit=fit, layers=tuple(layers), remarks=(*found.remarks, *remarks)
+    )
 
 
-def _find_layers(
-    model: RigModel, plates: Sequence[PlateFit], of_plates: Fit, free: Sequence[str]
-) -> tuple[RigModel, list[Rig]]:
+def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[Rig]]:
     """Return start values for the layer of each throw, and other candidates if all share it."""
     groups: dict[object, list[int]] = {}
     for number, throw in enumerate(model.throws):
@@ -389,7 +390,7 @@ def _find_layers(
             throw if number in numbers else replace(throw, projectile=None)
             for number, throw in enumerate(model.throws)
         )
-        best, *others = find_layers(replace(model, throws=throws), plates, of_plates)
+        best, *others = find_layers(replace(model, throws=throws))
         if len(groups) == 1:
             return replace(model, rig=best), others
         found |= dict.fromkeys(numbers, values_of(best, free))
@@ -426,48 +427,36 @@ def _fit_plate(throw: ThrowTracks, description: FitDescription) -> PlateFit:
 def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescription) -> Rig:
     """Return the rig with the weighted means of the plates as free engine parameters."""
     values = {}
-    for place, name in enumerate(ENGINE):
+    for index, name in enumerate(ENGINE):
         if description.is_free(name):
-            weights = [1.0 / max(plate.fit.errors[place], 1e-100) ** 2 for plate in plates]
+            weights = [1.0 / max(plate.fit.errors[index], 1e-100) ** 2 for plate in plates]
             values[name] = float(
-                np.average([plate.fit.values[place] for plate in plates], weights=weights)
+                np.average([plate.fit.values[index] for plate in plates], weights=weights)
             )
     return changed_rig(rig, values)
 
 
-def _fit_until_landing(
-    model: RigModel, plates: Sequence[PlateFit], of_plates: Fit
-) -> tuple[RigModel, Fit]:
+def _fit_until_landing(model: RigModel) -> RigFit:
     """Fit the samples before the landing, whose time depends on the fit."""
-    seen, rig = model, model.rig
-    for _ in range(_LANDING_ROUNDS):
-        cut = _before_landing(model, rig, plates)
-        if seen is not model and _sizes(cut) == _sizes(seen):
+    cut = _in_flight(model)
+    found = RigFit(model=cut, fit=cut.fit(cut.start()))
+    for _ in range(_LANDING_ROUNDS - 1):
+        cut = _in_flight(replace(model, rig=found.rig))
+        if cut.rows.size == found.model.rows.size:
             break
-        seen = cut
-        found = seen.fit(seen.start_from(of_plates, plates))
-        rig = seen.rig_of(found.values)
-    return seen, found
+        found = RigFit(model=cut, fit=cut.fit(cut.start()))
+    return found
 
 
-def _sizes(model: RigModel) -> list[int]:
-    """Count the samples of each track."""
-    return [channel.track.time.size for channel in model.channels]
-
-
-def _before_landing(model: RigModel, rig: Rig, plates: Sequence[PlateFit]) -> RigModel:
-    """Remove the samples after the landing of this rig."""
-    seen = replace(model, rig=rig)
+def _in_flight(model: RigModel) -> RigModel:
+    """Remove the samples after the landing of the rig."""
     if not model.projectiles:
-        return seen
-    longest = max(
-        float(track.time[-1]) - plates[throw].start_time for throw, _, track in model.projectiles
-    )
-    landing = model.simulator.landing_time(rig, max(longest, 0.0), by_cells=model.by_cells)
-    seen = cut_after(seen, plates, _IN_FLIGHT * landing)
-    if not seen.projectiles:
+        return model
+    end = model.flight_end(model.rig)
+    cut = model.cut_after(end)
+    if not cut.projectiles:
         raise FitError(
-            f'the projectile is seen at less than {FEWEST} moments before it lands, '
-            f'{landing:.3g} s after the start'
+            f'the projectile is seen at less than {FEWEST} moments before it lands, {end:.3g} s '
+            'after the start'
         )
-    return seen
+    return cut

@@ -34,7 +34,7 @@ from soft_throw_ros.identification.fit_description import (
     TERMS,
     values_of,
 )
-from soft_throw_ros.identification.forward import MAX_COST, ThrowSimulator
+from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import (
     Estimate,
     Fit,
@@ -59,7 +59,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 Change: TypeAlias = Callable[[Rig, PlateWithWaves], tuple[Rig, PlateWithWaves]]
-"""Returns another rig and motion of the plate to follow in their place."""
+"""Returns another rig and motion of the plate to follow instead."""
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -84,20 +84,14 @@ _STEPS = {  # absolute
     **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
     **dict.fromkeys(TERM_OF, 1e-3),
 }
-_MOVING = {*PARAMETERS, 'layer.stiffening', *TERM_OF}
-"""Parameters whose derivative needs a new simulation."""
-
 _UNSEEN = 1e30
 """Error in SI units beyond which a parameter is not seen at all."""
 
+IN_FLIGHT = 0.97
+"""Share of the time until the landing that a fit uses. [-]"""
+
 _EVALUATIONS = 60
-"""Evaluations of the model in one run of the solver, at most."""
-
-_SHARE_OF_FIT = 0.3
-"""Part of the budget that one run of the solver may take. [-]"""
-
-_FEWEST_EVALUATIONS = 8
-"""Evaluations that a run of the solver may take in any case."""
+"""Largest number of evaluations of the model in one run of the solver."""
 
 
 class Channel(NamedTuple):
@@ -132,13 +126,19 @@ class RigModel:
     rig: Rig
     description: FitDescription
     simulator: ThrowSimulator
+    plates: tuple[PlateFit, ...] = ()
+    """Fits of the plates alone, throw by throw."""
     found: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     """Start values for the layers of some throws, by their numbers."""
+    needs_cells: bool = False
+    """Whether cells simulate a layer of any kind, to compare layers without other differences."""
+    initial: Mapping[str, float] = field(default_factory=dict)
+    """Start values from an earlier fit, by the names of the values."""
 
     @property
     def by_cells(self) -> bool:
         """Whether the layer needs cells, or its loss is fitted."""
-        return any(
+        return self.needs_cells or any(
             rig.layer.needs_cells
             or self.description.treatment('layer.loss_tangent', throw.name).is_varied
             for rig, throw in zip(self.rigs, self.throws, strict=True)
@@ -182,19 +182,19 @@ class RigModel:
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
         found: dict[int, Estimate | None] = {}
-        for place, ((part, _), (throw, *_)) in enumerate(self.layout.groups.items()):
+        for index, ((part, _), (throw, *_)) in enumerate(self.layout.groups.items()):
             name = TERM_OF.get(part, part)
             if name in DEFAULTS:
-                found[place] = self.description.known(
+                found[index] = self.description.known(
                     name, self.rigs[throw], self.throws[throw].name
                 )
-        return {place: known for place, known in found.items() if known is not None}
+        return {index: known for index, known in found.items() if known is not None}
 
     def value(self, values: Floats, name: str, throw: int) -> float:
         """Return a value of a throw; the default if it is not fitted."""
-        place = self.layout.indices.get(name, {}).get(throw)
-        if place is not None:
-            return float(values[place])
+        index = self.layout.indices.get(name, {}).get(throw)
+        if index is not None:
+            return float(values[index])
         if name in TERMS:
             return self.description.value(name, self.rigs[throw], self.throws[throw].name)
         return 0.0
@@ -243,25 +243,22 @@ class RigModel:
     def paths(
         self,
         values: Floats,
-        places: Sequence[tuple[int, str, Floats]] | None = None,
+        wanted: Sequence[tuple[int, str, Floats]] | None = None,
         change: Change | None = None,
-        *,
-        by_cells: bool | None = None,
     ) -> list[Trajectory]:
         """
         Compute trajectories of bodies, or raise FitError if a throw cannot be followed.
 
         They are those of throws, bodies, and times on the clock of the tracks; by default those
-        of all channels. `change` returns another rig and motion to follow; `by_cells` overrides
-        the choice of the model.
+        of all channels. `change` returns another rig and motion to follow.
         """
-        if places is None:
-            places = [(throw, body, track.time) for throw, body, track in self.channels]
+        if wanted is None:
+            wanted = [(throw, body, track.time) for throw, body, track in self.channels]
         found = []
-        motions = {throw: self.motion(values, throw) for throw in {each[0] for each in places}}
+        motions = {throw: self.motion(values, throw) for throw in {each[0] for each in wanted}}
         if change is not None:
             motions = {throw: change(*motion) for throw, motion in motions.items()}
-        for throw, body, time in places:
+        for throw, body, time in wanted:
             rig, motion = motions[throw]
             since = self.since(values, throw, body, time)
             if body == 'plate':
@@ -270,10 +267,7 @@ class RigModel:
             else:
                 rest = self._projectile_rest(values, throw, rig)
                 scale = self.value(values, 'projectile.scale', throw)
-                path = self.simulator.follow(
-                    rig, since, motion=motion, by_cells=self.by_cells if by_cells is None
-                    else by_cells,
-                )
+                path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
                 travel, velocity = path.position - rig.rest_height, path.velocity
             height = rest + scale * travel + self.drift(values, throw, body, time)
             found.append(Trajectory(height, scale * velocity))
@@ -321,35 +315,35 @@ class RigModel:
                 slope = -velocity * (1.0 if name == START else ~is_plate)
             else:
                 slope = self._slope(values, name)
-            for throw, place in by_throw.items():
-                jacobian[rows == throw, place] = slope[rows == throw]
+            for throw, index in by_throw.items():
+                jacobian[rows == throw, index] = slope[rows == throw]
         return jacobian
 
     def _slope(self, values: Floats, name: str) -> Floats:
         """Return the central difference by a parameter, changed in all throws."""
-        places = self.layout.indices_of(name)
+        indices = self.layout.indices_of(name)
         low, high = _BOUNDS.get(name, _ANYTHING)
         ends = []
         for sign in (1.0, -1.0):
             moved = values.copy()
-            step = _STEPS.get(name, 0.0) or _STEP * np.abs(values[places])
-            moved[places] = np.clip(values[places] + sign * step, low, high)
+            step = _STEPS.get(name, 0.0) or _STEP * np.abs(values[indices])
+            moved[indices] = np.clip(values[indices] + sign * step, low, high)
             ends.append(moved)
         width = np.ones(len(self.throws))
-        for throw, place in self.layout.indices[name].items():
-            width[throw] = ends[0][place] - ends[1][place]
+        for throw, index in self.layout.indices[name].items():
+            width[throw] = ends[0][index] - ends[1][index]
         return np.asarray((self.predict(ends[0]) - self.predict(ends[1])) / width[self.rows])
 
-    def start(self, plates: Sequence[PlateFit]) -> Floats:
-        """Return start values, given fits of the plates alone."""
+    def start(self, before: Fit | None = None) -> Floats:
+        """Return start values, from a fit of fewer or more parameters, `initial` or the plates."""
         values = np.zeros(len(self.layout.names))
-        for name, places in self.layout.indices.items():
-            for throw, place in places.items():
+        for name, by_throw in self.layout.indices.items():
+            for throw, index in by_throw.items():
                 if name in PARAMETERS:
-                    values[place] = values_of(self.rigs[throw], [name])[name]
+                    values[index] = values_of(self.rigs[throw], [name])[name]
                 elif name in TERMS:
-                    values[place] = self.description.value(name, self.rig, self.throws[throw].name)
-        for throw, plate in enumerate(plates):
+                    values[index] = self.description.value(name, self.rig, self.throws[throw].name)
+        for throw, plate in enumerate(self.plates):
             engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
             found = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
             for (name, key), throws in self.layout.groups.items():
@@ -361,22 +355,17 @@ class RigModel:
                 if body == 'projectile':
                     zero = float(np.median(track.position - path.height))
                     values[self.layout.indices[PROJECTILE_ZERO][throw]] = zero
+        fitted = before.by_name if before else self.initial
+        for index, name in enumerate(self.layout.names):
+            values[index] = fitted.get(name, values[index])
         return values
-
-    def start_from(self, fit: Fit, plates: Sequence[PlateFit]) -> Floats:
-        """Return start values from a fit of fewer, or more, parameters."""
-        before = dict(zip(fit.names, fit.values.tolist(), strict=True))
-        start = self.start(plates)
-        return np.array(
-            [before.get(n, v) for n, v in zip(self.layout.names, start.tolist(), strict=True)]
-        )
 
     def without_faults(self, values: Floats) -> Floats:
         """Return the values with all priors at their means, except those of the plate."""
         start: Floats = values.copy()
-        for place, known in self.known.items():
-            if not self.layout.names[place].startswith('plate'):  # as the plates alone have it
-                start[place] = known.value
+        for index, known in self.known.items():
+            if not self.layout.names[index].startswith('plate'):  # as the plates alone have it
+                start[index] = known.value
         return start
 
     def fit(
@@ -387,10 +376,10 @@ class RigModel:
         max_evaluations: int = _EVALUATIONS,
         only: Sequence[str] | None = None,
     ) -> Fit:
-        """Fit, or raise FitError if it cannot be done; see `fit_tracks`. `only` some may vary."""
+        """Fit all values, or only some parameters, by `fit_tracks`."""
         names = [name for name, _ in self.layout.groups]
-        free = [place for place, name in enumerate(names) if not only or name in only]
-        low, high = np.transpose([_BOUNDS.get(names[place], _ANYTHING) for place in free])
+        free = [index for index, name in enumerate(names) if not only or name in only]
+        low, high = np.transpose([_BOUNDS.get(names[index], _ANYTHING) for index in free])
 
         def whole(values: Floats) -> Floats:
             full: Floats = start.copy()
@@ -398,12 +387,12 @@ class RigModel:
             return full
 
         model = FitModel(
-            names=tuple(self.layout.names[place] for place in free),
+            names=tuple(self.layout.names[index] for index in free),
             predict=lambda values: self.predict(whole(values)),
             jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
             low=low,
             high=high,
-            known={k: self.known[place] for k, place in enumerate(free) if place in self.known},
+            known={k: self.known[index] for k, index in enumerate(free) if index in self.known},
             speed=lambda values: self.speed(whole(values)),
         )
         found = fit_tracks(
@@ -411,35 +400,32 @@ class RigModel:
             start[free],
             self.tracks(),
             noise=noise,
-            max_evaluations=min(
-                max_evaluations,
-                self._affordable(start, 1 + 2 * sum(names[place] in _MOVING for place in free)),
-            ),
+            max_evaluations=max_evaluations,
         )
         unseen = np.flatnonzero(~(found.errors < _UNSEEN))
         if unseen.size:
             raise FitError(
-                f'these tracks say nothing of {", ".join(found.names[place] for place in unseen)}'
+                f'these tracks say nothing of {", ".join(found.names[index] for index in unseen)}'
             )
         return found
 
-    def _affordable(self, values: Floats, paths: int) -> int:
-        """Return the number of evaluations within the budget, of so many paths each."""
-        before = self.simulator.cost
-        self.predict(values)
-        cost = (self.simulator.cost - before) * paths
-        share = _SHARE_OF_FIT * MAX_COST * len(self.throws)
-        return max(_FEWEST_EVALUATIONS, int(share / max(cost, 1e-9)))
+    def cut_after(self, after: float) -> RigModel:
+        """Remove the samples of projectiles later than a time after the start [s]."""
+        throws = []
+        for throw, plate in zip(self.throws, self.plates, strict=True):
+            projectile = throw.projectile
+            if projectile is not None:
+                end = plate.start_time + after
+                is_seen = int((projectile.time <= end).sum()) >= FEWEST
+                projectile = projectile.between(-math.inf, end) if is_seen else None
+            throws.append(replace(throw, projectile=projectile))
+        return replace(self, throws=tuple(throws))
 
-
-def cut_after(model: RigModel, plates: Sequence[PlateFit], after: float) -> RigModel:
-    """Remove the samples of projectiles later than a time after the start [s]."""
-    throws = []
-    for throw, plate in zip(model.throws, plates, strict=True):
-        projectile = throw.projectile
-        if projectile is not None:
-            end = plate.start_time + after
-            is_seen = int((projectile.time <= end).sum()) >= FEWEST
-            projectile = projectile.between(-math.inf, end) if is_seen else None
-        throws.append(replace(throw, projectile=projectile))
-    return replace(model, throws=tuple(throws))
+    def flight_end(self, rig: Rig) -> float:
+        """Return the time since the start until which a fit uses the flight of a rig [s]."""
+        longest = max(
+            float(track.time[-1]) - self.plates[throw].start_time
+            for throw, _, track in self.projectiles
+        )
+        landing = self.simulator.landing_time(rig, max(longest, 0.0), by_cells=self.by_cells)
+        return IN_FLIGHT * landing

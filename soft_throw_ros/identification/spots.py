@@ -31,14 +31,10 @@ Covered spots. A partly covered spot has a shifted centre of mass, and differs f
 turned by half a turn; neither motion blur nor uneven light causes such an asymmetry. So a spot is
 accepted only if it is separate from other dark regions, and as large, dark, round and symmetric as
 before; fast spots may be longer. Otherwise the sample is missing, and the radius of the search
-grows with the largest acceleration of all spots. If the search finds two candidates, it accepts
-neither. It stops when the radius is too large. After a gap, a spot counts only if the speeds on
-both sides explain its path, and if it has not moved aside, since another spot may have appeared
-there. Samples beside a gap and runs of a few pictures are dropped. A spot that is already covered
-in the first picture is not recognised as covered.
-
-trackpy links spots over gaps as well, but within a constant range, and accepts partly covered
-spots, which cause most of its errors.
+grows with the largest acceleration of all spots until it is too large. Two candidates are both
+refused. After a gap, a spot counts only if the speeds on both sides explain its path, and if it
+has not moved aside. Samples beside a gap and runs of a few pictures are dropped. trackpy links
+spots within a constant range and accepts partly covered ones, which cause most of its errors.
 
 """
 
@@ -48,6 +44,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 import math
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,7 +80,7 @@ _ASYMMETRY_NOISE = 0.7  # contribution of noise to the asymmetry, per noise over
 _MASS_NOISE = 4.0  # allowed deviation of the total darkness [standard errors]
 _MIN_ACCELERATION = 0.1  # smallest assumed acceleration of spots [px per picture squared]
 _ACCELERATION_SPAN = 4  # pictures between the positions that give the acceleration
-_MAX_DOUBT = 3.0  # radius [diameters] beyond which another spot may be found
+_MAX_UNCERTAINTY = 3.0  # radius [diameters] beyond which another spot may be found
 _BEND = 0.125  # allowed error of a path across a gap, over acceleration times gap squared
 _ASIDE, _TILT = 0.5, 0.02  # allowed sideways motion across a gap [px], and per pixel of height
 _MIN_RUN = 3  # smallest number of consecutive pictures with a spot
@@ -125,7 +122,7 @@ class Spot:
         """First and last number of the pictures between others that do not show it."""
         before = np.flatnonzero(np.diff(self.picture) > 1)
         return [
-            (int(self.picture[place]) + 1, int(self.picture[place + 1]) - 1) for place in before
+            (int(self.picture[index]) + 1, int(self.picture[index + 1]) - 1) for index in before
         ]
 
 
@@ -182,16 +179,16 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
         levels = exposure.normalise(picture)
         acceleration = max(each.acceleration for each in trackers)
         taken: list[_Circle] = []
-        for spot in sorted(trackers, key=lambda each: each.doubt):  # the most certain ones first
+        for spot in sorted(trackers, key=attrgetter('uncertainty')):
             # In a shared search region, a candidate cannot be assigned to one of two spots
             hidden = [
-                each.whereabouts
+                each.search_region
                 for each in trackers
-                if each is not spot and each.doubt and spot.doubt
+                if each is not spot and each.uncertainty and spot.uncertainty
             ]
             spot.update(number, levels, acceleration, taken + hidden)
-            if not spot.doubt:
-                taken.append(spot.whereabouts)
+            if not spot.uncertainty:
+                taken.append(spot.search_region)
         search.update(number, levels, trackers)
     if exposure is None:
         raise TrackError('contains no picture')
@@ -251,7 +248,7 @@ class _LateSearch:
         """Search some pictures, more and more seldom; two in a row must show the spot."""
         if self.found or any(each.is_lost for each in trackers) or number < self._next:
             return
-        known = [each.whereabouts for each in trackers]
+        known = [each.search_region for each in trackers]
         largest = _MAX_CHANGE * max(each.diameter for each in trackers)
         smallest = min(each.diameter for each in trackers) / _MAX_CHANGE
         new = [
@@ -412,10 +409,10 @@ def _is_round(region: Any, *, smeared: bool = False) -> bool:  # scikit-image ha
     return bool(region.solidity > _MIN_SOLIDITY and not is_long)
 
 
-class _Sighting(NamedTuple):
-    """A spot as a picture shows it."""
+class SpotMeasurement(NamedTuple):
+    """A spot as measured in one picture."""
 
-    place: Floats
+    position: Floats
     error: float
     area: float
     depth: float
@@ -431,36 +428,37 @@ class _Circle(NamedTuple):
     centre: Floats
     radius: float
 
-    def has(self, place: Floats) -> bool:
+    def has(self, position: Floats) -> bool:
         """Return whether a position is within the circle."""
-        return math.dist(self.centre, place) < self.radius
+        return math.dist(self.centre, position) < self.radius
 
 
 class _SpotTracker:
     """A spot with its measurements so far."""
 
     def __init__(self, found: DetectedSpot, noise: float) -> None:
-        self.doubt = 0.0
+        self.uncertainty = 0.0
         """Uncertainty of the expected position; 0 while the spot is seen. [px]"""
         self.acceleration = 0.0
         """Largest acceleration so far. [px per picture squared]"""
         self._start = (float(found.row), float(found.column))
         self._expected = np.array(self._start)
         self._velocity = np.zeros(2)
-        self._velocity_doubt = 0.0
+        self._velocity_uncertainty = 0.0
         self.diameter = found.diameter
         self._noise = noise
         self._level = found.level
-        self._seen: list[tuple[int, _Sighting]] = []
+        self._seen: list[tuple[int, SpotMeasurement]] = []
         self._usual_mass = 0.0
         self.is_lost = False
         self._has_left = False
 
     @property
-    def whereabouts(self) -> _Circle:
+    def search_region(self) -> _Circle:
         """Measured or possible position in this picture."""
-        place = self._expected if self.doubt or not self._seen else self._seen[-1][1].place
-        return _Circle(place, self.diameter + self.doubt)
+        is_seen = self._seen and not self.uncertainty
+        position = self._seen[-1][1].position if is_seen else self._expected
+        return _Circle(position, self.diameter + self.uncertainty)
 
     def update(
         self, number: int, picture: Picture, acceleration: float, others: Sequence[_Circle]
@@ -471,26 +469,26 @@ class _SpotTracker:
         found = self._find(picture, others)
         least = max(acceleration, _MIN_ACCELERATION)
         if found is None:
-            self._velocity_doubt += least
-            self.doubt += self._velocity_doubt
+            self._velocity_uncertainty += least
+            self.uncertainty += self._velocity_uncertainty
             self._expected = self._expected + self._velocity
             edge = 0.5 * self.diameter + _BLUR + 1.0
             beyond = np.maximum(edge - self._expected, self._expected + edge - picture.shape)
-            if beyond.max() > 0.0 or self.doubt > _MAX_DOUBT * self.diameter:
+            if beyond.max() > 0.0 or self.uncertainty > _MAX_UNCERTAINTY * self.diameter:
                 # The spot has left the picture, or its position is too uncertain
-                self.is_lost, self.doubt = True, 0.0
+                self.is_lost, self.uncertainty = True, 0.0
                 self._has_left = bool(beyond.max() > 0.0)
-            if self._velocity_doubt > np.linalg.norm(self._velocity):
+            if self._velocity_uncertainty > np.linalg.norm(self._velocity):
                 self._velocity = np.zeros(2)  # it may have turned
             return
-        self._velocity_doubt = 0.0
+        self._velocity_uncertainty = 0.0
         if self._seen:
             before, last = self._seen[-1]
-            velocity = (found.place - last.place) / (number - before)
-            self._velocity_doubt = (number - before - 1) * least
+            velocity = (found.position - last.position) / (number - before)
+            self._velocity_uncertainty = (number - before - 1) * least
             self._velocity = velocity
-        self.doubt = 0.0
-        self._expected = found.place + self._velocity
+        self.uncertainty = 0.0
+        self._expected = found.position + self._velocity
         self._level = found.level
         memory = min(_MASS_MEMORY, len(self._seen) + 1.0)
         self._usual_mass += (found.mass - self._usual_mass) / memory
@@ -503,7 +501,7 @@ class _SpotTracker:
         if len(self._seen) > 2 * span:
             (first, before), (_, middle), (last, after) = self._seen[-1 - 2 * span:: span]
             if last - first == 2 * span:
-                bend = after.place - 2.0 * middle.place + before.place
+                bend = after.position - 2.0 * middle.position + before.position
                 self.acceleration = max(self.acceleration, float(np.linalg.norm(bend)) / span**2)
 
     def result(self) -> Spot:
@@ -511,18 +509,18 @@ class _SpotTracker:
         numbers = np.array([number for number, _ in self._seen], dtype=np.int64)
         runs = np.split(np.arange(numbers.size), np.flatnonzero(np.diff(numbers) > 1) + 1)
         kept = [
-            run[(0 if place == 0 else 1):run.size - (0 if place == len(runs) - 1 else 1)]
-            for place, run in enumerate(runs)
-            if run.size >= _MIN_RUN + (place > 0) + (place < len(runs) - 1)
+            run[(0 if number == 0 else 1):run.size - (0 if number == len(runs) - 1 else 1)]
+            for number, run in enumerate(runs)
+            if run.size >= _MIN_RUN + (number > 0) + (number < len(runs) - 1)
         ]
         while len(kept) > 1 and not all(map(self._is_one_motion, kept, kept[1:])):
             kept.pop()
-        places = np.concatenate(kept) if kept else np.zeros(0, dtype=np.intp)
-        seen = [self._seen[place][1] for place in places]
-        row, column = np.array([each.place for each in seen]).reshape(-1, 2).T
+        kept_indices = np.concatenate(kept) if kept else np.zeros(0, dtype=np.intp)
+        seen = [self._seen[index][1] for index in kept_indices]
+        row, column = np.array([each.position for each in seen]).reshape(-1, 2).T
         error = float(np.sqrt(np.mean(np.square([each.error for each in seen] or [0.0]))))
         return Spot(
-            picture=numbers[places],
+            picture=numbers[kept_indices],
             row=row,
             column=column,
             error=error,
@@ -535,21 +533,21 @@ class _SpotTracker:
         pairs = ((before[-_MIN_RUN], before[-1]), (after[0], after[_MIN_RUN - 1]))
         (one, end), (start, other) = ((self._seen[i], self._seen[k]) for i, k in pairs)
         speeds = [
-            (late[1].place - early[1].place) / (late[0] - early[0])
+            (late[1].position - early[1].position) / (late[0] - early[0])
             for early, late in ((one, end), (start, other))
         ]
         pictures = start[0] - end[0]
-        off = start[1].place - end[1].place - 0.5 * pictures * (speeds[0] + speeds[1])
+        off = start[1].position - end[1].position - 0.5 * pictures * (speeds[0] + speeds[1])
         most = 0.5 * self.diameter + _BEND * self.acceleration * pictures**2
-        up, aside = np.abs(start[1].place - end[1].place)
+        up, aside = np.abs(start[1].position - end[1].position)
         return bool(np.linalg.norm(off) < most and aside < _ASIDE + _TILT * up)
 
-    def _find(self, picture: Picture, others: Sequence[_Circle]) -> _Sighting | None:
+    def _find(self, picture: Picture, others: Sequence[_Circle]) -> SpotMeasurement | None:
         """Search the spot; return None if it is covered or missing, or for two candidates."""
         from skimage.measure import label, regionprops
 
         smear = float(np.linalg.norm(self._velocity))  # motion during the exposure at most [px]
-        reach = self.diameter + _MARGIN + self.doubt + self._velocity_doubt + smear
+        reach = self.diameter + _MARGIN + self.uncertainty + self._velocity_uncertainty + smear
         corner = np.maximum(np.floor(self._expected - reach).astype(int), 0)
         end = np.maximum(np.ceil(self._expected + reach).astype(int), 0)
         part = picture[corner[0]:end[0], corner[1]:end[1]].astype(np.float64)
@@ -568,15 +566,15 @@ class _SpotTracker:
         ]
         sightings = [self._measure(region, part, smooth, smear) for region in candidates]
         whole = [each for each in sightings if each is not None and self._is_like(each)]
-        if len(whole) > 1 and self.doubt > 0.0:
+        if len(whole) > 1 and self.uncertainty > 0.0:
             return None
         middle = self._expected - corner
-        far = 0.5 * self.diameter + _MARGIN + self.doubt + smear
-        whole = [each for each in whole if math.dist(each.place, middle) < far]
-        near = min(whole, key=lambda each: math.dist(each.place, middle), default=None)
-        return near and near._replace(place=near.place + corner)
+        far = 0.5 * self.diameter + _MARGIN + self.uncertainty + smear
+        whole = [each for each in whole if math.dist(each.position, middle) < far]
+        near = min(whole, key=lambda each: math.dist(each.position, middle), default=None)
+        return near and near._replace(position=near.position + corner)
 
-    def _is_like(self, found: _Sighting) -> bool:
+    def _is_like(self, found: SpotMeasurement) -> bool:
         """Return whether a candidate is as dark and symmetric as the spot before."""
         if found.depth < _MIN_CONTRAST * self._noise:
             return False
@@ -593,35 +591,36 @@ class _SpotTracker:
 
     def _measure(
         self, region: Any, part: Floats, smooth: Floats, smear: float
-    ) -> _Sighting | None:
+    ) -> SpotMeasurement | None:
         """Measure the centre of a spot; return None if the circle leaves the picture."""
-        place = np.array(region.centroid)
+        position = np.array(region.centroid)
         longer = smear if smear > _SMEARED * self.diameter else 0.0
         reach = 0.5 * (self.diameter + longer) + _BLUR
         pixels = np.indices(part.shape).reshape(2, -1).T
         levels = part.ravel()
+        lowest, highest = reach + 1.0, np.subtract(part.shape, reach + 2.0)
         for _ in range(_ROUNDS):
-            if (place < reach + 1.0).any() or (place > np.array(part.shape) - reach - 2.0).any():
+            if (position < lowest).any() or (position > highest).any():
                 return None
-            distance = np.linalg.norm(pixels - place, axis=1)
+            distance = np.linalg.norm(pixels - position, axis=1)
             around = float(np.median(levels[np.abs(distance - reach - _RING) < _RING]))
             within = np.clip(reach + 0.5 - distance, 0.0, 1.0)
             darkness = within * (around - levels)
             total = float(darkness.sum())
             if total <= 0.0:
                 return None
-            place = darkness @ pixels / total
+            position = darkness @ pixels / total
         depth = around - float(smooth[region.slice][region.image].min())
         error = self._noise * math.sqrt(0.5 * float(np.sum((within * distance) ** 2))) / total
         size = math.ceil(0.5 * self.diameter + _BLUR)
         grid = np.indices((2 * size + 1, 2 * size + 1)).reshape(2, -1) - float(size)
         beside = grid[:, np.hypot(*grid) < 0.5 * self.diameter + _BLUR]
         this, turned = (
-            ndimage.map_coordinates(smooth, place[:, None] + step, order=3, mode='nearest')
+            ndimage.map_coordinates(smooth, position[:, None] + step, order=3, mode='nearest')
             for step in (beside, -beside)
         )
-        return _Sighting(
-            place=place,
+        return SpotMeasurement(
+            position=position,
             error=error,
             area=float(region.area),
             depth=depth,

@@ -89,7 +89,7 @@ def read_csv(
     clock = list(columns).index('time')
     most = dict.fromkeys(bodies, MAX_HEIGHT / UNITS[unit]) | {'time': MAX_TIME}
     values = np.empty((len(rows), len(columns)))
-    for place, (number, cells) in enumerate(rows):
+    for row, (number, cells) in enumerate(rows):
         where = f'{name}:{number}'
         if len(cells) == len(first) + 1 and not cells[-1]:
             del cells[-1]  # the line ends with a separator
@@ -100,8 +100,8 @@ def read_csv(
                 f'got {len(cells)}{hint}'
             )
         for column, (body, cell) in enumerate(columns.items()):
-            values[place, column] = _read_number(cells[cell], body, where, most[body])
-        time, before = values[place, clock], values[place - 1, clock] if place else -math.inf
+            values[row, column] = _read_number(cells[cell], body, where, most[body])
+        time, before = values[row, clock], values[row - 1, clock] if row else -math.inf
         if time - before < MIN_STEP:
             raise TrackError(f'{where}: time must increase, got {time:g} after {before:g}')
     heights = dict(zip(columns, values.T, strict=True))

@@ -129,8 +129,8 @@ class Track:
                 raise TrackError(f'{name} must be within +- {most:g}, got {far:g}')
         is_bad = np.diff(time) < MIN_STEP
         if is_bad.any():
-            place = int(np.flatnonzero(is_bad)[0])
-            raise TrackError(f'time must increase, got {time[place + 1]} after {time[place]}')
+            index = int(np.flatnonzero(is_bad)[0])
+            raise TrackError(f'time must increase, got {time[index + 1]} after {time[index]}')
         object.__setattr__(self, 'time', time)
         object.__setattr__(self, 'position', position)
         if self.known_noise is None:
@@ -203,10 +203,10 @@ class Track:
         for _ in range(_SPIKE_ROUNDS):
             apart = np.abs(_beside_neighbours(self.time[kept], self.position[kept])[0])
             largest = maximum_filter1d(apart, 5)
-            places = np.flatnonzero((apart > _SPIKE_LIMIT * least) & (apart >= largest))
-            sides = np.clip(places[:, None] + _SPIKE_SIDES[:, None, :], 0, kept.size - 1)
+            peaks = np.flatnonzero((apart > _SPIKE_LIMIT * least) & (apart >= largest))
+            sides = np.clip(peaks[:, None] + _SPIKE_SIDES[:, None, :], 0, kept.size - 1)
             usual = np.median(apart[sides], axis=-1).max(axis=0)
-            spikes = places[apart[places] > _SPIKE_LIMIT * usual]
+            spikes = peaks[apart[peaks] > _SPIKE_LIMIT * usual]
             if not spikes.size:
                 break
             if spikes[0] == 2:  # which one of the first it is cannot be told

@@ -104,13 +104,21 @@ class UnseenEffect(NamedTuple):
     is_linear: bool = True
     """Whether shifts of the fitted values cancel parts of the change of the release."""
 
-    def draw(
-        self, random: np.random.Generator, sizes: Floats, count: int
-    ) -> tuple[Floats, Floats]:
-        """Draw the causes, shape (count, k), and changes of time and speed, shape (count, 2)."""
-        causes = random.normal(size=(count, sizes.size))
-        others = causes if self.is_linear else random.normal(size=causes.shape)
-        return causes, others @ (sizes[:, None] * np.column_stack([self.time, self.speed]))
+    def changes(self, random: np.random.Generator, causes: Floats) -> Floats:
+        """Return changes of time and speed of the release, shape (m, 2), from shape (m, k)."""
+        if not self.is_linear:
+            causes = random.permutation(causes)
+        return causes @ np.column_stack([self.time, self.speed])
+
+    def scaled(self, seen: Floats | float = 0.0, products: Floats | float = 0.0) -> UnseenEffect:
+        """Return the effect with the sizes before a fit, or after one with such `sizes`."""
+        zeros = np.zeros(self.time.size)
+        sizes = self.sizes(zeros + seen, zeros + products)
+        return self._replace(
+            heights=sizes[:, None] * self.heights,
+            time=sizes * self.time,
+            speed=sizes * self.speed,
+        )
 
     def sizes(self, seen: Floats, products: Floats) -> Floats:
         """
@@ -133,20 +141,8 @@ class UnseenEffect(NamedTuple):
         return np.asarray(self.margin * np.sqrt(squares))
 
 
-class ReleaseShift(NamedTuple):
-    """Change of the first release."""
-
-    time: float
-    """[s]"""
-    speed: float
-    """[m/s]"""
-
-
-_NO_SHIFT = ReleaseShift(0.0, 0.0)
-
-
-def release_shift(model: RigModel, values: Floats, throw: int) -> ReleaseShift:
-    """Return the effect of the waves of the plate on the first release."""
+def release_shift(model: RigModel, values: Floats, throw: int) -> Floats:
+    """Return the effect of the waves of the plate on time and speed of the first release."""
     rig, motion = model.motion(values, throw)
     plain = _release(model, rig, PlateWithWaves(motion.step))
     return _difference(_release(model, rig, motion, near=plain), plain)
@@ -178,6 +174,8 @@ def unseen_effects(
             makers[STICKING] = partial(_sticking, model, values, size)
         if 'layer.stiffening' in model.layout:
             makers[STRESS_LAW] = partial(_stress_law, model, values)
+    if any(channel.track.rounding_step for channel in model.channels):
+        makers[ROUNDING] = partial(_rounding, model)
     effects, skipped = [], []
     for name, make in makers.items():
         try:
@@ -188,28 +186,21 @@ def unseen_effects(
 
 
 def add_unseen(model: RigModel, fit: Fit) -> tuple[Fit, list[UnseenEffect], list[str]]:
-    """Add unseen effects and rounding to the covariance of a fit; see `unseen_effects`."""
+    """Add unseen effects to the covariance of a fit; see `unseen_effects`."""
     linear = LinearFit(model, fit)
     effects, skipped = unseen_effects(model, fit.values)
     shifts = {}
     for index, effect in enumerate(effects):
-        sizes = effect.sizes(*linear.score(effect.heights))
-        shifts[effect.name] = sizes[:, None] * linear.shifts(linear.gradients(effect.heights))
-        effects[index] = effect._replace(time=sizes * effect.time, speed=sizes * effect.speed)
-    rounding = linear.shifts(_rounding_gradients(model, linear))
-    if rounding.size:
-        shifts[ROUNDING] = rounding
-        zeros = np.zeros(len(rounding))
-        effects.append(UnseenEffect(ROUNDING, np.zeros((len(rounding), 0)), zeros, zeros))
+        # Noise that is estimated from rounded heights does not show how large their errors are
+        scores = (0.0, 0.0) if effect.name == ROUNDING else linear.score(effect.heights)
+        effects[index] = effect.scaled(*scores)
+        shifts[effect.name] = linear.shifts(linear.gradients(effects[index].heights))
     return fit.with_unseen(shifts), effects, skipped
 
 
-def _heights(
-    model: RigModel, values: Floats, change: Change | None = None, *, by_cells: bool | None = None
-) -> Floats:
+def _heights(model: RigModel, values: Floats, change: Change | None = None) -> Floats:
     """Predict all tracks of changed rigs in one series [m]."""
-    paths = model.paths(values, change=change, by_cells=by_cells)
-    return np.concatenate([path.height for path in paths])
+    return np.concatenate([path.height for path in model.paths(values, change=change)])
 
 
 def _of_changes(
@@ -307,11 +298,12 @@ def _stress_law(model: RigModel, values: Floats) -> UnseenEffect:
 
     ends, releases = [], []
     rig, motion = model.motion(values, 0)
+    cells = replace(model, needs_cells=True)
     for law in ('linear', 'neo_hookean'):
-        ends.append(_heights(model, values, with_law(law), by_cells=True))
-        releases.append(_release(model, *with_law(law)(rig, motion), by_cells=True))
+        ends.append(_heights(cells, values, with_law(law)))
+        releases.append(_release(cells, *with_law(law)(rig, motion)))
     column = ends[1] - ends[0]
-    moved = np.array(_difference(releases[1], releases[0]))
+    moved = _difference(releases[1], releases[0])
     if 'layer.wave_speed' in model.layout:
         faster = values.copy()
         faster[model.layout.indices_of('layer.wave_speed')] *= 1.0 + _SPEED_STEP
@@ -322,26 +314,18 @@ def _stress_law(model: RigModel, values: Floats) -> UnseenEffect:
         column = column - part * slope
         plain = _release(model, rig, motion)
         quicker = _release(model, *model.motion(faster, 0), near=plain)
-        moved -= part * np.array(_difference(quicker, plain))
+        moved = moved - part * _difference(quicker, plain)
     return UnseenEffect(STRESS_LAW, column[None, :], moved[:1], moved[1:])
 
 
-def _events(
-    model: RigModel, rig: Rig, motion: PlateWithWaves, *, by_cells: bool | None = None
-) -> tuple[Event, ...]:
+def _events(model: RigModel, rig: Rig, motion: PlateWithWaves) -> tuple[Event, ...]:
     """Return the events of the first few periods of the plate."""
     end = np.array([_WAITED / rig.engine.frequency])
-    is_by_cells = model.by_cells if by_cells is None else by_cells
-    return model.simulator.follow(rig, end, motion=motion, by_cells=is_by_cells).events
+    return model.simulator.follow(rig, end, motion=motion, by_cells=model.by_cells).events
 
 
 def _release(
-    model: RigModel,
-    rig: Rig,
-    motion: PlateWithWaves,
-    *,
-    near: Event | None = None,
-    by_cells: bool | None = None,
+    model: RigModel, rig: Rig, motion: PlateWithWaves, *, near: Event | None = None
 ) -> Event | None:
     """
     Return the release nearest to another one, by default to the release without waves, or None.
@@ -350,20 +334,19 @@ def _release(
     """
     if near is None:
         step = PlateWithWaves(motion.step)
-        near = next(iter(ejections(_events(model, rig, step, by_cells=by_cells))), None)
+        near = next(iter(ejections(_events(model, rig, step))), None)
     if near is None:
         return None
     time = near.time
-    events = _events(model, rig, motion, by_cells=by_cells)
-    releases = [event for event in events if event.kind == 'release']
+    releases = [event for event in _events(model, rig, motion) if event.kind == 'release']
     return min(releases, key=lambda event: abs(event.time - time), default=None)
 
 
-def _difference(release: Event | None, plain: Event | None) -> ReleaseShift:
-    """Return by how much a release differs from another one; 0 if there is none."""
+def _difference(release: Event | None, plain: Event | None) -> Floats:
+    """Return the differences of time [s] and speed [m/s] of two releases; 0 if one is None."""
     if release is None or plain is None:
-        return _NO_SHIFT
-    return ReleaseShift(release.time - plain.time, release.velocity - plain.velocity)
+        return np.zeros(2)
+    return np.array([release.time - plain.time, release.velocity - plain.velocity])
 
 
 def _jerk(model: RigModel, rig: Rig, motion: PlateWithWaves, release: Event) -> float:
@@ -376,16 +359,20 @@ def _jerk(model: RigModel, rig: Rig, motion: PlateWithWaves, release: Event) -> 
     )
 
 
-def _rounding_gradients(model: RigModel, linear: LinearFit) -> Floats:
-    """Return the gradients of chi squared by the rounding errors of runs of equal heights."""
-    gradients = [np.zeros((0, linear.fit.values.size))]
-    for (_, track), slopes in zip(
-        model.tracks(), linear.split(linear.slopes_over_variance), strict=True
-    ):
-        step = track.rounding_step
-        if step > 0.0:
-            starts = np.flatnonzero(np.diff(track.position, prepend=np.nan) != 0.0)
-            is_long = np.diff(starts, append=track.time.size) >= _LONG_RUN
-            sums = np.add.reduceat(slopes, starts, axis=0)[is_long]
-            gradients.append(step / math.sqrt(12.0) * sums)
-    return np.concatenate(gradients)
+def _rounding(model: RigModel) -> UnseenEffect:
+    """Return the effect of rounding on runs of equal heights, each of which shares one error."""
+    columns = [np.zeros((0, model.rows.size))]
+    first = 0
+    for _, _, track in model.channels:
+        starts = np.flatnonzero(np.diff(track.position, prepend=np.nan) != 0.0)
+        sizes = np.diff(starts, append=track.time.size)
+        if track.rounding_step > 0.0:
+            for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
+                if size >= _LONG_RUN:
+                    column = np.zeros((1, model.rows.size))
+                    run = slice(first + start, first + start + size)
+                    column[0, run] = track.rounding_step / math.sqrt(12.0)
+                    columns.append(column)
+        first += track.time.size
+    heights = np.concatenate(columns)
+    return UnseenEffect(ROUNDING, heights, np.zeros(len(heights)), np.zeros(len(heights)))

@@ -214,8 +214,8 @@ class SpaceTime:
         smooth = gaussian_filter1d(self.levels, _SMOOTHING, axis=1, mode='nearest')
         edges: list[Floats] = []
         for number, line in enumerate(smooth - threshold_otsu(smooth), 1):
-            places = np.flatnonzero(np.diff(line > 0.0))
-            crossings = places + line[places] / (line[places] - line[places + 1])
+            before = np.flatnonzero(np.diff(line > 0.0))
+            crossings = before + line[before] / (line[before] - line[before + 1])
             if crossings.size < 2:
                 raise TrackError(
                     f'the line crosses {crossings.size} edges in picture {number}, where the '

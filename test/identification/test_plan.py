@@ -98,7 +98,7 @@ def test_planned_errors_agree_with_the_scatter_of_fits_of_simulated_throws(condi
 def test_planned_errors_agree_with_a_fit(make_throw):
     sight = Sight(rate=5000.0, noise=2e-5, duration=0.0475)
     planner = Planner(RIG, (USUAL,), sight, FitDescription())
-    (planned,) = planner.judge(planner.start())
+    (planned,) = planner.rank(planner.start())
     throw = make_throw(RIG, start=0.25 / 63.2, duration=sight.duration + 0.25 / 63.2)
     fit = fit_rig([throw], RIG)
     alpha = ejection_of(fit).energy_transfer
@@ -120,7 +120,7 @@ def test_plan_after_a_throw_begins_with_the_errors_of_its_fit(make_throw):
 def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
     planner = Planner(RIG, (SMALL, LIGHT, USUAL, HEAVY), SIGHT, FREE)
     chosen = list(itertools.islice(planner.choose(planner.start()), 6))
-    assert chosen[0].condition == HEAVY == planner.judge(planner.start())[0].condition
+    assert chosen[0].condition == HEAVY == planner.rank(planner.start())[0].condition
     errors = [[each.errors['layer.wave_speed'], each.energy_transfer_error] for each in chosen]
     assert (np.diff(errors, axis=0) < 0.0).all()
     assert errors[-1][1] < 0.01
@@ -128,7 +128,7 @@ def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
 
 def test_earlier_measurements_count_like_a_throw():
     planner = Planner(RIG, (HEAVY,), SIGHT, FREE)
-    (first,) = planner.judge(planner.start())
+    (first,) = planner.rank(planner.start())
     after = planner.start().after(planner.information[0])
     again = Planner(RIG, (HEAVY,), SIGHT, FREE, after)
     assert again.start().errors()['layer.wave_speed'] == pytest.approx(
@@ -149,7 +149,7 @@ def test_layers_of_one_material_share_its_wave_speed_but_not_their_thickness():
     thin = Condition(1.2e-3, 8e-3, 1.2e-3)
     planner = Planner(RIG, (thin, USUAL), SIGHT, FREE)
     assert set(planner.names) >= {'layer.wave_speed', 'layer.thickness', 'layer.thickness[0.008]'}
-    errors = {each.condition: each.errors for each in planner.judge(planner.start())}
+    errors = {each.condition: each.errors for each in planner.rank(planner.start())}
     assert errors[thin]['layer.thickness'] == pytest.approx(16.8e-3, rel=0.01)  # as before
     assert errors[USUAL]['layer.thickness'] < 2e-3
     assert errors[thin]['layer.thickness[0.008]'] < 1e-3

@@ -99,7 +99,7 @@ def test_effect_of_the_stress_law_excludes_a_change_of_wave_speed(tracks):
     found = fit_rig([tracks], RIG, description)
     (effect,) = found.effects
     assert effect.name == 'layer.stress_strain_law'
-    model, values = found._model, found.fit.values
+    model, values = found.model, found.fit.values
     faster = values.copy()
     faster[model.layout.indices_of('layer.wave_speed')] *= 1.0 + 1e-4
     slope = model.predict(faster) - model.predict(values)
