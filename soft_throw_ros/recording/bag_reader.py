@@ -20,7 +20,7 @@ The error for a damaged or unfinished bag names the command that recovers its me
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 import heapq
 import itertools
 from pathlib import Path
@@ -155,7 +155,7 @@ class BagReader:
             self.counts[channel] = self.counts.get(channel, 0) + count
         self.channels = tuple(self.counts)
         self._chunks = [chunk for file in self._files for chunk in file.chunks]
-        self.start_time = min((file.start_time for file in self._files if file.chunks), default=0)
+        self.start_time = min((chunk.message_start_time for chunk in self._chunks), default=0)
         self.end_time = max((chunk.message_end_time for chunk in self._chunks), default=0)
 
     def __enter__(self) -> BagReader:
@@ -211,12 +211,29 @@ class BagReader:
         """
         wanted = {topics} if isinstance(topics, str) else topics
         span = range(max(start or 0, 0), LATEST + 1 if end is None else max(end, 0))
+        chunks = [
+            (number, file, chunk)
+            for number, file in enumerate(self._files)
+            for chunk in file.chunks_with(wanted, span)
+        ]
         if by_log_time:
             _require_order(self._chunks)
-            yield from _merge(self._files, wanted, span)
-        else:
-            for file in self._files:
-                yield from file.messages(wanted, span, by_log_time=False)
+            chunks.sort(key=lambda item: item[2].message_start_time)
+        waiting: list[tuple[int, int, int, int, Message]] = []  # by time, and then as written
+        for number, file, chunk in chunks:
+            while waiting and waiting[0][0] < chunk.message_start_time:
+                yield heapq.heappop(waiting)[-1]
+            for index, message in enumerate(file.read_chunk(chunk)):
+                is_wanted = wanted is None or message.channel.topic in wanted
+                if not is_wanted or message.log_time not in span:
+                    continue
+                if by_log_time:
+                    key = message.log_time, number, chunk.chunk_start_offset, index
+                    heapq.heappush(waiting, (*key, message))
+                else:
+                    yield message
+        while waiting:
+            yield heapq.heappop(waiting)[-1]
 
 
 def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.Metadata]:
@@ -255,29 +272,6 @@ def _require_order(chunks: Iterable[mcap.ChunkIndex]) -> None:
             raise BagError(
                 f'more than {MAX_KEPT} bytes of its messages are of about the same time'
             )
-
-
-def _merge(
-    files: Sequence[McapFile], topics: Collection[str] | None, span: range
-) -> Iterator[Message]:
-    """Merge the messages of files by log time; a file is read when its first message is due."""
-    starts = [file.start_time for file in files]
-    waiting = sorted(range(len(files)), key=starts.__getitem__, reverse=True)
-    heads: list[tuple[int, int, Message, Iterator[Message]]] = []
-    while waiting or heads:
-        while waiting and (not heads or starts[waiting[-1]] <= heads[0][0]):
-            number = waiting.pop()
-            messages = files[number].messages(topics, span, by_log_time=True)
-            for message in itertools.islice(messages, 1):
-                heapq.heappush(heads, (message.log_time, number, message, messages))
-        if heads:
-            _, number, message, messages = heads[0]
-            yield message
-            following = next(messages, None)
-            if following is None:
-                heapq.heappop(heads)
-            else:
-                heapq.heapreplace(heads, (following.log_time, number, following, messages))
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:

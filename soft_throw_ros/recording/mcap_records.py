@@ -222,8 +222,8 @@ def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
     if not isinstance(chunk, mcap.Chunk):
         raise DamageError('there is no chunk')
     try:
-        data = decompress(chunk)
-        count_messages(data)
+        data = _decompress(chunk)
+        _check_record_count(data)
         return breakup_chunk(replace(chunk, compression='', data=data), validate_crc=True)
     except DamageError:
         raise
@@ -231,7 +231,7 @@ def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
         raise DamageError(f'the chunk there cannot be unpacked, {error!s:.100}') from None
 
 
-def decompress(chunk: mcap.Chunk) -> bytes:
+def _decompress(chunk: mcap.Chunk) -> bytes:
     """Return the bytes of all records of a chunk; raise DamageError if it is beyond the limits."""
     size = chunk.uncompressed_size
     if chunk.compression and size > MAX_RECORD:
@@ -259,17 +259,14 @@ def size_of(record: mcap.Schema | mcap.Channel | mcap.Metadata) -> int:
     return sum(len(key) + len(value) + OVERHEAD for key, value in record.metadata.items())
 
 
-def count_messages(data: bytes) -> int:
-    """Return the number of messages in a chunk; DamageError beyond `MAX_RECORDS` records."""
-    messages = count = offset = 0
+def _check_record_count(data: bytes) -> None:
+    """Raise DamageError if the bytes of a chunk have more than `MAX_RECORDS` records."""
+    count = offset = 0
     while offset + HEAD.size <= len(data):
-        opcode, length = HEAD.unpack_from(data, offset)
-        offset += HEAD.size + length
-        messages += opcode == Opcode.MESSAGE
+        offset += HEAD.size + HEAD.unpack_from(data, offset)[1]
         count += 1
         if count > MAX_RECORDS:
             raise DamageError(f'the chunk there has more than {MAX_RECORDS} records')
-    return messages
 
 
 def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
