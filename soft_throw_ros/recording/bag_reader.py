@@ -26,7 +26,6 @@ import itertools
 from pathlib import Path
 import re
 from typing import Any
-import zlib
 
 from mcap import records as mcap
 from soft_throw_ros.recording.bag_metadata import METADATA_FILE, read_metadata
@@ -179,10 +178,6 @@ class BagReader:
         """Named texts in their order, without those that a next file repeats."""
         return unrepeated_metadata(file.metadata for file in self._files)
 
-    def attachments(self) -> Iterator[mcap.Attachment]:
-        """Yield files that were written into the bag, without those that a next one repeats."""
-        return unrepeated_attachments(file.attachments() for file in self._files)
-
     def messages(
         self,
         topics: Collection[str] | str | None = None,
@@ -245,18 +240,6 @@ def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.M
             last[record.name] = record
             texts.append(record)
     return texts
-
-
-def unrepeated_attachments(
-    files: Iterable[Iterable[mcap.Attachment]],
-) -> Iterator[mcap.Attachment]:
-    """Yield attachments of files, without those that a next file repeats."""
-    seen = set()
-    for record in itertools.chain.from_iterable(files):
-        key = (record.name, len(record.data), zlib.crc32(record.data))
-        if key not in seen:
-            seen.add(key)
-            yield record
 
 
 def _require_order(chunks: Iterable[mcap.ChunkIndex]) -> None:

@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin.results import Floats
 
 _SECOND = 1_000_000_000
@@ -259,23 +260,9 @@ class _Layout:
         return is_long and int.from_bytes(data, 'little') & self._mask == self._fixed
 
 
-def decode(type_name: str, schema: str, data: bytes) -> Any:
+def decode(message: Message) -> Any:
     """
-    Read any message.
-
-    Parameters
-    ----------
-    type_name : str
-        Such as `std_msgs/msg/String`.
-    schema : str
-        Its definition and those it needs (`ros2msg`).
-    data : bytes
-        The message.
-
-    Returns
-    -------
-    SimpleNamespace
-        With the fields of the message.
+    Read a message of any type; return its fields as a SimpleNamespace.
 
     Raises
     ------
@@ -283,14 +270,15 @@ def decode(type_name: str, schema: str, data: bytes) -> Any:
         If the bytes are no such message, or the definition is none.
 
     """
+    channel = message.channel
     try:
-        return decoder_of(type_name, schema)(data)
+        return _decoder_of(channel.type, channel.schema)(message.data)
     except Exception as error:  # damaged bytes may cause any error in the library
-        raise MessageError(f'not a message {type_name}: {error}') from error
+        raise MessageError(f'not a message {channel.type}: {error}') from error
 
 
 @lru_cache(maxsize=256)
-def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
+def _decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
     """
     Return a function that decodes messages of a type; making the function takes milliseconds.
 

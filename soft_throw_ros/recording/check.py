@@ -551,7 +551,7 @@ def _entry(message: Message) -> journal.Entry:
     reason = f'it has {size} bytes, and may have {MAX_LINE}' if size > MAX_LINE else ''
     try:
         if not reason:
-            text = str(decode(message.channel.type, message.channel.schema, message.data).data)
+            text = str(decode(message).data)
             entry = journal.decode(text)
             if 'line' in entry:
                 return entry

@@ -105,7 +105,6 @@ class McapFile:
         self.path = path
         self.chunks: list[mcap.ChunkIndex] = []
         self.metadata: list[mcap.Metadata] = []
-        self._attachments: list[int] = []  # offsets
         self._definitions = Definitions(known, memory)
         self._memory = memory
         self._file = RecordFile(path)
@@ -121,16 +120,6 @@ class McapFile:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def attachments(self) -> Iterator[mcap.Attachment]:
-        """Yield the attached files; raise UnfinishedError if one is damaged."""
-        for offset in self._attachments:
-            try:
-                record = self._file.record(offset)
-            except DamageError as error:
-                raise UnfinishedError(self.path, str(error)) from None
-            if isinstance(record, mcap.Attachment):
-                yield record
 
     def chunks_with(self, topics: Collection[str] | None, span: range) -> list[mcap.ChunkIndex]:
         """Return the chunks that may have messages of topics and log times."""
@@ -168,6 +157,7 @@ class McapFile:
     def _read_index(self) -> dict[Channel, int]:
         """Read the index at the end of the file; return the number of messages by channel."""
         statistics: mcap.Statistics | None = None
+        attachments = 0
         for record in self._index_records():
             match record:
                 case mcap.Schema() | mcap.Channel():
@@ -175,7 +165,7 @@ class McapFile:
                 case mcap.ChunkIndex():
                     self.chunks.append(record)
                 case mcap.AttachmentIndex():
-                    self._attachments.append(record.offset)
+                    attachments += 1
                 case mcap.MetadataIndex():
                     text = self._file.record(record.offset)
                     if not isinstance(text, mcap.Metadata):
@@ -187,7 +177,7 @@ class McapFile:
         if statistics is None:
             raise DamageError('its index has no statistics')
         self._check_chunks()
-        present = len(self.chunks), len(self.metadata), len(self._attachments)
+        present = len(self.chunks), len(self.metadata), attachments
         promised = statistics.chunk_count, statistics.metadata_count, statistics.attachment_count
         if promised != present:
             raise DamageError(f'its index has {present} chunks, texts and files, not {promised}')

@@ -18,14 +18,12 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import closing, ExitStack
 from dataclasses import dataclass
+import itertools
 from pathlib import Path
 import shutil
+import zlib
 
-from soft_throw_ros.recording.bag_reader import (
-    BagFolder,
-    unrepeated_attachments,
-    unrepeated_metadata,
-)
+from soft_throw_ros.recording.bag_reader import BagFolder, unrepeated_metadata
 from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
 from soft_throw_ros.recording.mcap_records import Memory
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
@@ -116,9 +114,13 @@ def _copy(files: list[ScannedFile], writer: BagWriter) -> None:
         writer.add_channel(channel)
     for text in unrepeated_metadata(file.metadata for file in files):
         writer.add_metadata(text.name, text.metadata)
-    for item in unrepeated_attachments(file.attachments() for file in files):
-        writer.attach(item.name, item.data, item.media_type, time=item.log_time)
-        writer.flush()
+    attached = set()  # each file repeats the attachments of the one before
+    for item in itertools.chain.from_iterable(file.attachments() for file in files):
+        key = (item.name, len(item.data), zlib.crc32(item.data))
+        if key not in attached:
+            attached.add(key)
+            writer.attach(item.name, item.data, item.media_type, time=item.log_time)
+            writer.flush()
     for file in files:
         for message in file.messages():
             writer.write(message)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -160,12 +159,6 @@ def texts(rows: Sequence[Text]) -> rr.Points2D:
         show_labels=True,
         draw_order=_IN_FRONT,
     )
-
-
-def round_up(value: float, digits: Sequence[float] = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)) -> float:
-    """Return a round number that is not less than a positive one."""
-    unit = 10.0 ** math.floor(math.log10(value))
-    return unit * next(digit for digit in digits if digit * unit >= value)
 
 
 def chart_view(origin: str, title: str, size: tuple[float, float]) -> rrb.Spatial2DView:

@@ -242,7 +242,7 @@ class TwinReader:
 
     def read_journal(self, message: Message) -> None:
         """Apply a line of the journal: a throw, a rig, or pending changes."""
-        entry = journal.decode(read_text(message))
+        entry = journal.decode(str(decode(message).data))
         self._motions |= entry.get('motions', {})
         match entry['kind']:
             case 'tick_schedule':
@@ -479,16 +479,6 @@ def _integral(values: Floats, thickness: float) -> Floats:
 # single messages
 
 
-def read_message(message: Message) -> Any:
-    """Decode a message of any type, with the fields of its definition."""
-    return decode(message.channel.type, message.channel.schema, message.data)
-
-
-def read_text(message: Message) -> str:
-    """Read a String."""
-    return str(read_message(message).data)
-
-
 def to_ns(time: Any) -> int:  # a builtin_interfaces/Time
     """Return a time [ns]."""
     return int(time.sec * SECOND + time.nanosec)
@@ -496,7 +486,7 @@ def to_ns(time: Any) -> int:  # a builtin_interfaces/Time
 
 def read_statuses(message: Message) -> Iterator[tuple[int, Any, dict[str, float | str]]]:
     """Yield stamp, status and its named values, for each status of a DiagnosticArray."""
-    array = read_message(message)
+    array = decode(message)
     for status in array.status:
         values = {str(item.key): _number_or_text(item.value) for item in status.values}
         yield to_ns(array.header.stamp), status, values
@@ -519,7 +509,7 @@ def _published(message: Message) -> int:
 
 def _read_field(message: Message) -> Floats:
     """Read an array with a point at either end of the layer at least."""
-    array = read_message(message)
+    array = decode(message)
     values = np.reshape(array.data, [each.size for each in array.layout.dim])
     if values.ndim != 2 or min(values.shape) < 2 or values.size > _LARGEST:
         raise MessageError(f'an array of 2 dimensions, not {values.shape}')

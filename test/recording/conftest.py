@@ -24,7 +24,7 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-from bags import channel
+from bags import attachments, channel
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
@@ -59,7 +59,7 @@ def read(path: Path) -> SimpleNamespace:
         contents = SimpleNamespace(
             messages=list(bag.messages()),
             metadata=bag.metadata,
-            attachments=list(bag.attachments()),
+            attachments=attachments(path),
             channels=bag.channels,
             counts=list(bag.counts.values()),
             span=(bag.start_time, bag.end_time),
