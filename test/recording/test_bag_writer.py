@@ -170,20 +170,6 @@ def test_bag_is_locked_and_never_overwritten(tmp_path):
         BagWriter(tmp_path / 'file/bag', distribution='')
 
 
-@pytest.mark.parametrize(
-    ('options', 'message'),
-    [
-        ({'compression': 'zip'}, "none, lz4, zstd, got 'zip'"),
-        ({'max_size': -1}, 'max_size .* got -1'),
-        ({'max_duration': float('nan')}, 'max_duration .* got nan'),
-    ],
-)
-def test_wrong_option_is_quoted(tmp_path, options, message):
-    with pytest.raises(BagError, match=message):
-        BagWriter(tmp_path / 'bag', distribution='', **options)
-    assert not (tmp_path / 'bag').exists()
-
-
 # Flushes and faults
 
 
