@@ -35,8 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin.results import Floats
-
-_SECOND = 1_000_000_000
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 _HEADER = b'\x00\x01\x00\x00'
 """CDR, little endian, no options."""
@@ -115,7 +114,7 @@ class JointStateEncoder:
         `values` are those of one series after another, as in a `State` of plate and projectile.
         """
         data, first = self._data, 0
-        _STAMP.pack_into(data, self._layout.stamp, *divmod(stamp_ns, _SECOND))
+        _STAMP.pack_into(data, self._layout.stamp, *divmod(stamp_ns, SECOND))
         for begin, size, numbers in self._layout.series:
             numbers.pack_into(data, begin, *values[first:first + size])
             first += size
@@ -123,7 +122,7 @@ class JointStateEncoder:
 
     def encode_arrays(self, stamp_ns: int, series: Sequence[Floats]) -> bytes:
         """Return a message made of an array per series, which is quick with many joints."""
-        _STAMP.pack_into(self._data, self._layout.stamp, *divmod(stamp_ns, _SECOND))
+        _STAMP.pack_into(self._data, self._layout.stamp, *divmod(stamp_ns, SECOND))
         for array, values in zip(self._arrays, series, strict=True):
             array[:] = values
         return bytes(self._data)
@@ -189,7 +188,7 @@ class JointStateReader:
         position, velocity, effort = [
             item.numbers.unpack_from(data, item.begin) for item in layout.series
         ]
-        stamp_ns = seconds * _SECOND + nanoseconds
+        stamp_ns = seconds * SECOND + nanoseconds
         return JointValues(stamp_ns, layout.names, position, velocity, effort)
 
     def read_all(self, datas: Sequence[bytes]) -> JointStates:
@@ -213,7 +212,7 @@ class JointStateReader:
             for item in layout.series
         ]
         return JointStates(
-            stamps=(stamps['s'].astype(np.int64) * _SECOND + stamps['ns']).ravel(),
+            stamps=(stamps['s'].astype(np.int64) * SECOND + stamps['ns']).ravel(),
             names=layout.names,
             position=position,
             velocity=velocity,

@@ -27,8 +27,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.twin.results import Floats
 
-Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Marks = Iterable[tuple[str, float, float]]
 """Marked points: title, and values on both axes."""

@@ -20,12 +20,10 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Rig
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.twin.results import Floats
 
 _SHAPE = (160, 100)
 """Thicknesses and wave speeds."""

@@ -37,7 +37,7 @@ from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.rerun_canvas import Text
 from soft_throw_ros.recording.rig_picture import RigPicture
-from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps, ThrowStart
+from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart
 
 _MILLI, _MICRO = 1e3, 1e6
 
@@ -48,9 +48,6 @@ _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEB
 
 _MOMENT = 0.7
 """Time of the cursor in a contact, as a fraction of the ejection time."""
-
-_DENSE = 10.0
-"""Number of layer messages per period of the plate that suffices for lines."""
 
 Groups = Mapping[Topic, Sequence[Message]]
 
@@ -335,20 +332,6 @@ class _TwinView:
         layer = self._reader.read_layer(messages)
         if layer is not None:
             self._side.draw_layer(layer)
-            if self._is_dense():
-                self._draw_layer_energy(layer)
-
-    def _is_dense(self) -> bool:
-        """Return whether layer messages are frequent enough for lines of its energies."""
-        rows = self._reader.settings['rate.field'] * self._period_of_stamps
-        return bool(rows >= _DENSE)
-
-    def _draw_layer_energy(self, layer: LayerStates) -> None:
-        for name, energy in (('layer', layer.energy), ('total', layer.total_energy)):
-            stamps, values = layer.stamps, energy
-            if not self._is_dense():  # the line must not go on to the next throw
-                stamps, values = np.append(stamps, stamps[-1] + 1), np.append(values, math.nan)
-            self._draw_lines(f'energy/{name}', stamps, values)
 
     def draw_field(self, message: Message) -> None:
         field = self._reader.read_field(message)
@@ -383,10 +366,12 @@ class _TwinView:
         self._canvas.log_columns(self._path('strain/now'), gone, columns)
         throw = self._reader.see_throw(field)
         if throw is not None:
-            position, layer = throw
+            position, layer, energies = throw
             self._side.draw_positions(stamps, position)
             self._side.draw_layer(layer)
-            self._draw_layer_energy(layer)
+            after = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
+            for name, energy in zip(('layer', 'total'), energies.T, strict=True):
+                self._draw_lines(f'energy/{name}', after, np.append(energy, math.nan))
 
     # words
 
