@@ -31,7 +31,7 @@ from mcap import records as mcap
 from soft_throw_ros.recording.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.recording.bag_writer import is_being_written
 from soft_throw_ros.recording.mcap_file import McapFile, memory_of, UnfinishedError
-from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, Memory
+from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, Shared
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
@@ -39,36 +39,17 @@ __all__ = ['BagReader', 'UnfinishedError']
 
 class BagFolder:
     """
-    The files of a bag, by its folder and `metadata.yaml`.
+    The files of a bag: those of a folder, by its `metadata.yaml`, or one MCAP file.
 
-    Parameters
-    ----------
-    path : path_like
-        A folder with MCAP files, or one such file.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the bag, as passed to the reader.
-    files : list of Path
-        The files in their order, without empty ones.
-    distribution : str
-        ROS distribution; empty if the bag does not name one.
-    defects : list of str
-        Files that are missing, empty or not readable, with the reason.
-
-    Raises
-    ------
-    BagError
-        If there is no bag in MCAP; the message gives the remedy.
-
+    BagError is raised if there is no bag in MCAP; the message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.defects: list[str] = []
+        self.defects: list[str] = []  # files that are missing, empty or not readable
         information = self._read_information() if self.path.is_dir() else {}
         self.distribution = str(information.get('ros_distro') or '')
+        # In their order, without empty ones
         self.files = self._find_files(information) if self.path.is_dir() else [self.path]
 
     def _read_information(self) -> dict[str, Any]:
@@ -138,12 +119,11 @@ class BagReader:
         self.distribution = folder.distribution
         more = f'; and {len(folder.defects) - 1} more' if len(folder.defects) > 1 else ''
         self.damage = f'{folder.defects[0]}{more}' if folder.defects else ''
-        known: dict[tuple[object, ...], Channel] = {}
-        memory = Memory()
+        shared = Shared()
         self._files: list[McapFile] = []
         try:
             for file_path in folder.files:
-                self._files.append(McapFile(file_path, known, memory))
+                self._files.append(McapFile(file_path, shared))
         except BagError as error:
             self.close()
             if isinstance(error, UnfinishedError) and is_being_written(self.path):

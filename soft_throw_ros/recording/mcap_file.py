@@ -35,9 +35,9 @@ from soft_throw_ros.recording.mcap_records import (
     LIBRARY_ERRORS,
     MAX_RECORD,
     MAX_RECORDS,
-    Memory,
     OVERHEAD,
     RecordFile,
+    Shared,
     size_of,
     unpack,
 )
@@ -72,24 +72,6 @@ class McapFile:
     """
     A finished MCAP file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    known : dict
-        Channels of all files of the bag; equal channels become one object.
-    memory : Memory
-        Budget of the bag.
-
-    Attributes
-    ----------
-    chunks : list of ChunkIndex
-        Chunks of messages, in the order of the file.
-    counts : dict of Channel to int
-        Number of messages of each channel.
-    metadata : list of Metadata
-        Named texts.
-
     Raises
     ------
     UnfinishedError
@@ -99,17 +81,15 @@ class McapFile:
 
     """
 
-    def __init__(
-        self, path: Path, known: dict[tuple[object, ...], Channel], memory: Memory
-    ) -> None:
+    def __init__(self, path: Path, shared: Shared) -> None:
         self.path = path
-        self.chunks: list[mcap.ChunkIndex] = []
+        self.chunks: list[mcap.ChunkIndex] = []  # in the order of the file
         self.metadata: list[mcap.Metadata] = []
-        self._definitions = Definitions(known, memory)
-        self._memory = memory
+        self._definitions = Definitions(shared)
+        self._shared = shared
         self._file = RecordFile(path)
         try:
-            self.counts = self._read_index()
+            self.counts = self._read_index()  # of the messages of each channel
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
@@ -170,7 +150,7 @@ class McapFile:
                     text = self._file.record(record.offset)
                     if not isinstance(text, mcap.Metadata):
                         raise DamageError(f'its index has no text at {record.offset}')
-                    self._memory.keep(size_of(text))
+                    self._shared.keep(size_of(text))
                     self.metadata.append(text)
                 case mcap.Statistics():
                     statistics = record
@@ -198,7 +178,7 @@ class McapFile:
         content = file.read(begin, file.size)
         if checksum not in (0, zlib.crc32(memoryview(content)[: -len(MAGIC) - 4])):
             raise DamageError('the checksum of its index is wrong')
-        self._memory.keep(_INDEX_MEMORY * size)
+        self._shared.keep(_INDEX_MEMORY * size)
         yield from StreamReader(BytesIO(content), skip_magic=True, emit_chunks=True).records
 
     def _check_chunks(self) -> None:

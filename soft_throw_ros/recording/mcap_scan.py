@@ -36,8 +36,8 @@ from soft_throw_ros.recording.mcap_records import (
     DamageError,
     Definitions,
     HEAD,
-    Memory,
     RecordFile,
+    Shared,
     size_of,
     unpack,
 )
@@ -80,43 +80,20 @@ class UnreadableRange(NamedTuple):
 
 
 class ScannedFile:
-    """
-    An MCAP file in any state.
+    """An MCAP file in any state; BagError is raised if it cannot be opened."""
 
-    Parameters
-    ----------
-    path : Path
-        The file; BagError if it cannot be opened.
-    known : dict
-        Channels of all files of the bag; equal channels become one object.
-    memory : Memory
-        Budget of the bag.
-
-    Attributes
-    ----------
-    channels : tuple of Channel
-        Channels that have messages.
-    metadata : list of Metadata
-        Named texts.
-    unreadable : list of UnreadableRange
-        All damage found by now.
-
-    """
-
-    def __init__(
-        self, path: Path, known: dict[tuple[object, ...], Channel], memory: Memory
-    ) -> None:
+    def __init__(self, path: Path, shared: Shared) -> None:
         self.metadata: list[mcap.Metadata] = []
-        self.unreadable: list[UnreadableRange] = []
+        self.unreadable: list[UnreadableRange] = []  # all damage found so far
         self._path = path
-        self._memory = memory
-        self._definitions = Definitions(known, memory)
+        self._shared = shared
+        self._definitions = Definitions(shared)
         self._attachments: list[tuple[int, int]] = []  # offsets of both ends
         self._searched = 0  # in search of whole chunks [bytes]
         self._next_chunk: dict[int, int] = {}  # after the damage at an offset
         self._file = RecordFile(path, is_lenient=True)
         try:
-            self.channels = self._survey()
+            self.channels = self._survey()  # those that have messages
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
@@ -160,7 +137,7 @@ class ScannedFile:
                     case mcap.Schema() | mcap.Channel():
                         self._definitions.add(record)
                     case mcap.Metadata():
-                        self._memory.keep(size_of(record))
+                        self._shared.keep(size_of(record))
                         self.metadata.append(record)
                     case mcap.Attachment():
                         self._attachments.append((offset, end))

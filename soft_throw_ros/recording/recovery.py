@@ -25,9 +25,9 @@ import zlib
 
 from soft_throw_ros.recording.bag_reader import BagFolder, unrepeated_metadata
 from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
-from soft_throw_ros.recording.mcap_records import Memory
+from soft_throw_ros.recording.mcap_records import Shared
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
-from soft_throw_ros.recording.message import BagError, Channel
+from soft_throw_ros.recording.message import BagError
 
 _BUFFER_SIZE = 2**20
 """Size of the unsaved messages above which they are saved. [bytes]"""
@@ -80,12 +80,10 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
-    known: dict[tuple[object, ...], Channel] = {}
-    memory = Memory()
+    shared = Shared()
     with ExitStack() as stack:
         files = [
-            stack.enter_context(closing(ScannedFile(path, known, memory)))
-            for path in folder.files
+            stack.enter_context(closing(ScannedFile(path, shared))) for path in folder.files
         ]
         if not any(file.channels for file in files):
             damage = [*(part for file in files for part in file.unreadable), *folder.defects]
