@@ -57,11 +57,7 @@ class Canvas:
     """
     Draws into a recording, if there is one, and keeps all content that still holds.
 
-    Parameters
-    ----------
-    throw : ThrowStart, optional
-        The throw whose start is the origin of `THROW_TIME`; without, there is only `STAMP`.
-
+    The start of `throw` is the origin of `THROW_TIME`; without it, there is only `STAMP`.
     """
 
     def __init__(self, throw: ThrowStart | None = None) -> None:
@@ -78,7 +74,7 @@ class Canvas:
     def log_style(self, path: str, style: rr.AsComponents) -> None:
         """Set the style of an entity once."""
         if ('style', path) not in self._kept:
-            self._keep('style', path, partial(self._log, path, style))
+            self._keep('style', path, partial(self._log_static, path, style))
 
     def log_latched(self, path: str, stamp: int, *content: rr.AsComponents) -> None:
         """Draw content that holds until an entity gets other content."""
@@ -90,7 +86,7 @@ class Canvas:
         self._kept[kind, path] = draw
         draw()
 
-    def _log(self, path: str, style: rr.AsComponents) -> None:
+    def _log_static(self, path: str, style: rr.AsComponents) -> None:
         if self._stream is not None:
             self._stream.log(path, style, static=True)
 
@@ -159,9 +155,3 @@ def texts(rows: Sequence[Text]) -> rr.Points2D:
         show_labels=True,
         draw_order=_IN_FRONT,
     )
-
-
-def chart_view(origin: str, title: str, size: tuple[float, float]) -> rrb.Spatial2DView:
-    """Return the view of an image of a given size [pixel]."""
-    bounds = rrb.VisualBounds2D(x_range=[0.0, size[0]], y_range=[0.0, size[1]])
-    return rrb.Spatial2DView(origin=origin, name=title, visual_bounds=bounds)

@@ -167,8 +167,9 @@ def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
             bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'strain' | 'map':
-            size = charts.FRAME_SIZE if panel.kind == 'strain' else charts.MAP_SIZE
-            return drawing.chart_view(origin, panel.title, size)
+            width, height = charts.FRAME_SIZE if panel.kind == 'strain' else charts.MAP_SIZE
+            bounds = rrb.VisualBounds2D(x_range=[0.0, width], y_range=[0.0, height])
+            return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'phase':
             return rrb.StateTimelineView(origin=origin, name=panel.title, time_view=window)
         case 'plot':

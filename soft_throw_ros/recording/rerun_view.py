@@ -144,10 +144,10 @@ class Scene:
         if self._is_live:
             self._arrange()
 
-    def finish(self, *, is_waiting: bool) -> None:
-        """Draw the remaining maps, waiting for them if requested, and arrange all panels."""
+    def finish(self) -> None:
+        """Wait for the maps that are not drawn yet, and arrange all panels."""
         for twin in self._twins.values():
-            twin.draw_maps(is_waiting=is_waiting)
+            twin.draw_maps(is_waiting=True)
         self._arrange()
 
     def _read(self, node: str, groups: Groups) -> None:
