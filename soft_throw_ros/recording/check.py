@@ -172,19 +172,9 @@ def check_bag(
     reader: BagReader, on_progress: Callable[[str, int], None] = lambda _twin, _steps: None
 ) -> list[CheckResult]:
     """
-    Check every twin in a bag.
+    Check every twin in a bag, which is read twice for each.
 
-    Parameters
-    ----------
-    reader : BagReader
-        The bag, which is read twice for every twin.
-    on_progress : callable
-        Called with the name of a twin and the number of its repeated steps, now and then.
-
-    Returns
-    -------
-    list of CheckResult
-        One for each twin.
+    `on_progress` is called with the name of a twin and the number of its repeated steps.
 
     Raises
     ------

@@ -47,7 +47,7 @@ MAX_SEARCH = 4 * 2**30
 """Largest size of everything unpacked in search of the next whole chunk after damage. [bytes]"""
 
 _WINDOW = 16 * 2**20
-"""Size of the part of a file that is searched at once, between which Ctrl-C is heard. [bytes]"""
+"""Size of the part of a file that is searched or summed at once. [bytes]"""
 
 _CHUNK_HEAD = re.compile(
     rb'\x06(?=.{4}\0{4}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}))', re.DOTALL
@@ -155,8 +155,11 @@ class ScannedFile:
 
     def _has_sound_end(self, footer: mcap.Footer, offset: int) -> bool:
         """Return whether the checksum of the end is right, or there is none; note otherwise."""
-        content = self._file.read(min(footer.summary_start, offset), offset + HEAD.size + 16)
-        is_sound = footer.summary_crc in (0, zlib.crc32(content))
+        checksum, end = 0, offset + HEAD.size + 16
+        for begin in range(min(footer.summary_start, offset), end, _WINDOW):
+            part = self._file.read(begin, min(begin + _WINDOW, end))
+            checksum = zlib.crc32(part, checksum)
+        is_sound = footer.summary_crc in (0, checksum)
         if not is_sound:
             self._note(offset, 0, 'the checksum of the end is wrong')
         return is_sound

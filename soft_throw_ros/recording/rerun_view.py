@@ -67,13 +67,6 @@ class Scene:
     throw : ThrowStart, optional
         The throw that is shown; times count from its start.
 
-    Attributes
-    ----------
-    damaged : int
-        Messages that could not be read.
-    damage : str
-        The error of the first unreadable message.
-
     """
 
     def __init__(
@@ -84,8 +77,8 @@ class Scene:
         is_picture: bool = False,
         throw: ThrowStart | None = None,
     ) -> None:
-        self.damaged = 0
-        self.damage = ''
+        self.damaged = 0  # number of messages that could not be read
+        self.damage = ''  # the error of the first of them
         self._name = name
         self._is_live = is_live
         self._is_picture = is_picture
@@ -224,23 +217,12 @@ class Scene:
 
 
 class _TwinView:
-    """
-    The drawing of one twin from its messages.
-
-    Attributes
-    ----------
-    ejection_time : float or None
-        Ejection time of the displayed throw. [s]
-    span : tuple of int or None
-        Stamps of the first and the last state. [ns]
-    is_drawn : bool
-        Whether anything was drawn; topics with matching names may belong to another machine.
-
-    """
+    """The drawing of one twin from its messages."""
 
     def __init__(self, node: str, canvas: drawing.Canvas, pool: ThreadPoolExecutor) -> None:
-        self.ejection_time: float | None = None
-        self.span: tuple[int, int] | None = None
+        self.ejection_time: float | None = None  # of the displayed throw [s]
+        self.span: tuple[int, int] | None = None  # stamps of the first and last state [ns]
+        # Whether anything was drawn: topics with these names may belong to another machine
         self.is_drawn = False
         self._node = node
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''

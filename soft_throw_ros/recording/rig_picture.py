@@ -41,18 +41,10 @@ _DEFAULT_STRAIN = 0.2
 
 
 class RigPicture:
-    """
-    Plate, layer and projectile: in mm, downwards as Rerun has it.
-
-    Attributes
-    ----------
-    largest_strain : float
-        Where the colours of strain end. [-]
-
-    """
+    """Plate, layer and projectile: in mm, downwards as Rerun has it."""
 
     def __init__(self, canvas: drawing.Canvas, path: str) -> None:
-        self.largest_strain = _DEFAULT_STRAIN
+        self.largest_strain = _DEFAULT_STRAIN  # where the colours end [-]
         self._canvas = canvas
         self._path = path
         self._rig: Rig | None = None

@@ -228,6 +228,20 @@ def test_large_attachments_are_skipped(tmp_path, monkeypatch) -> None:
     assert len(attachments(tmp_path / 'new')) == 2
 
 
+def test_end_that_claims_the_whole_file_takes_little_memory(tmp_path) -> None:
+    path = mcap(tmp_path / 'bag.mcap', chunk(EMPTY, '', len(EMPTY), zlib.crc32(EMPTY)))
+    with path.open('ab') as file:
+        for _ in range(5):
+            file.write(struct.pack('<BQ', 0x80, 50 * 2**20))
+            file.truncate(file.tell() + 50 * 2**20)  # a hole
+            file.seek(0, os.SEEK_END)
+        file.write(struct.pack('<BQQQI', 2, 20, len(MCAP0_MAGIC), 0, 1) + MCAP0_MAGIC)
+    recovery = bounded(lambda: recover(path, tmp_path / 'new'))
+    (part,) = recovery.unreadable  # type: ignore[attr-defined]
+    assert 'checksum of the end' in part.reason
+    assert len(messages_of(tmp_path / 'new')) == 1
+
+
 # metadata.yaml and the quality of service
 
 
