@@ -18,10 +18,9 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 import random
-import resource
 import subprocess
 import sys
-from test.recording.conftest import plain, read
+from test.recording.conftest import largest_file, plain, read
 
 from bags import attachments, stream
 from mcap.reader import make_reader
@@ -287,11 +286,6 @@ def test_existing_or_open_bag_is_not_changed(recording, tmp_path):
 
 def test_full_disk_leaves_no_partial_bag(recording, tmp_path):
     recording.write(2000, compression='none')
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, limits[1]))
-    try:
-        with pytest.raises(BagError, match='File too large'):
-            recover(recording.folder, tmp_path / 'whole')
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with largest_file(5000), pytest.raises(BagError, match='File too large'):
+        recover(recording.folder, tmp_path / 'whole')
     assert not (tmp_path / 'whole').exists()
