@@ -30,8 +30,8 @@ from typing import Any
 from mcap import records as mcap
 from soft_throw_ros.recording.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.recording.bag_writer import is_being_written
-from soft_throw_ros.recording.mcap_file import McapFile, memory_of, UnfinishedError
-from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, Shared
+from soft_throw_ros.recording.mcap_file import McapFile, UnfinishedError
+from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, OVERHEAD, Shared
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
@@ -133,9 +133,9 @@ class BagReader:
         for channel, count in itertools.chain(*(file.counts.items() for file in self._files)):
             self.counts[channel] = self.counts.get(channel, 0) + count
         self.channels = tuple(self.counts)
-        self._chunks = [chunk for file in self._files for chunk in file.chunks]
-        self.start_time = min((chunk.message_start_time for chunk in self._chunks), default=0)
-        self.end_time = max((chunk.message_end_time for chunk in self._chunks), default=0)
+        chunks = [chunk for file in self._files for chunk in file.chunks]
+        self.start_time = min((chunk.message_start_time for chunk in chunks), default=0)
+        self.end_time = max((chunk.message_end_time for chunk in chunks), default=0)
 
     def __enter__(self) -> BagReader:
         return self
@@ -192,21 +192,29 @@ class BagReader:
             for chunk in file.chunks_with(wanted, span)
         ]
         if by_log_time:
-            _require_order(self._chunks)
             chunks.sort(key=lambda item: item[2].message_start_time)
         waiting: list[tuple[int, int, int, int, Message]] = []  # by time, and then as written
+        kept = 0  # memory of the waiting messages [bytes]
         for number, file, chunk in chunks:
             while waiting and waiting[0][0] < chunk.message_start_time:
-                yield heapq.heappop(waiting)[-1]
+                message = heapq.heappop(waiting)[-1]
+                kept -= len(message.data) + OVERHEAD
+                yield message
             for index, message in enumerate(file.read_chunk(chunk)):
                 is_wanted = wanted is None or message.channel.topic in wanted
                 if not is_wanted or message.log_time not in span:
                     continue
-                if by_log_time:
-                    key = message.log_time, number, chunk.chunk_start_offset, index
-                    heapq.heappush(waiting, (*key, message))
-                else:
+                if not by_log_time:
                     yield message
+                    continue
+                key = message.log_time, number, chunk.chunk_start_offset, index
+                heapq.heappush(waiting, (*key, message))
+                kept += len(message.data) + OVERHEAD
+                if kept > MAX_KEPT:
+                    raise BagError(
+                        f'{self.path}: more than {MAX_KEPT} bytes of its messages are of about '
+                        'the same time'
+                    )
         while waiting:
             yield heapq.heappop(waiting)[-1]
 
@@ -220,21 +228,6 @@ def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.M
             last[record.name] = record
             texts.append(record)
     return texts
-
-
-def _require_order(chunks: Iterable[mcap.ChunkIndex]) -> None:
-    """Raise BagError if too many chunks overlap in time to be sorted in memory."""
-    overlapping: list[tuple[int, int]] = []  # end time and memory of each
-    size = 0
-    for chunk in sorted(chunks, key=lambda chunk: chunk.message_start_time):
-        while overlapping and overlapping[0][0] < chunk.message_start_time:
-            size -= heapq.heappop(overlapping)[1]
-        heapq.heappush(overlapping, (chunk.message_end_time, memory_of(chunk)))
-        size += memory_of(chunk)
-        if size > MAX_KEPT:
-            raise BagError(
-                f'more than {MAX_KEPT} bytes of its messages are of about the same time'
-            )
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:

@@ -34,8 +34,6 @@ from soft_throw_ros.recording.mcap_records import (
     Definitions,
     LIBRARY_ERRORS,
     MAX_RECORD,
-    MAX_RECORDS,
-    OVERHEAD,
     RecordFile,
     Shared,
     size_of,
@@ -51,12 +49,6 @@ _INDEX_MEMORY = 16
 
 _FOOTER = struct.Struct('<BQQQI')
 """The footer: its head, the offsets of summary and summary offsets, and the checksum."""
-
-_INDEX_ENTRY = 16
-"""Size of the entry of a message in the index of its chunk. [bytes]"""
-
-_SMALLEST_MESSAGE = 31
-"""Size of the record of a message without data. [bytes]"""
 
 
 class UnfinishedError(BagError):
@@ -119,20 +111,13 @@ class McapFile:
     def read_chunk(self, chunk: mcap.ChunkIndex) -> list[Message]:
         """Return the messages of a chunk in their order; raise UnfinishedError for damage."""
         try:
-            return self._read_chunk(chunk)
+            records = unpack(self._file.record(chunk.chunk_start_offset))
+            return [
+                self._definitions.message(record)
+                for record in records if isinstance(record, mcap.Message)
+            ]
         except DamageError as error:
             raise UnfinishedError(self.path, str(error)) from None
-
-    def _read_chunk(self, chunk: mcap.ChunkIndex) -> list[Message]:
-        record = self._file.record(chunk.chunk_start_offset)
-        place = f'the chunk at {chunk.chunk_start_offset}'
-        size = chunk.uncompressed_size
-        if not isinstance(record, mcap.Chunk) or record.uncompressed_size > size:
-            raise DamageError(f'{place} is not the one of the index')
-        records = [item for item in unpack(record) if isinstance(item, mcap.Message)]
-        if len(records) > _message_count(chunk):
-            raise DamageError(f'{place} has more messages than the index says')
-        return [self._definitions.message(item) for item in records]
 
     def _read_index(self) -> dict[Channel, int]:
         """Read the index at the end of the file; return the number of messages by channel."""
@@ -198,15 +183,3 @@ class McapFile:
                 raise DamageError(f'nothing defines channel {number}')
             counts[channels[number]] += count
         return counts
-
-
-def memory_of(chunk: mcap.ChunkIndex) -> int:
-    """Return the memory that the messages of a chunk take, by the index [bytes]."""
-    return chunk.uncompressed_size + OVERHEAD * min(_message_count(chunk), MAX_RECORDS)
-
-
-def _message_count(chunk: mcap.ChunkIndex) -> int:
-    """Return the largest number of messages of a chunk, by the index."""
-    if chunk.message_index_length:
-        return chunk.message_index_length // _INDEX_ENTRY
-    return chunk.uncompressed_size // _SMALLEST_MESSAGE
