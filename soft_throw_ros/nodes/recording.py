@@ -261,7 +261,7 @@ class Recording:
         if source is None or source.topic != TWIN_TOPICS.journal:
             return
         try:
-            entry = journal.decode(decode(channel.type, channel.schema, message.data).data)
+            entry = journal.decode(decode(message).data)
             settings, versions = journal.checked_settings(entry, 'settings'), entry['versions']
         except (MessageError, journal.JournalError, KeyError):
             return  # an entry without settings, or a topic of another package

@@ -46,11 +46,6 @@ class Viewer(RunnableNode):
     """
     Node that shows the topics of twins live in Rerun.
 
-    Attributes
-    ----------
-    raw_subscriptions : RawSubscriptions
-        Subscriptions to all topics that can be drawn.
-
     Raises
     ------
     ParameterError

@@ -20,19 +20,18 @@ The error for a damaged or unfinished bag names the command that recovers its me
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 import heapq
 import itertools
 from pathlib import Path
 import re
 from typing import Any
-import zlib
 
 from mcap import records as mcap
 from soft_throw_ros.recording.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.recording.bag_writer import is_being_written
-from soft_throw_ros.recording.mcap_file import McapFile, memory_of, UnfinishedError
-from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, Memory
+from soft_throw_ros.recording.mcap_file import McapFile, UnfinishedError
+from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, OVERHEAD, Shared
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
@@ -40,36 +39,17 @@ __all__ = ['BagReader', 'UnfinishedError']
 
 class BagFolder:
     """
-    The files of a bag, by its folder and `metadata.yaml`.
+    The files of a bag: those of a folder, by its `metadata.yaml`, or one MCAP file.
 
-    Parameters
-    ----------
-    path : path_like
-        A folder with MCAP files, or one such file.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the bag, as passed to the reader.
-    files : list of Path
-        The files in their order, without empty ones.
-    distribution : str
-        ROS distribution; empty if the bag does not name one.
-    defects : list of str
-        Files that are missing, empty or not readable, with the reason.
-
-    Raises
-    ------
-    BagError
-        If there is no bag in MCAP; the message gives the remedy.
-
+    BagError is raised if there is no bag in MCAP; the message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.defects: list[str] = []
+        self.defects: list[str] = []  # files that are missing, empty or not readable
         information = self._read_information() if self.path.is_dir() else {}
         self.distribution = str(information.get('ros_distro') or '')
+        # In their order, without empty ones
         self.files = self._find_files(information) if self.path.is_dir() else [self.path]
 
     def _read_information(self) -> dict[str, Any]:
@@ -139,12 +119,11 @@ class BagReader:
         self.distribution = folder.distribution
         more = f'; and {len(folder.defects) - 1} more' if len(folder.defects) > 1 else ''
         self.damage = f'{folder.defects[0]}{more}' if folder.defects else ''
-        known: dict[tuple[object, ...], Channel] = {}
-        memory = Memory()
+        shared = Shared()
         self._files: list[McapFile] = []
         try:
             for file_path in folder.files:
-                self._files.append(McapFile(file_path, known, memory))
+                self._files.append(McapFile(file_path, shared))
         except BagError as error:
             self.close()
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
@@ -154,9 +133,9 @@ class BagReader:
         for channel, count in itertools.chain(*(file.counts.items() for file in self._files)):
             self.counts[channel] = self.counts.get(channel, 0) + count
         self.channels = tuple(self.counts)
-        self._chunks = [chunk for file in self._files for chunk in file.chunks]
-        self.start_time = min((file.start_time for file in self._files if file.chunks), default=0)
-        self.end_time = max((chunk.message_end_time for chunk in self._chunks), default=0)
+        chunks = [chunk for file in self._files for chunk in file.chunks]
+        self.start_time = min((chunk.message_start_time for chunk in chunks), default=0)
+        self.end_time = max((chunk.message_end_time for chunk in chunks), default=0)
 
     def __enter__(self) -> BagReader:
         return self
@@ -178,10 +157,6 @@ class BagReader:
     def metadata(self) -> list[mcap.Metadata]:
         """Named texts in their order, without those that a next file repeats."""
         return unrepeated_metadata(file.metadata for file in self._files)
-
-    def attachments(self) -> Iterator[mcap.Attachment]:
-        """Yield files that were written into the bag, without those that a next one repeats."""
-        return unrepeated_attachments(file.attachments() for file in self._files)
 
     def messages(
         self,
@@ -211,12 +186,37 @@ class BagReader:
         """
         wanted = {topics} if isinstance(topics, str) else topics
         span = range(max(start or 0, 0), LATEST + 1 if end is None else max(end, 0))
+        chunks = [
+            (number, file, chunk)
+            for number, file in enumerate(self._files)
+            for chunk in file.chunks_with(wanted, span)
+        ]
         if by_log_time:
-            _require_order(self._chunks)
-            yield from _merge(self._files, wanted, span)
-        else:
-            for file in self._files:
-                yield from file.messages(wanted, span, by_log_time=False)
+            chunks.sort(key=lambda item: item[2].message_start_time)
+        waiting: list[tuple[int, int, int, int, Message]] = []  # by time, and then as written
+        kept = 0  # memory of the waiting messages [bytes]
+        for number, file, chunk in chunks:
+            while waiting and waiting[0][0] < chunk.message_start_time:
+                message = heapq.heappop(waiting)[-1]
+                kept -= len(message.data) + OVERHEAD
+                yield message
+            for index, message in enumerate(file.read_chunk(chunk)):
+                is_wanted = wanted is None or message.channel.topic in wanted
+                if not is_wanted or message.log_time not in span:
+                    continue
+                if not by_log_time:
+                    yield message
+                    continue
+                key = message.log_time, number, chunk.chunk_start_offset, index
+                heapq.heappush(waiting, (*key, message))
+                kept += len(message.data) + OVERHEAD
+                if kept > MAX_KEPT:
+                    raise BagError(
+                        f'{self.path}: more than {MAX_KEPT} bytes of its messages are of about '
+                        'the same time'
+                    )
+        while waiting:
+            yield heapq.heappop(waiting)[-1]
 
 
 def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.Metadata]:
@@ -228,56 +228,6 @@ def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.M
             last[record.name] = record
             texts.append(record)
     return texts
-
-
-def unrepeated_attachments(
-    files: Iterable[Iterable[mcap.Attachment]],
-) -> Iterator[mcap.Attachment]:
-    """Yield attachments of files, without those that a next file repeats."""
-    seen = set()
-    for record in itertools.chain.from_iterable(files):
-        key = (record.name, len(record.data), zlib.crc32(record.data))
-        if key not in seen:
-            seen.add(key)
-            yield record
-
-
-def _require_order(chunks: Iterable[mcap.ChunkIndex]) -> None:
-    """Raise BagError if too many chunks overlap in time to be sorted in memory."""
-    overlapping: list[tuple[int, int]] = []  # end time and memory of each
-    size = 0
-    for chunk in sorted(chunks, key=lambda chunk: chunk.message_start_time):
-        while overlapping and overlapping[0][0] < chunk.message_start_time:
-            size -= heapq.heappop(overlapping)[1]
-        heapq.heappush(overlapping, (chunk.message_end_time, memory_of(chunk)))
-        size += memory_of(chunk)
-        if size > MAX_KEPT:
-            raise BagError(
-                f'more than {MAX_KEPT} bytes of its messages are of about the same time'
-            )
-
-
-def _merge(
-    files: Sequence[McapFile], topics: Collection[str] | None, span: range
-) -> Iterator[Message]:
-    """Merge the messages of files by log time; a file is read when its first message is due."""
-    starts = [file.start_time for file in files]
-    waiting = sorted(range(len(files)), key=starts.__getitem__, reverse=True)
-    heads: list[tuple[int, int, Message, Iterator[Message]]] = []
-    while waiting or heads:
-        while waiting and (not heads or starts[waiting[-1]] <= heads[0][0]):
-            number = waiting.pop()
-            messages = files[number].messages(topics, span, by_log_time=True)
-            for message in itertools.islice(messages, 1):
-                heapq.heappush(heads, (message.log_time, number, message, messages))
-        if heads:
-            _, number, message, messages = heads[0]
-            yield message
-            following = next(messages, None)
-            if following is None:
-                heapq.heappop(heads)
-            else:
-                heapq.heapreplace(heads, (following.log_time, number, following, messages))
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:

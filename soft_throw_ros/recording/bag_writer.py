@@ -55,12 +55,6 @@ WRITE_SIZE = 4 * 2**20
 PROFILE = 'ros2'
 LIBRARY = f'soft_throw_ros {__version__}'
 
-_COMPRESSIONS = {
-    'none': CompressionType.NONE,
-    'lz4': CompressionType.LZ4,
-    'zstd': CompressionType.ZSTD,
-}
-
 
 class BagWriter:
     """
@@ -95,7 +89,7 @@ class BagWriter:
     Raises
     ------
     BagError
-        If the folder exists or cannot be made, or an argument is wrong.
+        If the folder exists or cannot be made.
 
     Notes
     -----
@@ -115,14 +109,8 @@ class BagWriter:
         sync: bool = False,
     ) -> None:
         self.folder = Path(folder)
-        if compression not in _COMPRESSIONS:
-            choices = ', '.join(_COMPRESSIONS)
-            raise BagError(f'compression must be one of {choices}, got {compression!r}')
-        for name, value in {'max_size': max_size, 'max_duration': max_duration}.items():
-            if not 0 <= value < math.inf:
-                raise BagError(f'{name} must be finite and not negative, got {value!r}')
         self._distribution = distribution
-        self._compression = _COMPRESSIONS[compression]
+        self._compression = CompressionType[compression.upper()]
         self._max_size = max_size or math.inf
         self._max_duration = round(max_duration * 1e9) or math.inf
         self._sync = sync
@@ -167,7 +155,11 @@ class BagWriter:
 
         """
         channel, log_time = message.channel, message.log_time
-        message.require_valid_times()
+        if not message.has_valid_times:
+            raise ValueError(
+                f'{channel.topic}: times must be at least 0 and below 2**63 ns, '
+                f'got {log_time} and {message.publish_time}'
+            )
         self._require_open()
         file = self._files[-1]
         if file.size > self._max_size or log_time - file.first >= self._max_duration:
@@ -369,14 +361,13 @@ class _File:
         self.damage = ''  # by another program
         self._identity = (0, 0)  # device and inode
         self._cut = ''  # the damage, if it cannot be undone
-        self._written_size = 0  # handed to the system [bytes]
         self._waiting = bytearray()
         self._kept_size = 0  # [bytes]
         self._descriptor = -1
         self._is_finished = False
         self._is_closed = False
         self._ids: dict[Channel, int] = {}
-        self._schemas: dict[tuple[str, str, str], int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self.writer = Writer(
             self,  # type: ignore[arg-type]  # all that a writer needs of a stream
             chunk_size=CHUNK_SIZE,
@@ -411,10 +402,17 @@ class _File:
         """
         if channel in self._ids:
             return
+        kind, encoding, text = channel.type, channel.schema_encoding, channel.schema.encode()
+        schema = self._schemas.get((kind, encoding, text))
+        if schema is None:
+            schema = self.writer.register_schema(kind, encoding, text)
+            self._schemas[kind, encoding, text] = schema
+        metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
+        number = self.writer.register_channel(channel.topic, 'cdr', schema, metadata)
+        self._ids[channel] = number
         builder = RecordBuilder()
-        for record in register_channel(self.writer, channel, self._schemas):
-            record.write(builder)
-            self._ids[channel] = record.id
+        SchemaRecord(schema, text, encoding, kind).write(builder)
+        ChannelRecord(number, channel.topic, 'cdr', metadata, schema).write(builder)
         data = builder.end()
         Chunk(
             compression='',
@@ -454,9 +452,7 @@ class _File:
         if not self._is_closed:
             written = self.written.copy()
             while self._waiting:
-                size = os.write(self._descriptor, self._waiting[:WRITE_SIZE])
-                del self._waiting[:size]
-                self._written_size += size
+                del self._waiting[: os.write(self._descriptor, self._waiting[:WRITE_SIZE])]
             if sync:
                 os.fsync(self._descriptor)
             self.kept, self._kept_size = written, self.size
@@ -473,10 +469,10 @@ class _File:
             return 'it was deleted while it was written'
         if (status.st_dev, status.st_ino) != self._identity:
             return 'it was replaced by another file while it was written'
-        if status.st_size != self._written_size:
+        written = self.size - self.waiting
+        if status.st_size != written:
             self._cut = (
-                f'it was changed to {status.st_size} bytes while it was written, '
-                f'and had {self._written_size}'
+                f'it was changed to {status.st_size} bytes while it was written, and had {written}'
             )
         return self._cut  # which stays, though further messages make the file longer
 
@@ -497,22 +493,6 @@ class _File:
             'duration': {'nanoseconds': max(self.last - self.first, 0)},
             'message_count': self.count,
         }
-
-
-def register_channel(
-    writer: Writer, channel: Channel, schemas: dict[tuple[str, str, str], int]
-) -> list[SchemaRecord | ChannelRecord]:
-    """Define a channel, and its schema unless it is in `schemas`; return the records."""
-    records: list[SchemaRecord | ChannelRecord] = []
-    key = (channel.type, channel.schema_encoding, channel.schema)
-    if key not in schemas:
-        data = channel.schema.encode()
-        schemas[key] = writer.register_schema(channel.type, channel.schema_encoding, data)
-        records.append(SchemaRecord(schemas[key], data, channel.schema_encoding, channel.type))
-    metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
-    number = writer.register_channel(channel.topic, 'cdr', schemas[key], metadata)
-    records.append(ChannelRecord(number, channel.topic, 'cdr', metadata, schemas[key]))
-    return records
 
 
 def is_being_written(path: str | Path) -> bool:

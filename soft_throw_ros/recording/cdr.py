@@ -33,9 +33,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin.results import Floats
-
-_SECOND = 1_000_000_000
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 _HEADER = b'\x00\x01\x00\x00'
 """CDR, little endian, no options."""
@@ -114,7 +114,7 @@ class JointStateEncoder:
         `values` are those of one series after another, as in a `State` of plate and projectile.
         """
         data, first = self._data, 0
-        _STAMP.pack_into(data, self._layout.stamp, *divmod(stamp_ns, _SECOND))
+        _STAMP.pack_into(data, self._layout.stamp, *divmod(stamp_ns, SECOND))
         for begin, size, numbers in self._layout.series:
             numbers.pack_into(data, begin, *values[first:first + size])
             first += size
@@ -122,7 +122,7 @@ class JointStateEncoder:
 
     def encode_arrays(self, stamp_ns: int, series: Sequence[Floats]) -> bytes:
         """Return a message made of an array per series, which is quick with many joints."""
-        _STAMP.pack_into(self._data, self._layout.stamp, *divmod(stamp_ns, _SECOND))
+        _STAMP.pack_into(self._data, self._layout.stamp, *divmod(stamp_ns, SECOND))
         for array, values in zip(self._arrays, series, strict=True):
             array[:] = values
         return bytes(self._data)
@@ -188,7 +188,7 @@ class JointStateReader:
         position, velocity, effort = [
             item.numbers.unpack_from(data, item.begin) for item in layout.series
         ]
-        stamp_ns = seconds * _SECOND + nanoseconds
+        stamp_ns = seconds * SECOND + nanoseconds
         return JointValues(stamp_ns, layout.names, position, velocity, effort)
 
     def read_all(self, datas: Sequence[bytes]) -> JointStates:
@@ -212,7 +212,7 @@ class JointStateReader:
             for item in layout.series
         ]
         return JointStates(
-            stamps=(stamps['s'].astype(np.int64) * _SECOND + stamps['ns']).ravel(),
+            stamps=(stamps['s'].astype(np.int64) * SECOND + stamps['ns']).ravel(),
             names=layout.names,
             position=position,
             velocity=velocity,
@@ -259,23 +259,9 @@ class _Layout:
         return is_long and int.from_bytes(data, 'little') & self._mask == self._fixed
 
 
-def decode(type_name: str, schema: str, data: bytes) -> Any:
+def decode(message: Message) -> Any:
     """
-    Read any message.
-
-    Parameters
-    ----------
-    type_name : str
-        Such as `std_msgs/msg/String`.
-    schema : str
-        Its definition and those it needs (`ros2msg`).
-    data : bytes
-        The message.
-
-    Returns
-    -------
-    SimpleNamespace
-        With the fields of the message.
+    Read a message of any type; return its fields as a SimpleNamespace.
 
     Raises
     ------
@@ -283,14 +269,15 @@ def decode(type_name: str, schema: str, data: bytes) -> Any:
         If the bytes are no such message, or the definition is none.
 
     """
+    channel = message.channel
     try:
-        return decoder_of(type_name, schema)(data)
+        return _decoder_of(channel.type, channel.schema)(message.data)
     except Exception as error:  # damaged bytes may cause any error in the library
-        raise MessageError(f'not a message {type_name}: {error}') from error
+        raise MessageError(f'not a message {channel.type}: {error}') from error
 
 
 @lru_cache(maxsize=256)
-def decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
+def _decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
     """
     Return a function that decodes messages of a type; making the function takes milliseconds.
 

@@ -27,8 +27,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.twin.results import Floats
 
-Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Marks = Iterable[tuple[str, float, float]]
 """Marked points: title, and values on both axes."""
@@ -154,15 +154,8 @@ def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
     Draw the axes around the strain of a throw, and the bar of its colours, as PNG.
 
     The strain itself is another image, in `FRAME_BOX`: many throws have the same frame, and to
-    draw one takes 100 ms.
-
-    Parameters
-    ----------
-    duration, thickness : float
-        Where the axes end. [ms], [mm]
-    limit : float
-        Where the colours end, to either side. [%]
-
+    draw one takes 100 ms. The axes end at `duration` [ms] and `thickness` [mm], the colours at
+    `limit` [%] to either side.
     """
     with mpl.rc_context(_STYLE):
         figure = _new_figure(FRAME_SIZE)

@@ -172,19 +172,9 @@ def check_bag(
     reader: BagReader, on_progress: Callable[[str, int], None] = lambda _twin, _steps: None
 ) -> list[CheckResult]:
     """
-    Check every twin in a bag.
+    Check every twin in a bag, which is read twice for each.
 
-    Parameters
-    ----------
-    reader : BagReader
-        The bag, which is read twice for every twin.
-    on_progress : callable
-        Called with the name of a twin and the number of its repeated steps, now and then.
-
-    Returns
-    -------
-    list of CheckResult
-        One for each twin.
+    `on_progress` is called with the name of a twin and the number of its repeated steps.
 
     Raises
     ------
@@ -551,7 +541,7 @@ def _entry(message: Message) -> journal.Entry:
     reason = f'it has {size} bytes, and may have {MAX_LINE}' if size > MAX_LINE else ''
     try:
         if not reason:
-            text = str(decode(message.channel.type, message.channel.schema, message.data).data)
+            text = str(decode(message).data)
             entry = journal.decode(text)
             if 'line' in entry:
                 return entry

@@ -47,13 +47,7 @@ def bound_to_parent(command: Sequence[str]) -> list[str]:
     Return a command that starts another one, which Linux kills when this process ends.
 
     That holds however this process ends. The main thread must start the command, since Linux
-    watches the thread that starts a process.
-
-    Parameters
-    ----------
-    command : sequence of str
-        Path of the program, and its arguments.
-
+    watches the thread that starts a process. A command is a program and its arguments.
     """
     return [sys.executable, '-I', '-S', '-c', _BIND_TO_PARENT, str(os.getpid()), *command]
 
@@ -65,24 +59,11 @@ class RestartedProcess:
     The wait before a start doubles with every process that ends soon after its own start. After
     `MAX_FAILURES` such processes in a row, no other process is started. The process has its own
     session, so that Ctrl-C in a terminal does not reach it.
-
-    Parameters
-    ----------
-    command : sequence of str
-        Name or path of the program, and its arguments.
-
-    Attributes
-    ----------
-    starts : int
-        How often it was started.
-    error : str
-        Why it does not run; empty while it runs.
-
     """
 
     def __init__(self, command: Sequence[str]) -> None:
-        self.starts = 0
-        self.error = ''
+        self.starts = 0  # number of successful starts
+        self.error = ''  # why it does not run; empty while it runs
         self._command = command
         self._process: subprocess.Popen[bytes] | None = None
         self._started = -math.inf

@@ -20,12 +20,10 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Rig
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.twin.results import Floats
 
 _SHAPE = (160, 100)
 """Thicknesses and wave speeds."""
@@ -70,23 +68,10 @@ def compute_energy_map(
     rig: Rig, settings: Settings, recommendation: Mapping[str, float | str]
 ) -> EnergyMap:
     """
-    Compute the map for a rig.
+    Compute the map for a rig; the marks are within it.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig, with the layer that is there now.
-    settings : mapping of str to value
-        Settings of the twin, whose limits select the layers.
-    recommendation : mapping of str to float or str
-        Values of `~/recommendation` for this rig, or empty. The marks use the values of
-        recommended layers, so that they agree with the table.
-
-    Returns
-    -------
-    EnergyMap
-        Its marks are within it.
-
+    The limits in the settings of the twin select the layers. The marks use the values of
+    `~/recommendation` for this rig, which may be empty, so that they agree with the table.
     """
     now, best = (rig.layer.thickness, rig.layer.wave_speed), _layer_of(recommendation, '')
     is_same = best is not None and np.allclose(now, best, rtol=_SAME)

@@ -48,23 +48,7 @@ MAX_WAITING = 20_000
 
 class LiveDisplay:
     """
-    Draws messages into a viewer, for viewers that connect, or into a file.
-
-    Parameters
-    ----------
-    sink : str
-        'viewer', 'serve' or 'file'.
-    port : int
-        Port of the viewer or of the server, on this machine.
-    path : Path
-        The file, if there is one.
-    log : callable
-        Takes sentences for the user.
-
-    Attributes
-    ----------
-    dropped : int
-        Number of messages that came too fast to be drawn.
+    Draws messages into a sink: a `viewer`, viewers that connect (`serve`), or a `file`.
 
     Raises
     ------
@@ -76,7 +60,7 @@ class LiveDisplay:
     """
 
     def __init__(self, sink: str, port: int, path: Path, log: Callable[[str], None]) -> None:
-        self.dropped = 0
+        self.dropped = 0  # number of messages that came too fast to be drawn
         self._scene = Scene('live', is_live=True)
         self._stream = output.new_stream()
         self._connection: _ViewerConnection | None = None
@@ -125,7 +109,7 @@ class LiveDisplay:
             if self._connection is not None:
                 self._connection.check()
             self._scene.show([self._inbox.get() for _ in range(self._inbox.qsize())])
-        self._scene.finish(is_waiting=False)
+        self._scene.finish()
         if output.flush(self._stream, EXIT_TIME):
             self._stream.disconnect()
 

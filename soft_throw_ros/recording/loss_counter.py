@@ -26,10 +26,7 @@ class LossCounter:
     """
     Numbers of lost messages, and of messages published before joining, of one topic.
 
-    Parameters
-    ----------
-    has_one_publisher : bool
-        Whether publishers of this topic follow one another and never publish at the same time.
+    With `has_one_publisher`, publishers follow one another and never publish at the same time.
 
     Notes
     -----

@@ -77,11 +77,16 @@ class DamageError(ValueError):
     """Bytes are not a valid record; the message gives the reason."""
 
 
-class Memory:
-    """The memory that a reader keeps for as long as it is open."""
+class Shared:
+    """The channels of all files of a bag, and the memory that their readers keep."""
 
     def __init__(self) -> None:
+        self._channels: dict[tuple[object, ...], Channel] = {}
         self._kept = 0  # [bytes]
+
+    def unify(self, channel: Channel) -> Channel:
+        """Return the first of all equal channels."""
+        return self._channels.setdefault(tuple(vars(channel).values()), channel)
 
     def keep(self, size: int) -> None:
         """Add the size of an object [bytes]; raise BagError above `MAX_KEPT` in all."""
@@ -91,21 +96,10 @@ class Memory:
 
 
 class Definitions:
-    """
-    The channels of a file or stream, by their identifiers.
+    """The channels of a file by their numbers in it."""
 
-    Parameters
-    ----------
-    known : dict
-        Channels of all files of a bag; equal channels become one object.
-    memory : Memory
-        Budget for the definitions.
-
-    """
-
-    def __init__(self, known: dict[tuple[object, ...], Channel], memory: Memory) -> None:
-        self._known = known
-        self._memory = memory
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
         self._schemas: dict[int, mcap.Schema] = {}
         self._records: dict[int, mcap.Channel] = {}
         self._channels: dict[int, Channel] = {}
@@ -116,7 +110,7 @@ class Definitions:
             self._schemas if isinstance(record, mcap.Schema) else self._records
         )
         if record.id not in records:
-            self._memory.keep(size_of(record))
+            self._shared.keep(size_of(record))
             records[record.id] = record
             self._channels.clear()
 
@@ -148,28 +142,22 @@ class Definitions:
                 f'{record.topic} has messages in {record.message_encoding!r}, not in '
                 "'cdr' as those of ROS 2 are"
             )
-        channel = Channel(
+        return self._shared.unify(Channel(
             topic=record.topic,
             type=schema.name,
             schema=schema.data.decode(errors='replace'),
             type_hash=record.metadata.get('topic_type_hash', ''),
             qos=record.metadata.get('offered_qos_profiles', ''),
             schema_encoding=schema.encoding,
-        )
-        return self._known.setdefault(tuple(vars(channel).values()), channel)
+        ))
 
 
 class RecordFile:
     """
     A file whose records are read at given offsets, each within the limits of size.
 
-    Parameters
-    ----------
-    path : Path
-        The file; BagError if it cannot be opened, is empty, or is in another format.
-    is_lenient : bool
-        Whether to open a file that does not begin as MCAP, too.
-
+    BagError is raised if it cannot be opened, is empty, or is in another format. If `is_lenient`,
+    it may begin otherwise than an MCAP file.
     """
 
     def __init__(self, path: Path, *, is_lenient: bool = False) -> None:
@@ -222,8 +210,8 @@ def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
     if not isinstance(chunk, mcap.Chunk):
         raise DamageError('there is no chunk')
     try:
-        data = decompress(chunk)
-        count_messages(data)
+        data = _decompress(chunk)
+        _check_record_count(data)
         return breakup_chunk(replace(chunk, compression='', data=data), validate_crc=True)
     except DamageError:
         raise
@@ -231,7 +219,7 @@ def unpack(chunk: mcap.McapRecord | None) -> list[mcap.McapRecord]:
         raise DamageError(f'the chunk there cannot be unpacked, {error!s:.100}') from None
 
 
-def decompress(chunk: mcap.Chunk) -> bytes:
+def _decompress(chunk: mcap.Chunk) -> bytes:
     """Return the bytes of all records of a chunk; raise DamageError if it is beyond the limits."""
     size = chunk.uncompressed_size
     if chunk.compression and size > MAX_RECORD:
@@ -259,17 +247,14 @@ def size_of(record: mcap.Schema | mcap.Channel | mcap.Metadata) -> int:
     return sum(len(key) + len(value) + OVERHEAD for key, value in record.metadata.items())
 
 
-def count_messages(data: bytes) -> int:
-    """Return the number of messages in a chunk; DamageError beyond `MAX_RECORDS` records."""
-    messages = count = offset = 0
+def _check_record_count(data: bytes) -> None:
+    """Raise DamageError if the bytes of a chunk have more than `MAX_RECORDS` records."""
+    count = offset = 0
     while offset + HEAD.size <= len(data):
-        opcode, length = HEAD.unpack_from(data, offset)
-        offset += HEAD.size + length
-        messages += opcode == Opcode.MESSAGE
+        offset += HEAD.size + HEAD.unpack_from(data, offset)[1]
         count += 1
         if count > MAX_RECORDS:
             raise DamageError(f'the chunk there has more than {MAX_RECORDS} records')
-    return messages
 
 
 def _open(path: Path, *, is_lenient: bool) -> BinaryIO:

@@ -36,8 +36,8 @@ from soft_throw_ros.recording.mcap_records import (
     DamageError,
     Definitions,
     HEAD,
-    Memory,
     RecordFile,
+    Shared,
     size_of,
     unpack,
 )
@@ -47,7 +47,7 @@ MAX_SEARCH = 4 * 2**30
 """Largest size of everything unpacked in search of the next whole chunk after damage. [bytes]"""
 
 _WINDOW = 16 * 2**20
-"""Size of the part of a file that is searched at once, between which Ctrl-C is heard. [bytes]"""
+"""Size of the part of a file that is searched or summed at once. [bytes]"""
 
 _CHUNK_HEAD = re.compile(
     rb'\x06(?=.{4}\0{4}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}))', re.DOTALL
@@ -80,43 +80,20 @@ class UnreadableRange(NamedTuple):
 
 
 class ScannedFile:
-    """
-    An MCAP file in any state.
+    """An MCAP file in any state; BagError is raised if it cannot be opened."""
 
-    Parameters
-    ----------
-    path : Path
-        The file; BagError if it cannot be opened.
-    known : dict
-        Channels of all files of the bag; equal channels become one object.
-    memory : Memory
-        Budget of the bag.
-
-    Attributes
-    ----------
-    channels : tuple of Channel
-        Channels that have messages.
-    metadata : list of Metadata
-        Named texts.
-    unreadable : list of UnreadableRange
-        All damage found by now.
-
-    """
-
-    def __init__(
-        self, path: Path, known: dict[tuple[object, ...], Channel], memory: Memory
-    ) -> None:
+    def __init__(self, path: Path, shared: Shared) -> None:
         self.metadata: list[mcap.Metadata] = []
-        self.unreadable: list[UnreadableRange] = []
+        self.unreadable: list[UnreadableRange] = []  # all damage found so far
         self._path = path
-        self._memory = memory
-        self._definitions = Definitions(known, memory)
+        self._shared = shared
+        self._definitions = Definitions(shared)
         self._attachments: list[tuple[int, int]] = []  # offsets of both ends
         self._searched = 0  # in search of whole chunks [bytes]
         self._next_chunk: dict[int, int] = {}  # after the damage at an offset
         self._file = RecordFile(path, is_lenient=True)
         try:
-            self.channels = self._survey()
+            self.channels = self._survey()  # those that have messages
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
@@ -160,7 +137,7 @@ class ScannedFile:
                     case mcap.Schema() | mcap.Channel():
                         self._definitions.add(record)
                     case mcap.Metadata():
-                        self._memory.keep(size_of(record))
+                        self._shared.keep(size_of(record))
                         self.metadata.append(record)
                     case mcap.Attachment():
                         self._attachments.append((offset, end))
@@ -178,8 +155,11 @@ class ScannedFile:
 
     def _has_sound_end(self, footer: mcap.Footer, offset: int) -> bool:
         """Return whether the checksum of the end is right, or there is none; note otherwise."""
-        content = self._file.read(min(footer.summary_start, offset), offset + HEAD.size + 16)
-        is_sound = footer.summary_crc in (0, zlib.crc32(content))
+        checksum, end = 0, offset + HEAD.size + 16
+        for begin in range(min(footer.summary_start, offset), end, _WINDOW):
+            part = self._file.read(begin, min(begin + _WINDOW, end))
+            checksum = zlib.crc32(part, checksum)
+        is_sound = footer.summary_crc in (0, checksum)
         if not is_sound:
             self._note(offset, 0, 'the checksum of the end is wrong')
         return is_sound

@@ -65,11 +65,3 @@ class Message(NamedTuple):
     def has_valid_times(self) -> bool:
         """Whether MCAP and ROS can hold both times."""
         return 0 <= (self.log_time | self.publish_time) <= LATEST
-
-    def require_valid_times(self) -> None:
-        """Raise ValueError if MCAP or ROS cannot hold one of the times."""
-        if not self.has_valid_times:
-            raise ValueError(
-                f'{self.channel.topic}: times must be at least 0 and below 2**63 ns, '
-                f'got {self.log_time} and {self.publish_time}'
-            )

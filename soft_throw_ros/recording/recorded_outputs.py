@@ -89,28 +89,11 @@ def count_missing(is_recorded: Flags, longest_end: int) -> NDArray[np.int64]:
 
 
 class RecordedStates:
-    """
-    The states in a bag, found by their stamps.
-
-    Parameters
-    ----------
-    reader : BagReader
-        The bag; BagError if it has more than `MAX_STATES`.
-    topic : str
-        Topic of the states.
-
-    Attributes
-    ----------
-    sequences : array of int
-        Numbers that publishers gave to the messages.
-    unreadable : int
-        Number of messages that are no state of plate and projectile [-].
-
-    """
+    """The states on a topic of a bag, found by their stamps; BagError above `MAX_STATES`."""
 
     def __init__(self, reader: BagReader, topic: str) -> None:
-        self.unreadable = 0
-        self.sequences = array('L')
+        self.unreadable = 0  # number of messages that are no state of plate and projectile
+        self.sequences = array('L')  # numbers that publishers gave to the messages
         stamps, values, read = array('q'), array('d'), JointStateReader().read
         for message in reader.messages(topic, by_log_time=False):
             self.sequences.append(message.sequence)
@@ -197,19 +180,11 @@ class RecordedNumbers:
     A recorded number belongs to the last throw with the same value in the journal so far. Numbers
     before the start of a run may belong to the run, since a recorder that joins late receives the
     last number and the journal at once.
-
-    Attributes
-    ----------
-    last_step : int
-        Step of the last expected number of this run.
-    unreadable : int
-        Number of messages that are no number [-].
-
     """
 
     def __init__(self) -> None:
-        self.unreadable = 0
-        self.last_step = 0
+        self.unreadable = 0  # number of messages that are no number
+        self.last_step = 0  # step of the last expected number of this run
         self._recorded: list[tuple[bytes, int, bool]] = []  # log time [ns], whether in the run
         self._expected: list[bytes] = []
 

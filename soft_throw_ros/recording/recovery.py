@@ -18,18 +18,16 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import closing, ExitStack
 from dataclasses import dataclass
+import itertools
 from pathlib import Path
 import shutil
+import zlib
 
-from soft_throw_ros.recording.bag_reader import (
-    BagFolder,
-    unrepeated_attachments,
-    unrepeated_metadata,
-)
+from soft_throw_ros.recording.bag_reader import BagFolder, unrepeated_metadata
 from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
-from soft_throw_ros.recording.mcap_records import Memory
+from soft_throw_ros.recording.mcap_records import Shared
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
-from soft_throw_ros.recording.message import BagError, Channel
+from soft_throw_ros.recording.message import BagError
 
 _BUFFER_SIZE = 2**20
 """Size of the unsaved messages above which they are saved. [bytes]"""
@@ -82,12 +80,10 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
-    known: dict[tuple[object, ...], Channel] = {}
-    memory = Memory()
+    shared = Shared()
     with ExitStack() as stack:
         files = [
-            stack.enter_context(closing(ScannedFile(path, known, memory)))
-            for path in folder.files
+            stack.enter_context(closing(ScannedFile(path, shared))) for path in folder.files
         ]
         if not any(file.channels for file in files):
             damage = [*(part for file in files for part in file.unreadable), *folder.defects]
@@ -116,9 +112,13 @@ def _copy(files: list[ScannedFile], writer: BagWriter) -> None:
         writer.add_channel(channel)
     for text in unrepeated_metadata(file.metadata for file in files):
         writer.add_metadata(text.name, text.metadata)
-    for item in unrepeated_attachments(file.attachments() for file in files):
-        writer.attach(item.name, item.data, item.media_type, time=item.log_time)
-        writer.flush()
+    attached = set()  # each file repeats the attachments of the one before
+    for item in itertools.chain.from_iterable(file.attachments() for file in files):
+        key = (item.name, len(item.data), zlib.crc32(item.data))
+        if key not in attached:
+            attached.add(key)
+            writer.attach(item.name, item.data, item.media_type, time=item.log_time)
+            writer.flush()
     for file in files:
         for message in file.messages():
             writer.write(message)

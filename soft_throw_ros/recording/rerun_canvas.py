@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -58,11 +57,7 @@ class Canvas:
     """
     Draws into a recording, if there is one, and keeps all content that still holds.
 
-    Parameters
-    ----------
-    throw : ThrowStart, optional
-        The throw whose start is the origin of `THROW_TIME`; without, there is only `STAMP`.
-
+    The start of `throw` is the origin of `THROW_TIME`; without it, there is only `STAMP`.
     """
 
     def __init__(self, throw: ThrowStart | None = None) -> None:
@@ -79,7 +74,7 @@ class Canvas:
     def log_style(self, path: str, style: rr.AsComponents) -> None:
         """Set the style of an entity once."""
         if ('style', path) not in self._kept:
-            self._keep('style', path, partial(self._log, path, style))
+            self._keep('style', path, partial(self._log_static, path, style))
 
     def log_latched(self, path: str, stamp: int, *content: rr.AsComponents) -> None:
         """Draw content that holds until an entity gets other content."""
@@ -91,7 +86,7 @@ class Canvas:
         self._kept[kind, path] = draw
         draw()
 
-    def _log(self, path: str, style: rr.AsComponents) -> None:
+    def _log_static(self, path: str, style: rr.AsComponents) -> None:
         if self._stream is not None:
             self._stream.log(path, style, static=True)
 
@@ -160,15 +155,3 @@ def texts(rows: Sequence[Text]) -> rr.Points2D:
         show_labels=True,
         draw_order=_IN_FRONT,
     )
-
-
-def round_up(value: float, digits: Sequence[float] = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)) -> float:
-    """Return a round number that is not less than a positive one."""
-    unit = 10.0 ** math.floor(math.log10(value))
-    return unit * next(digit for digit in digits if digit * unit >= value)
-
-
-def chart_view(origin: str, title: str, size: tuple[float, float]) -> rrb.Spatial2DView:
-    """Return the view of an image of a given size [pixel]."""
-    bounds = rrb.VisualBounds2D(x_range=[0.0, size[0]], y_range=[0.0, size[1]])
-    return rrb.Spatial2DView(origin=origin, name=title, visual_bounds=bounds)

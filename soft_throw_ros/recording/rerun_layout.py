@@ -120,15 +120,13 @@ class TwinLayout:
     title: str
     period: float  # of the plate, on the timeline that is shown [s]
     side: tuple[float, float, float]  # half the width of the side view, and its heights [mm]
-    residual_limit: float  # of the residual's plot [um]
+    residual_limit: float  # beyond which the model is reported as wrong [um]
     present: frozenset[str]  # optional panels that are there
 
 
-def with_hysteresis(
-    now: float, before: float, least: float = 1.0 / 1.15, most: float = 1.15
-) -> float:
+def with_hysteresis(now: float, before: float) -> float:
     """
-    Return the former size if the present one is between `least` and `most` times as large.
+    Return the former size if the present one differs by at most 15 %.
 
     A new layout discards the changes that a user made by hand, and costs Rerun's server a
     megabyte of memory, so small corrections of a rig must not cause one.
@@ -139,7 +137,7 @@ def with_hysteresis(
     (1.0, 1.2)
 
     """
-    return before if least * before <= now <= most * before else now
+    return before if before / 1.15 <= now <= 1.15 * before else now
 
 
 def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
@@ -169,8 +167,9 @@ def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
             bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'strain' | 'map':
-            size = charts.FRAME_SIZE if panel.kind == 'strain' else charts.MAP_SIZE
-            return drawing.chart_view(origin, panel.title, size)
+            width, height = charts.FRAME_SIZE if panel.kind == 'strain' else charts.MAP_SIZE
+            bounds = rrb.VisualBounds2D(x_range=[0.0, width], y_range=[0.0, height])
+            return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'phase':
             return rrb.StateTimelineView(origin=origin, name=panel.title, time_view=window)
         case 'plot':

@@ -58,7 +58,7 @@ def store_of(stream: rr.RecordingStream) -> str:
 
 
 def flush(stream: rr.RecordingStream, seconds: float) -> bool:
-    """Send all waiting data, and return whether that succeeded in time."""
+    """Send all waiting data; return whether that succeeded in time."""
     try:
         stream.flush(timeout_sec=seconds)
     except RuntimeError:
@@ -115,22 +115,8 @@ def send_recording(
     """
     Draw a recording into the running viewer, or into a new one that stays.
 
-    Parameters
-    ----------
-    stream : RecordingStream
-        The recording; still connected afterwards.
-    port : int
-        Port of the viewer.
-    draw : callable
-        Draws into `stream`.
-    within : float
-        Longest wait until the viewer has received everything. [s]
-
-    Raises
-    ------
-    ViewerError
-        If there is no viewer, or it does not receive everything.
-
+    Raise ViewerError if there is none, or it does not receive everything `within` a time [s]. The
+    recording is still connected afterwards.
     """
     if not listens(port):
         Viewer(port, *WINDOW, stays=True)

@@ -32,11 +32,12 @@ from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording import timeseries as series
+from soft_throw_ros.recording.cdr import decode
 from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.rerun_canvas import Text
 from soft_throw_ros.recording.rig_picture import RigPicture
-from soft_throw_ros.recording.timeseries import Floats, LayerStates, SECOND, Stamps, ThrowStart
+from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart
 
 _MILLI, _MICRO = 1e3, 1e6
 
@@ -47,16 +48,6 @@ _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEB
 
 _MOMENT = 0.7
 """Time of the cursor in a contact, as a fraction of the ejection time."""
-
-_DENSE = 10.0
-"""Number of layer messages per period of the plate that suffices for lines."""
-
-_RESIDUAL_QUANTILE = 0.9
-"""Fraction of the residuals in a contact that the plot includes; spikes are beyond."""
-
-_LEAST_RESIDUAL, _DEFAULT_RESIDUAL = 10.0, 100.0  # um
-
-_KEPT_RESIDUALS = 200
 
 Groups = Mapping[Topic, Sequence[Message]]
 
@@ -76,13 +67,6 @@ class Scene:
     throw : ThrowStart, optional
         The throw that is shown; times count from its start.
 
-    Attributes
-    ----------
-    damaged : int
-        Messages that could not be read.
-    damage : str
-        The error of the first unreadable message.
-
     """
 
     def __init__(
@@ -93,8 +77,8 @@ class Scene:
         is_picture: bool = False,
         throw: ThrowStart | None = None,
     ) -> None:
-        self.damaged = 0
-        self.damage = ''
+        self.damaged = 0  # number of messages that could not be read
+        self.damage = ''  # the error of the first of them
         self._name = name
         self._is_live = is_live
         self._is_picture = is_picture
@@ -153,10 +137,10 @@ class Scene:
         if self._is_live:
             self._arrange()
 
-    def finish(self, *, is_waiting: bool) -> None:
-        """Draw the remaining maps, waiting for them if requested, and arrange all panels."""
+    def finish(self) -> None:
+        """Wait for the maps that are not drawn yet, and arrange all panels."""
         for twin in self._twins.values():
-            twin.draw_maps(is_waiting=is_waiting)
+            twin.draw_maps(is_waiting=True)
         self._arrange()
 
     def _read(self, node: str, groups: Groups) -> None:
@@ -190,7 +174,7 @@ class Scene:
 
     def _draw_line(self, message: Message) -> None:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
-        line = series.read_message(message)
+        line = decode(message)
         twins = self._twins.values()
         known = (twin.stamp_of(message) for twin in twins if twin.span is not None)
         stamp = next(known, series.to_ns(line.stamp))
@@ -233,23 +217,12 @@ class Scene:
 
 
 class _TwinView:
-    """
-    The drawing of one twin from its messages.
-
-    Attributes
-    ----------
-    ejection_time : float or None
-        Ejection time of the displayed throw. [s]
-    span : tuple of int or None
-        Stamps of the first and the last state. [ns]
-    is_drawn : bool
-        Whether anything was drawn; topics with matching names may belong to another machine.
-
-    """
+    """The drawing of one twin from its messages."""
 
     def __init__(self, node: str, canvas: drawing.Canvas, pool: ThreadPoolExecutor) -> None:
-        self.ejection_time: float | None = None
-        self.span: tuple[int, int] | None = None
+        self.ejection_time: float | None = None  # of the displayed throw [s]
+        self.span: tuple[int, int] | None = None  # stamps of the first and last state [ns]
+        # Whether anything was drawn: topics with these names may belong to another machine
         self.is_drawn = False
         self._node = node
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
@@ -260,8 +233,8 @@ class _TwinView:
         self._side = RigPicture(canvas, self._path('side'))
         self._recommendation: tuple[Rig | None, series.Values] = (None, {})
         self._track: dict[str, str] = {}  # texts by the task of the node
-        self._residuals: Floats | None = None  # in the last contacts, or in the shown one
-        self._period = self._residual_limit = 0.0  # of the layout [s], [um]
+        self._has_residuals = False
+        self._period = 0.0  # of the layout [s]
         self._maps: list[tuple[int, Future[EnergyMap]]] = []
         self._map_rig: Rig | None = None
         self._has_phase_changes = False
@@ -333,18 +306,7 @@ class _TwinView:
         stamps, position = found
         self._draw_lines(layout.POSITIONS[topic], stamps, position)
         if topic == TWIN_TOPICS.residual:
-            self._keep_residuals(stamps, np.abs(position))
-
-    def _keep_residuals(self, stamps: Stamps, values: Floats) -> None:
-        """Store residuals of a contact; in flight and after a landing they are unbounded."""
-        before = np.zeros(0) if self._residuals is None else self._residuals
-        self._residuals = before
-        shown, throw = self._canvas.throw, self._reader.throw
-        if throw is not None and (shown is None or shown.stamp == throw.stamp):
-            since = (stamps - throw.stamp) / SECOND
-            values = values[(since >= 0.0) & (since < self._period_of_stamps)]
-            known = values[np.isfinite(values)]
-            self._residuals = np.concatenate([before, known])[-_KEPT_RESIDUALS:]
+            self._has_residuals = True
 
     # waves in the layer
 
@@ -352,20 +314,6 @@ class _TwinView:
         layer = self._reader.read_layer(messages)
         if layer is not None:
             self._side.draw_layer(layer)
-            if self._is_dense():
-                self._draw_layer_energy(layer)
-
-    def _is_dense(self) -> bool:
-        """Return whether layer messages are frequent enough for lines of its energies."""
-        rows = self._reader.settings['rate.field'] * self._period_of_stamps
-        return bool(rows >= _DENSE)
-
-    def _draw_layer_energy(self, layer: LayerStates) -> None:
-        for name, energy in (('layer', layer.energy), ('total', layer.total_energy)):
-            stamps, values = layer.stamps, energy
-            if not self._is_dense():  # the line must not go on to the next throw
-                stamps, values = np.append(stamps, stamps[-1] + 1), np.append(values, math.nan)
-            self._draw_lines(f'energy/{name}', stamps, values)
 
     def draw_field(self, message: Message) -> None:
         field = self._reader.read_field(message)
@@ -373,7 +321,7 @@ class _TwinView:
             return
         time, stamps, start = field.ejection_time, field.stamps, int(field.stamps[0])
         contact = field.strain[field.times <= (time or field.times[-1])]
-        limit = drawing.round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
+        limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
         duration, thickness = _MILLI * float(field.times[-1]), _MILLI * field.thickness
         left, top, width, height = charts.FRAME_BOX
@@ -400,10 +348,12 @@ class _TwinView:
         self._canvas.log_columns(self._path('strain/now'), gone, columns)
         throw = self._reader.see_throw(field)
         if throw is not None:
-            position, layer = throw
+            position, layer, energies = throw
             self._side.draw_positions(stamps, position)
             self._side.draw_layer(layer)
-            self._draw_layer_energy(layer)
+            after = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
+            for name, energy in zip(('layer', 'total'), energies.T, strict=True):
+                self._draw_lines(f'energy/{name}', after, np.append(energy, math.nan))
 
     # words
 
@@ -416,7 +366,7 @@ class _TwinView:
     def draw_phase(self, message: Message) -> None:
         """Draw a phase at the step of its message, if its start is not recorded."""
         if not self._has_phase_changes:
-            self._draw_phase(self.stamp_of(message), series.read_text(message))
+            self._draw_phase(self.stamp_of(message), str(decode(message).data))
 
     def _draw_phase(self, stamp: int, phase: str) -> None:
         self.is_drawn = True
@@ -485,16 +435,8 @@ class _TwinView:
 
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
         """Return the state of the layout; sizes that have hardly changed stay the same."""
-        throw, residuals = self._canvas.throw, self._residuals
-        limit = 0.0
-        if residuals is not None:
-            most = _DEFAULT_RESIDUAL
-            if residuals.size:
-                most = 1.5 * _MICRO * float(np.quantile(residuals, _RESIDUAL_QUANTILE))
-            limit = drawing.round_up(max(most, _LEAST_RESIDUAL), (1.0, 2.0, 5.0, 10.0))
-            former = self._residual_limit
-            limit = self._residual_limit = layout.with_hysteresis(limit, former, 0.3, 1.0)
-        present = {'residual': residuals is not None, 'track': self._track, layout.LOG: has_log}
+        throw = self._canvas.throw
+        present = {'residual': self._has_residuals, 'track': self._track, layout.LOG: has_log}
         period = self._period_of_stamps * (1.0 if throw is None else throw.time_scale)
         self._period = layout.with_hysteresis(period, self._period)
         return layout.TwinLayout(
@@ -502,7 +444,7 @@ class _TwinView:
             title=self._node or '/',
             period=self._period,
             side=self._side.bounds,
-            residual_limit=limit,
+            residual_limit=_MICRO * self._reader.settings['measured.residual_threshold'],
             present=frozenset(name for name, is_there in present.items() if is_there),
         )
 
@@ -519,6 +461,12 @@ _READERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.throw_field: _TwinView.draw_field,
 }
 """Methods that draw the messages of each topic; later methods need the data of earlier ones."""
+
+
+def _round_up(value: float) -> float:
+    """Return a round number that is not less than a positive one."""
+    unit = 10.0 ** math.floor(math.log10(value))
+    return unit * next(digit for digit in (1.0, 1.5, 2.0, 3.0, 5.0, 10.0) if digit * unit >= value)
 
 
 def is_shown(topic: str, type_name: str) -> bool:

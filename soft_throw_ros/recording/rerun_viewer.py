@@ -33,7 +33,7 @@ from typing import NoReturn, TYPE_CHECKING, TypeVar
 from soft_throw_ros.recording.child_process import bound_to_parent
 
 if TYPE_CHECKING:
-    from rerun.experimental import ViewerClient, ViewerState
+    from rerun.experimental import ViewerClient
 
 Answer = TypeVar('Answer')
 
@@ -137,16 +137,8 @@ class Viewer:
     """
     A viewer process in a session of its own.
 
-    It listens on this machine only, has limits on its memory, and sends no statistics.
-
-    Parameters
-    ----------
-    port : int
-        Port to listen on.
-    *options : str or path_like
-        Options of the program.
-    stays : bool
-        Whether it is for a user, and goes on when this process ends.
+    It listens on this machine only, has limits on its memory, and sends no statistics. One that
+    `stays` is for a user, and goes on when this process ends.
 
     Raises
     ------
@@ -210,7 +202,7 @@ class Viewer:
         """Return a picture (PNG) of a time [s] on a timeline; raise ViewerError if that fails."""
         client = self.client()
         with self._explained_errors():
-            _ask(client.get_state, _has_loaded)
+            _ask(client.get_state, lambda now: now.recordings and now.views and not now.loading)
             if seconds is not None:
                 client.set_time(timeline, duration=seconds, play_state='paused')
             picture = b''
@@ -268,12 +260,8 @@ def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> No
         client.set_time(timeline, duration=seconds, play_state='paused', recording=recording)
 
 
-def _has_loaded(state: ViewerState) -> bool:
-    return bool(state.recordings and state.views and not state.loading)
-
-
 def _ask(
-    question: Callable[[], Answer], is_enough: Callable[[Answer], bool] = lambda _: True
+    question: Callable[[], Answer], is_enough: Callable[[Answer], object] = lambda _: True
 ) -> Answer:
     """Repeat a request to a viewer until the result is enough; a busy one may time out."""
     deadline = time.monotonic() + _ANSWER_TIME

@@ -33,26 +33,15 @@ _CELLS = 64
 _PLATE_WIDTH = 1.5
 """Width of the plate, over the diameter of the layer."""
 
-_TOP = 0.93
-"""Height of the text of a projectile above the view, as a fraction of the view."""
-
 _DEFAULT_STRAIN = 0.2
 """Upper end of the colours of strain before the first throw. [-]"""
 
 
 class RigPicture:
-    """
-    Plate, layer and projectile: in mm, downwards as Rerun has it.
-
-    Attributes
-    ----------
-    largest_strain : float
-        Where the colours of strain end. [-]
-
-    """
+    """Plate, layer and projectile: in mm, downwards as Rerun has it."""
 
     def __init__(self, canvas: drawing.Canvas, path: str) -> None:
-        self.largest_strain = _DEFAULT_STRAIN
+        self.largest_strain = _DEFAULT_STRAIN  # where the colours end [-]
         self._canvas = canvas
         self._path = path
         self._rig: Rig | None = None
@@ -86,7 +75,7 @@ class RigPicture:
         for name, text, y in (
             ('plate/text', 'plate', 0.0),
             ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
-            ('projectile_text', 'projectile', -0.5 * length),
+            ('projectile/text', 'projectile', -0.5 * length),
         ):
             label = drawing.texts([Text(0.95 * diameter, y, text, drawing.WHITE)])
             self._canvas.log_latched(f'{self._path}/{name}', stamp, label)
@@ -108,10 +97,6 @@ class RigPicture:
             translation[:, 1] = -_MILLI * height
             columns = rr.Transform3D.columns(translation=translation)
             self._canvas.log_columns(f'{self._path}/{name}', stamps, columns)
-        # the text of a projectile above the view stays at the upper edge
-        translation[:, 1] = translation[:, 1].clip(min=-_TOP * self.bounds[2])
-        columns = rr.Transform3D.columns(translation=translation)
-        self._canvas.log_columns(f'{self._path}/projectile_text', stamps, columns)
 
     def draw_layer(self, layer: LayerStates) -> None:
         """Colour cells that are even in height, wherever their matter is."""

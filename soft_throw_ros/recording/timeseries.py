@@ -20,7 +20,6 @@ published right after the state message of its step, and gets the stamp of this 
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
@@ -39,14 +38,11 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.cdr import decode, JointStateReader, JointStates, MessageError
 from soft_throw_ros.recording.message import Message
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.results import Phase
-from soft_throw_ros.twin.tick_schedule import TickSchedule
+from soft_throw_ros.twin.results import Floats, Phase
+from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
-Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Values = Mapping[str, float | str]
-
-SECOND = 1_000_000_000  # [ns]
 
 DECODING_ERRORS = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
@@ -129,10 +125,6 @@ class LayerStates(NamedTuple):
     stamps: Stamps  # (n,) [ns]
     height: Floats  # (n, points) Heights of points from plate to top, evenly spaced at rest. [m]
     strain: Floats  # (n, points) Strain at these points. [-]
-    # (n,) Elastic and kinetic energy, relative to rest; NaN while the rig is put back. [J]
-    energy: Floats
-    # (n,) Energy of layer and projectile; without loss equal to the work of the plate. [J]
-    total_energy: Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +210,6 @@ class TwinReader:
         self.throw: ThrowStart | None = None
         self.ejection_time: float | None = None
         self.states: RigStates | None = None
-        self._decoders: defaultdict[str, JointStateReader] = defaultdict(JointStateReader)
         self._schedule: TickSchedule | None = None
         self._motions: dict[str, str] = {}  # encoded motions by file
         self._rest: tuple[float, float] | None = None  # heights measured before the throw
@@ -242,7 +233,7 @@ class TwinReader:
 
     def read_journal(self, message: Message) -> None:
         """Apply a line of the journal: a throw, a rig, or pending changes."""
-        entry = journal.decode(read_text(message))
+        entry = journal.decode(str(decode(message).data))
         self._motions |= entry.get('motions', {})
         match entry['kind']:
             case 'tick_schedule':
@@ -297,13 +288,9 @@ class TwinReader:
 
     # plate and projectile
 
-    def _decode(self, messages: Sequence[Message]) -> JointStates:
-        decoder = self._decoders[messages[0].channel.topic]
-        return decoder.read_all([message.data for message in messages])
-
     def read_states(self, messages: Sequence[Message]) -> RigStates | None:
         """Read messages of plate and projectile; return None for those of another machine."""
-        read = self._decode(messages)
+        read = _read_joint_states(messages)
         if not set(JOINTS) <= set(read.names):
             return None
         records = np.zeros(len(messages), _STATE)
@@ -349,7 +336,7 @@ class TwinReader:
         Measured positions are relative to rest, and NaN for a joint without measurement. Return
         None for another machine, or while the rest is unknown.
         """
-        read = self._decode(messages)
+        read = _read_joint_states(messages)
         if topic.joints[0] not in read.names or read.position.shape[1] != len(read.names):
             return None
         position = np.full((len(messages), len(topic.joints)), math.nan)
@@ -365,7 +352,7 @@ class TwinReader:
 
     def read_phase_changes(self, messages: Sequence[Message]) -> list[tuple[int, str]]:
         """Read stamps [ns] and names of phases; those of another machine are left out."""
-        read = self._decode(messages)
+        read = _read_joint_states(messages)
         if read.names != TWIN_TOPICS.phase_change.joints or read.position.shape[1] != 1:
             return []
         pairs = zip(read.stamps.tolist(), read.position[:, 0].tolist(), strict=True)
@@ -374,26 +361,16 @@ class TwinReader:
     # the layer
 
     def read_layer(self, messages: Sequence[Message]) -> LayerStates | None:
-        """Read messages of the layer; None while rig or plate are not known."""
-        read = self._decode(messages)
-        if len(read.names) < 2 or read.position.shape != read.velocity.shape:
+        """Read messages of the layer; None while the rig is not known."""
+        read = _read_joint_states(messages)
+        if len(read.names) < 2 or read.position.shape[1] != len(read.names):
             raise MessageError(f'a layer of {len(read.names)} joints')
-        _check_numbers(read.position, read.velocity)
-        return self._layer_at(read.stamps, read.position, read.velocity)
-
-    def _rows(self, stamps: Stamps) -> NDArray[np.intp]:
-        """Return the indices of the states at or after some stamps."""
-        assert self.states is not None
-        return np.searchsorted(self.states.stamps, stamps).clip(0, self.states.size - 1)
-
-    def _layer_at(self, stamps: Stamps, height: Floats, velocity: Floats) -> LayerStates | None:
-        if self.rig is None or self.states is None:
+        _check_numbers(read.position)
+        if self.rig is None:
             return None
-        projectile = self.states.projectile_energy[self._rows(stamps)]
-        energy = _layer_energy(self.rig, height, velocity) + 0.0 * projectile  # NaN as there
-        step = self.rig.layer.thickness / (height.shape[1] - 1)
-        strain = np.asarray(np.gradient(height, step, axis=1) - 1.0)
-        return LayerStates(stamps, height, strain, energy, energy + projectile)
+        step = self.rig.layer.thickness / (len(read.names) - 1)
+        strain = np.asarray(np.gradient(read.position, step, axis=1) - 1.0)
+        return LayerStates(read.stamps, read.position, strain)
 
     def read_field(self, message: Message) -> StrainField | None:
         """Read the field of the throw under way; None while the rig is not known."""
@@ -414,11 +391,13 @@ class TwinReader:
             ejection_time=self.ejection_time,
         )
 
-    def see_throw(self, field: StrainField) -> tuple[Floats, LayerStates] | None:
+    def see_throw(self, field: StrainField) -> tuple[Floats, LayerStates, Floats] | None:
         """
-        Return positions, shape (n, 2) in [m], and layer at the times of a field.
+        Return positions [m], the layer, and energies [J] at the times of a field.
 
-        None if not all state messages of its throw are there.
+        Positions are those of plate and projectile, energies those of the layer, and of layer and
+        projectile, relative to rest; both have the shape (n, 2). Without loss, the second energy
+        is the work of the plate. Return None if not all state messages of the throw are there.
         """
         states, rig, throw = self.states, self.rig, self.throw
         if states is None or rig is None or throw is None:
@@ -432,13 +411,14 @@ class TwinReader:
         # The field has no velocity; it follows from the strain rate below each point
         rate = np.gradient(field.strain, field.times, axis=0, edge_order=2)
         velocity = _integral(rate, field.thickness) + speed[:, :1]
-        height = _heights(field.strain, position[:, 0], field.thickness)
+        height = _integral(1.0 + field.strain, field.thickness) + position[:, :1]
         energy = _layer_energy(rig, height, velocity)
         total = energy + _projectile_energy(rig, position[:, 1], speed[:, 1])
-        return position, LayerStates(field.stamps, height, field.strain, energy, total)
+        layer = LayerStates(field.stamps, height, field.strain)
+        return position, layer, np.stack([energy, total], axis=1)
 
 
-# energies and heights
+# energies
 
 
 def _projectile_energy(rig: Rig, height: Floats, speed: Floats) -> Floats:
@@ -465,28 +445,17 @@ def _layer_energy(rig: Rig, height: Floats, velocity: Floats) -> Floats:
     return np.asarray(layer.section * step * per_volume.sum(axis=1))
 
 
-def _heights(strain: Floats, plate_position: Floats, thickness: float) -> Floats:
-    """Return the heights of points of a strained layer, shape (n, points) [m]."""
-    return plate_position[:, None] + _integral(1.0 + strain, thickness)
-
-
 def _integral(values: Floats, thickness: float) -> Floats:
     """Integrate over the layer, from the plate to each point."""
     step = thickness / (values.shape[1] - 1)
     return np.asarray(cumulative_trapezoid(values, dx=step, axis=1, initial=0.0))
 
 
-# single messages
+# messages
 
 
-def read_message(message: Message) -> Any:
-    """Decode a message of any type, with the fields of its definition."""
-    return decode(message.channel.type, message.channel.schema, message.data)
-
-
-def read_text(message: Message) -> str:
-    """Read a String."""
-    return str(read_message(message).data)
+def _read_joint_states(messages: Sequence[Message]) -> JointStates:
+    return JointStateReader().read_all([message.data for message in messages])
 
 
 def to_ns(time: Any) -> int:  # a builtin_interfaces/Time
@@ -496,7 +465,7 @@ def to_ns(time: Any) -> int:  # a builtin_interfaces/Time
 
 def read_statuses(message: Message) -> Iterator[tuple[int, Any, dict[str, float | str]]]:
     """Yield stamp, status and its named values, for each status of a DiagnosticArray."""
-    array = read_message(message)
+    array = decode(message)
     for status in array.status:
         values = {str(item.key): _number_or_text(item.value) for item in status.values}
         yield to_ns(array.header.stamp), status, values
@@ -519,7 +488,7 @@ def _published(message: Message) -> int:
 
 def _read_field(message: Message) -> Floats:
     """Read an array with a point at either end of the layer at least."""
-    array = read_message(message)
+    array = decode(message)
     values = np.reshape(array.data, [each.size for each in array.layout.dim])
     if values.ndim != 2 or min(values.shape) < 2 or values.size > _LARGEST:
         raise MessageError(f'an array of 2 dimensions, not {values.shape}')

@@ -15,8 +15,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-import contextlib
 from pathlib import Path
 import signal
 import subprocess
@@ -32,14 +30,13 @@ from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.rerun_viewer import (
     find_viewer,
     free_port,
-    NoGraphicsError,
     Viewer,
 )
 from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
 
-from test.recording.recordings import Recording  # noqa: E402, I100
+from test.recording.recordings import Recording, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E402
 
@@ -74,17 +71,6 @@ def run(capsys, *args: Any) -> tuple[int, list[str]]:
 def rows(path: Path) -> dict[str, int]:
     """Count the rows of each entity in a recording, without rows of style."""
     return Recording(path).rows
-
-
-@contextlib.contextmanager
-def viewer_at(port: int, *options: str) -> Iterator[Viewer]:
-    """Start a viewer without a window; skip the test on a machine without graphics."""
-    with Viewer(port, '--headless', *options) as viewer:
-        try:
-            viewer.client()
-        except NoGraphicsError as error:
-            pytest.skip(str(error))
-        yield viewer
 
 
 def test_bag_is_drawn_in_the_requested_size(capsys, bag, tmp_path) -> None:

@@ -22,7 +22,7 @@ import socket
 import sys
 from typing import Any
 
-from bags import saved
+from bags import attachments, saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.node import Node
@@ -223,7 +223,7 @@ def test_recorder_records_the_twin_in_its_own_namespace(ros, recorder, tmp_path)
         assert bag.ros_distro in ('jazzy', 'kilted')
     with BagReader(tmp_path / 'bag') as bag:
         notes = {item.name: item.metadata for item in bag.metadata}
-        files = {item.name: item.data.decode() for item in bag.attachments()}
+    files = {name: data.decode() for name, data in attachments(tmp_path / 'bag').items()}
     assert notes[f'parameters of {name}']['throw.period'] == '0.2'
     assert notes[f'versions of {name}']['python'] == sys.version.split()[0]
     assert 'period: 0.2' in files[f'{name[1:].replace("/", "_")}.yaml']

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 import contextlib
 import os
 from pathlib import Path
@@ -33,13 +33,12 @@ from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.topics import load_type, qos_profile
 from soft_throw_ros.nodes.viewer import Viewer
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.recording.rerun_viewer import free_port, NoGraphicsError, url_of
-from soft_throw_ros.recording.rerun_viewer import Viewer as RerunViewer
+from soft_throw_ros.recording.rerun_viewer import free_port, url_of
 from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
 
-from test.recording.recordings import Recording  # noqa: E402, I100
+from test.recording.recordings import Recording, viewer_at  # noqa: E402, I100
 
 from rerun.experimental import ViewerClient  # noqa: E402
 from soft_throw_ros.recording.rerun_view import is_drawn  # noqa: E402
@@ -108,18 +107,7 @@ def show(start: Any) -> Callable[..., Any]:
     return show
 
 
-@contextlib.contextmanager
-def viewer_at(port: int, *options: str) -> Iterator[RerunViewer]:
-    """Start a viewer without a window; skip the test on a machine without graphics."""
-    with RerunViewer(port, '--headless', *options) as viewer:
-        try:
-            viewer.client()
-        except NoGraphicsError as error:
-            pytest.skip(str(error))
-        yield viewer
-
-
-def entities(viewer: RerunViewer) -> set[str]:
+def entities(viewer: Any) -> set[str]:
     client = ViewerClient.connect(url_of(viewer.port))
     if not client.get_state().recordings:
         return set()

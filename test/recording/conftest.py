@@ -15,16 +15,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 import os
 from pathlib import Path
+import resource
 import subprocess
 import sys
 import time
 from types import SimpleNamespace
 from typing import Any
 
-from bags import channel
+from bags import attachments, channel
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
@@ -53,13 +55,24 @@ def wait_until(done: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """Limit the size of files that this process may write, like a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
 def read(path: Path) -> SimpleNamespace:
     """Read all contents of an undamaged bag."""
     with BagReader(path) as bag:
         contents = SimpleNamespace(
             messages=list(bag.messages()),
             metadata=bag.metadata,
-            attachments=list(bag.attachments()),
+            attachments=attachments(path),
             channels=bag.channels,
             counts=list(bag.counts.values()),
             span=(bag.start_time, bag.end_time),

@@ -11,19 +11,33 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recordings of Rerun, read back by Rerun itself."""
+"""Recordings of Rerun, read back by Rerun itself, and its viewers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+import contextlib
 from pathlib import Path
 from typing import Any
 import warnings
 
 import numpy as np
+import pytest
 from rerun.chunk import RrdReader
 from soft_throw_ros.recording.rerun_output import flush, new_stream, save_to
 from soft_throw_ros.recording.rerun_view import Scene
+from soft_throw_ros.recording.rerun_viewer import NoGraphicsError, Viewer
+
+
+@contextlib.contextmanager
+def viewer_at(port: int, *options: str | Path) -> Iterator[Viewer]:
+    """Start a viewer without a window; skip the test on a machine without graphics."""
+    with Viewer(port, '--headless', *options) as viewer:
+        try:
+            viewer.client()
+        except NoGraphicsError as error:
+            pytest.skip(str(error))
+        yield viewer
 
 
 class Recording:
@@ -86,7 +100,7 @@ def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000)
     scene.connect(stream)
     for begin in range(0, len(messages), batch):
         scene.show(messages[begin:begin + batch])
-    scene.finish(is_waiting=True)
+    scene.finish()
     assert flush(stream, 10.0)
     stream.disconnect()
     scene.connect(None)

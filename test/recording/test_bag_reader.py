@@ -161,7 +161,7 @@ def test_mcap_with_any_index_is_read_or_recovered(tmp_path, chunked, index_types
     )
     assert bag.span == (0, 9)
     assert bag.metadata == [Metadata(name='name', metadata={'key': 'value'})]
-    assert [record.data for record in bag.attachments] == [b'content']
+    assert bag.attachments == {'file': b'content'}
 
 
 @pytest.mark.parametrize(

@@ -15,13 +15,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 import os
 from pathlib import Path
-import resource
 import shutil
-from test.recording.conftest import PLAIN, plain, read, TYPES
+from test.recording.conftest import largest_file, PLAIN, plain, read, TYPES
 
 from bags import profiles, saved
 from mcap.reader import make_reader
@@ -42,17 +39,6 @@ def numbers(messages):
 
 def information(folder):
     return yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-
-
-@contextmanager
-def largest_file(size) -> Iterator[None]:
-    """Limit the size of files that this process may write, like a full disk."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 # Compatibility with other readers
@@ -168,20 +154,6 @@ def test_bag_is_locked_and_never_overwritten(tmp_path):
     assert numbers(read(tmp_path / 'bag').messages) == [0]
     with pytest.raises(BagError, match='file/bag: Not a directory'):
         BagWriter(tmp_path / 'file/bag', distribution='')
-
-
-@pytest.mark.parametrize(
-    ('options', 'message'),
-    [
-        ({'compression': 'zip'}, "none, lz4, zstd, got 'zip'"),
-        ({'max_size': -1}, 'max_size .* got -1'),
-        ({'max_duration': float('nan')}, 'max_duration .* got nan'),
-    ],
-)
-def test_wrong_option_is_quoted(tmp_path, options, message):
-    with pytest.raises(BagError, match=message):
-        BagWriter(tmp_path / 'bag', distribution='', **options)
-    assert not (tmp_path / 'bag').exists()
 
 
 # Flushes and faults

@@ -27,6 +27,7 @@ from soft_throw_ros.recording.cdr import (
     JointStateReader,
     MessageError,
 )
+from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.twin.results import State
 
 STATE = State(1e-3, 0.0168, -0.25, 1.25, -math.pi, math.pi)
@@ -76,11 +77,12 @@ def test_array_bytes_are_canonical_and_decoded(typestore, dimensions) -> None:
     data = encode_array(list(dimensions), values)
     assert data == bytes(typestore.serialize_cdr(types[kind](layout, values.reshape(-1)), kind))
     definition, _ = typestore.generate_msgdef(kind, ros_version=2)
-    message = decode(kind, definition, data)
+    topic = Channel(topic='/a', type=kind, schema=definition)
+    message = decode(Message(topic, data, 0, 0))
     assert [each.label for each in message.layout.dim] == list(dimensions)
     assert list(message.data) == values.ravel().tolist()
     with pytest.raises(MessageError, match=kind):
-        decode(kind, definition, data[:7])
+        decode(Message(topic, data[:7], 0, 0))
 
 
 def joint_state(stamp: int = STAMP, names=('plate', 'projectile'), lengths=(2, 2, 2)) -> bytes:
