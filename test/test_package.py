@@ -37,6 +37,7 @@ from soft_throw_ros.configuration.interface import (
     RIG_TOPICS,
     TWIN_SERVICES,
 )
+from soft_throw_ros.recording.child_process import bound_to_parent
 
 ROOT = Path(__file__).parents[1]
 
@@ -157,7 +158,7 @@ def colcon_prefix(request, source, tmp_path_factory):
 
 def in_workspace(prefix, *command):
     """Return a command that runs in a shell with the sourced workspace."""
-    return ('sh', '-c', f'. {prefix.parent}/setup.sh && exec "$@"', 'sh', *map(str, command))
+    return ('/bin/sh', '-c', f'. {prefix.parent}/setup.sh && exec "$@"', 'sh', *map(str, command))
 
 
 @pytest.mark.once
@@ -265,7 +266,7 @@ def test_colcon_installs_to_the_paths_of_ros_and_finds_config(colcon_prefix, tmp
 def test_colcon_twin_throws_until_it_is_interrupted(colcon_prefix, tmp_path):
     lines = []
     with subprocess.Popen(
-        in_workspace(colcon_prefix, colcon_prefix / 'lib/soft_throw_ros/twin'),
+        bound_to_parent(in_workspace(colcon_prefix, colcon_prefix / 'lib/soft_throw_ros/twin')),
         cwd=tmp_path,
         env=ENVIRONMENT | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
         stdout=subprocess.PIPE,

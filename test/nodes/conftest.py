@@ -47,6 +47,7 @@ from soft_throw_ros.configuration.interface import resolve, Service, Topic
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
+from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin.kernels import load_kernels
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from std_srvs.srv import Trigger
@@ -385,11 +386,19 @@ def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
 
 
 class Process:
-    """A process and its output, without the messages of Fast DDS."""
+    """
+    A process and its output, without the messages of Fast DDS.
+
+    The process ends with the tests, also if they are killed.
+    """
 
     def __init__(self, command: list[str], **kwargs: Any) -> None:
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **kwargs
+            bound_to_parent(command),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            **kwargs,
         )
         self.lines: list[str] = []
         self._line_written = threading.Condition()

@@ -23,7 +23,6 @@ import sys
 from typing import Any
 
 import pytest
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.help_texts import HELP
 from soft_throw_ros.nodes.twin import main
 
@@ -178,34 +177,6 @@ def test_node_whose_thread_dies_reports_it_and_ends_in_order(start) -> None:
     assert 'ZeroDivisionError' in line
     assert 'closed' in node.lines
     assert sum('discovery range LOCALHOST' in line for line in node.lines) == 1
-
-
-SUBSCRIBER = """
-import rclpy
-from rclpy.node import Node
-import pytest
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
-from soft_throw_ros.nodes.topics import create_subscription
-
-rclpy.init()
-node = Node('subscriber')
-for topic in (TWIN_TOPICS.joint_states, TWIN_TOPICS.journal, TWIN_TOPICS.throw_result):
-    create_subscription(node, topic.at('/twin'), lambda message: print('heard', flush=True))
-rclpy.spin(node)
-"""
-
-
-def test_twin_outlives_a_subscriber_that_is_stopped_and_killed(start, listen_to) -> None:
-    twin = start(*SOFT_THROW, 'twin', '--ros-args', '-p', 'throw.period:=0.1')
-    subscriber = start(sys.executable, '-c', SUBSCRIBER)
-    listener = listen_to()
-    listener.listen(TWIN_TOPICS.diagnostics)
-    subscriber.wait_for('heard')
-    for number in (signal.SIGSTOP, signal.SIGKILL):
-        subscriber.process.send_signal(number)
-        reports = len(listener.heard[TWIN_TOPICS.diagnostics.name])
-        listener.hear(TWIN_TOPICS.diagnostics, reports + 2)  # the twin continues for seconds
-    assert_ends_well(twin, TERM)
 
 
 BAD_FILE = """/**:

@@ -31,7 +31,6 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 import pytest
 from rosbags.rosbag2 import Reader
-from soft_throw_ros.commands import recover
 
 RECORDER = [sys.executable, '-m', 'soft_throw_ros', 'recorder', '--ros-args']
 
@@ -119,7 +118,7 @@ def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
     return record
 
 
-def last_line(recorder: Any, number: int = signal.SIGINT, code: int = 0) -> tuple[int, int, int]:
+def last_line(recorder: Any) -> tuple[int, int, int]:
     """
     End a recorder, and read the counts in its last log line.
 
@@ -129,7 +128,7 @@ def last_line(recorder: Any, number: int = signal.SIGINT, code: int = 0) -> tupl
         Numbers of recorded messages, of lost messages, and of messages before the recorder joined.
 
     """
-    assert recorder.end(number) == code
+    assert recorder.end(signal.SIGINT) == 0
     line = recorder.lines[-1]
     counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
     assert counts is not None, line
@@ -154,7 +153,8 @@ def wait_for(recorder: Any, path: Path, count: int) -> None:
         assert recorder.process.poll() is None
         if time.monotonic() > deadline:
             gaps = [(a, b) for a, b in pairwise(saved) if b != a + 1]
-            pytest.fail(f'{len(saved)} of {count} messages, from {saved[:1]} to {saved[-1:]}; {gaps=}')
+            limits = f'from {saved[:1]} to {saved[-1:]}'
+            pytest.fail(f'{len(saved)} of {count} messages, {limits}; {gaps=}')
         time.sleep(0.05)
 
 
@@ -185,15 +185,11 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     assert count(path) == publisher.count - late
 
 
-@pytest.mark.parametrize('joins_late', [True, False])
-def test_loss_and_joining_late_are_distinguished(start, record, tmp_path, joins_late) -> None:
+def test_loss_and_joining_late_are_distinguished(start, record, tmp_path) -> None:
     publisher = Publisher(start, 'best effort')
-    if joins_late:
-        publisher.publish(1, waits=False)
-        publisher.begin(period=0.005)
+    publisher.publish(1, waits=False)
+    publisher.begin(period=0.005)
     recorder = record(publisher)
-    if not joins_late:
-        publisher.begin(period=0.005, waits=True)
     wait_for(recorder, tmp_path / 'bag', 100)
     publisher.publish(0)  # pause the publisher
     recorder.process.send_signal(signal.SIGSTOP)
@@ -203,47 +199,5 @@ def test_loss_and_joining_late_are_distinguished(start, record, tmp_path, joins_
     received, lost, late = last_line(recorder)
     assert count(tmp_path / 'bag') == received
     first = numbers(tmp_path / 'bag')[0]
-    assert late == first - 1
-    assert late > 0 or not joins_late
+    assert late == first - 1 > 0
     assert lost == publisher.count - late - received > 0
-
-
-def test_publisher_that_is_killed_and_comes_back_is_recorded_on(start, record, tmp_path) -> None:
-    first = Publisher(start, 'reliable')
-    recorder = record(first)
-    first.publish(100)
-    assert first.process.end(signal.SIGKILL) == -signal.SIGKILL
-    second = Publisher(start, 'reliable')
-    second.publish(100)
-    second.publish(10, period=0.1)
-    wait_for(recorder, tmp_path / 'bag', 210)
-    assert last_line(recorder) == (210, 0, 0)
-    assert count(tmp_path / 'bag') == 210
-
-
-def test_publisher_that_is_stopped_for_a_while_is_recorded_on(start, record, tmp_path) -> None:
-    publisher = Publisher(start, 'reliable')
-    recorder = record(publisher)
-    publisher.publish(100)
-    process = publisher.process.process
-    process.send_signal(signal.SIGSTOP)
-    time.sleep(2.0)
-    process.send_signal(signal.SIGCONT)
-    publisher.publish(100)
-    publisher.publish(10, period=0.1)
-    wait_for(recorder, tmp_path / 'bag', 210)
-    assert last_line(recorder, signal.SIGTERM) == (210, 0, 0)
-    assert count(tmp_path / 'bag') == 210
-
-
-def test_recorder_that_is_killed_while_it_is_stopped_leaves_what_it_had_flushed(
-    start, record, tmp_path
-) -> None:
-    publisher = Publisher(start, 'reliable')
-    recorder = record(publisher)
-    publisher.publish(1000, period=0.002)  # for 2 s, with at least one flush
-    recorder.process.send_signal(signal.SIGSTOP)
-    publisher.publish(1000)
-    assert recorder.end(signal.SIGKILL) == -signal.SIGKILL
-    recover.main([str(tmp_path / 'bag')])
-    assert 300 < count(tmp_path / 'bag_recovered') <= 1000

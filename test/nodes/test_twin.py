@@ -234,14 +234,6 @@ def test_latched_topics_reach_late_subscribers(thrown) -> None:
     assert 'throw' in [journal.decode(line)['kind'] for line in lines]
 
 
-def test_log_has_short_lines_of_the_first_throw_and_of_a_change(thrown) -> None:
-    thrown.parameters.set(projectile__mass=2e-3)
-    last = 'projectile.mass is now 0.002, from the next throw or ~/reset on'
-    thrown.ros.spin_until(lambda: last in thrown.log, 'the last line')
-    (line,) = (line for line in thrown.log if 'throw 1' in line)
-    assert line == 'throw 1: released at 7.647 ms, 1.3750 m/s, alpha 3.637'
-
-
 def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
     words = ('-p', 'throw.period:=0.25', '-p', 'throw.max_events:=1', '-p', 'rate.state:=200.0')
     twin = ros.node(DrivenTwin, ros_args=words)
@@ -601,20 +593,3 @@ def test_use_sim_time_may_be_changed(ros, twin, listener) -> None:
         )
         twin.ticker.run_due()
     assert len(twin.outputs) == 11 + 4
-
-
-def test_two_twins_in_two_namespaces_do_not_meet(start_twin, listen_to) -> None:
-    twins = [start_twin('-r', f'__ns:=/rig{k}', '-p', f'layer.thickness:=0.0{k}') for k in (1, 2)]
-    listeners = [listen_to(twin) for twin in twins]
-    for listener in listeners:
-        listener.listen(TWIN_TOPICS.joint_states, TWIN_TOPICS.diagnostics)
-    for twin, count in zip(twins, (30, 20), strict=True):
-        twin.go(count)
-    for twin, listener, count in zip(twins, listeners, (30, 20), strict=True):
-        heights = {m.position[1] for m in listener.hear(TWIN_TOPICS.joint_states, count)}
-        assert heights == {twin.outputs[0].state.projectile_position}
-    listeners[1].trigger(TWIN_SERVICES.throw)
-    for twin, listener in zip(twins, listeners, strict=True):
-        twin.go(10)
-        assert listener.status(TWIN_TOPICS.diagnostics, 'timing').level in (b'\0', b'\1')
-    assert [twin.session.throws for twin in twins] == [0, 1]
