@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping
-import csv
-import io
 import math
 from pathlib import Path
 import sys
@@ -50,6 +48,8 @@ from soft_throw_ros.commands.output import (
     write_columns,
 )
 from soft_throw_ros.configuration import rig_of, Settings, TWIN, Value
+from soft_throw_ros.configuration.csv_rows import read_rows
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
@@ -101,7 +101,7 @@ def _parser() -> CommandParser:
     )
     group.add_argument(
         '--cases', metavar='FILE',
-        help='CSV with the columns mu, kappa, zeta, separated by commas (- for standard input); '
+        help='CSV with the columns mu, kappa, zeta (- for standard input); '
         'the columns te_f and alpha are added, computed without gravity',
     )
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
@@ -313,11 +313,8 @@ def _compute_cases(arguments: Mapping[str, str]) -> str:
     path = arguments['cases']
     name = 'standard input' if path == '-' else path
     with naming(name):
-        if path == '-':
-            rows = _read_cases(sys.stdin, name)
-        else:
-            with Path(path).open(encoding='utf-8-sig', newline='') as file:
-                rows = _read_cases(file, name)
+        text = sys.stdin.read() if path == '-' else Path(path).read_text(encoding='utf-8')
+    rows = _read_cases(text.split('\n'), name)
     if not rows:
         print(f'throw: {name} has no rows below its header', file=sys.stderr)
     mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
@@ -330,41 +327,33 @@ def _compute_cases(arguments: Mapping[str, str]) -> str:
             first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
         except ThrowUnresolvedError as error:
             raise ValueError(f'{name}:{list(rows)[i]}: {error}') from None
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator='\n')
-    writer.writerow([*_CASES, 'te_f', 'alpha'])
     columns = np.array([mu, kappa, zeta, releases.ejection_phase, releases.energy_transfer])
-    writer.writerows(columns.T.tolist())
-    return text.getvalue()
+    lines = [[*_CASES, 'te_f', 'alpha'], *columns.T.tolist()]
+    return ''.join(','.join(map(str, line)) + '\n' for line in lines)
 
 
-def _read_cases(file: Iterable[str], name: str) -> dict[int, list[float]]:
-    """Return the values of every row by its line; the first line names the columns."""
-    reader = csv.DictReader(file)
-    rows: dict[int, list[float]] = {}
-    try:
-        header = [column.strip() for column in reader.fieldnames or ()]
-        if any(header.count(column) != 1 for column in _CASES):
-            raise ValueError(
-                f'{name}:1: must name the columns {", ".join(_CASES)}, got {",".join(header)!r}'
-                + ('; columns are separated by commas' if ';' in ''.join(header) else '')
-            )
-        reader.fieldnames = header
-        for row in reader:
-            position = f'{name}:{reader.line_num}'
-            rows[reader.line_num] = [
-                _case_value(column, row[column], position) for column in _CASES
-            ]
-    except csv.Error as error:
-        raise ValueError(f'{name}:{reader.line_num}: {error}') from None
-    return rows
+def _read_cases(lines: Iterable[str], name: str) -> dict[int, list[float]]:
+    """Return the values of every row by its line number; the first row names the columns."""
+    rows = list(read_rows(lines))
+    header = rows[0][1] if rows else []
+    if any(header.count(column) != 1 for column in _CASES):
+        raise ValueError(
+            f'{name}: the first row must name the columns {", ".join(_CASES)}, '
+            f'got {",".join(header)!r}'
+        )
+    return {
+        number: [
+            _case_value(column, dict(zip(header, cells, strict=False)), f'{name}:{number}')
+            for column in _CASES
+        ]
+        for number, cells in rows[1:]
+    }
 
 
-def _case_value(column: str, text: str | None, position: str) -> float:
+def _case_value(column: str, cells: Mapping[str, str], position: str) -> float:
     rule, allows = _CASES[column]
-    if text is None:
-        raise ValueError(f'{position}: the row ends before its value of {column}')
-    value = number_or_text(text)
-    if not isinstance(value, float) or not allows(value):
+    text = cells.get(column, '')
+    value = float_of(text)
+    if value is None or not allows(value):
         raise ValueError(f'{position}: {column} must be a number, {rule}, got {text!r}')
     return value
