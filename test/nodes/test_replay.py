@@ -27,14 +27,11 @@ import pytest
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.nodes.replay import main
-from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from twin_messages import TwinMessages
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -45,30 +42,15 @@ def last_throw(lines: list[str]) -> int:
     return max((int(match[1]) for match in found if match), default=0)
 
 
-def messages_of_a_twin(steps: int) -> list[Message]:
-    """Return the messages that a twin publishes in `steps` steps."""
-    journal = channel('/twin/journal')
-    states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
-    made: list[Message] = []
-    due = BEGIN
-
-    def write_line(line: str) -> None:
-        made.append(Message(journal, text(line), due, due))
-
-    session = Session({**TWIN.defaults(), 'throw.period': 0.1}, on_entry=write_line)
-    pace = TickSchedule(step=0, time_ns=BEGIN, rate=session.rate)
-    session.set_tick_schedule(pace)
-    encode = JointStateEncoder('rig', ('plate', 'projectile')).encode
-    for step in range(steps):
-        due = pace.deadline(step)
-        outputs = session.advance()
-        made.append(Message(states, encode(due, outputs.state), due, due))
-    return made
+@pytest.fixture(scope='module')
+def messages() -> list[Message]:
+    """Return the messages of a twin during half a second."""
+    return TwinMessages(throw__period=0.1).go(500).messages
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp('good') / 'bag', messages_of_a_twin(500))
+def bag(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp('good') / 'bag', messages)
 
 
 # refused arguments
@@ -90,7 +72,7 @@ def test_wrong_argument_is_refused(bag, capsys, arguments, words) -> None:
     with pytest.raises(SystemExit) as exit_:
         main([str(bag) if argument == 'BAG' else argument for argument in arguments])
     assert exit_.value.code == 2
-    assert re.search(words, capsys.readouterr().err.splitlines()[-1])
+    assert re.search(words, capsys.readouterr().err.splitlines()[0])
 
 
 @pytest.mark.parametrize('mode', [[], ['--check']])
@@ -124,14 +106,9 @@ def test_check_of_a_correct_bag_has_exit_code_0(bag, capsys) -> None:
     assert ' 0 are different' in said.out
 
 
-def test_check_of_a_wrong_bag_has_exit_code_1(tmp_path, capsys) -> None:
-    made = messages_of_a_twin(1300)
-    index = next(
-        n
-        for n, message in enumerate(made)
-        if message.log_time == BEGIN + 250_000_000
-        and message.channel.topic == '/twin/joint_states'
-    )
+def test_check_of_a_wrong_bag_has_exit_code_1(messages, tmp_path, capsys) -> None:
+    made = list(messages)
+    index = [message.channel.topic for message in made].index('/twin/joint_states')
     data = bytearray(made[index].data)
     data[-1] ^= 0x40
     made[index] = made[index]._replace(data=bytes(data))
@@ -139,14 +116,15 @@ def test_check_of_a_wrong_bag_has_exit_code_1(tmp_path, capsys) -> None:
     assert '/twin' in capsys.readouterr().out
 
 
-def test_check_of_a_damaged_bag_or_one_without_journal_has_its_exit_code(tmp_path, capsys) -> None:
-    made = messages_of_a_twin(500)
-    (file,) = write(tmp_path / 'bag', made, compression='none').glob('*.mcap')
+def test_check_of_a_damaged_bag_or_one_without_journal_has_its_exit_code(
+    messages, tmp_path, capsys
+) -> None:
+    (file,) = write(tmp_path / 'bag', messages, compression='none').glob('*.mcap')
     data = file.read_bytes()
     file.write_bytes(data[: len(data) // 2])
     assert main(['--check', str(tmp_path / 'bag')]) == 1
     assert f'{file}: ' in capsys.readouterr().err
-    silent = [message for message in made if not message.channel.topic.endswith('journal')]
+    silent = [message for message in messages if not message.channel.topic.endswith('journal')]
     assert main(['--check', str(write(tmp_path / 'silent', silent))]) == 2
     assert 'journal' in capsys.readouterr().err
 
