@@ -74,7 +74,9 @@ _NEEDED = {
 }
 """Extra of this package and module that are required to write a file, by suffix."""
 
-_ALL_OPTIONS = {**OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS}
+_ALL_OPTIONS = {
+    **OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS, 'max_strain': '--max-strain'
+}
 
 
 def add_rig_options(parser: argparse.ArgumentParser) -> None:

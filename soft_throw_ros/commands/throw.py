@@ -32,7 +32,6 @@ from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     model_name,
-    number_or_text,
     OPTIONS,
     read_settings,
     UNCERTAINTY_OPTIONS,
@@ -47,7 +46,7 @@ from soft_throw_ros.commands.output import (
     to_json,
     write_columns,
 )
-from soft_throw_ros.configuration import rig_of, Settings, TWIN, Value
+from soft_throw_ros.configuration import rig_of, Settings, Value
 from soft_throw_ros.configuration.csv_rows import read_rows
 from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.core import spring_mass
@@ -90,11 +89,6 @@ def _parser() -> CommandParser:
         '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES), type=model_name,
         help=f'only this model; may be repeated: {", ".join(MODEL_NOTES)} (default all)',
     )
-    most = TWIN.by_name['max_strain']
-    parser.add_argument(
-        '--max-strain', metavar='NUMBER', type=number_or_text,
-        help=f'{most.meaning}; {most.rule} (default {most.default:g})'.replace('%', '%%'),
-    )
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         '--json', action='store_true', help='print one object: SI units, full precision'
@@ -104,6 +98,7 @@ def _parser() -> CommandParser:
         help='CSV with the columns mu, kappa, zeta (- for standard input); '
         'the columns te_f and alpha are added, computed without gravity',
     )
+    add_options(parser, ['max_strain'], title='range of the linear models')
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
     return parser
@@ -115,8 +110,6 @@ def _run(arguments: argparse.Namespace) -> int:
         text = _compute_cases(options)
     else:
         settings = read_settings(arguments)
-        if 'max_strain' in options:
-            settings['max_strain'] = TWIN.check_value('max_strain', options['max_strain'])
         with slow_notice('throw'):
             prediction = predict(settings, options.get('model', MODEL_NOTES))
         text = to_json(prediction) if 'json' in options else table(prediction)

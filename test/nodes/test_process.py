@@ -246,9 +246,8 @@ def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path) -> None:
         assert all(word in line for word in words), line
 
 
-def test_help_has_usage_description_parameters_and_an_example(capsys) -> None:
+def test_help_has_usage_and_an_example(capsys) -> None:
     assert main(['--help']) == 0
     printed = capsys.readouterr().out
     assert printed.startswith('usage: twin [--ros-args')
-    for text in (HELP['twin'].description, 'throw.period', '(default 1 s)', HELP['twin'].example):
-        assert text in printed
+    assert printed.endswith(f'{HELP["twin"].example}\n')

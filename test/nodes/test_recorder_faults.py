@@ -15,14 +15,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import contextlib
 from itertools import pairwise
 from pathlib import Path
-import re
 import signal
 import subprocess
 import sys
+from test.nodes.conftest import end_recorder
 import time
 from typing import Any
 
@@ -31,8 +30,6 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 import pytest
 from rosbags.rosbag2 import Reader
-
-RECORDER = [sys.executable, '-m', 'soft_throw_ros', 'recorder', '--ros-args']
 
 PUBLISHER = """
 import select, sys, time
@@ -105,37 +102,6 @@ class Publisher:
         stdin.flush()
 
 
-@pytest.fixture
-def record(start: Any, tmp_path: Path) -> Callable[..., Any]:
-    """Return a function that records the topic of a publisher into the bag `bag`."""
-
-    def record(publisher: Publisher) -> Any:
-        rules = [f'folder:={tmp_path}', 'name:=bag', f'topics:=[{publisher.topic}]']
-        recorder = start(*RECORDER, *[word for rule in rules for word in ('-p', rule)])
-        recorder.wait_for('ready')
-        return recorder
-
-    return record
-
-
-def last_line(recorder: Any) -> tuple[int, int, int]:
-    """
-    End a recorder, and read the counts in its last log line.
-
-    Returns
-    -------
-    tuple of int
-        Numbers of recorded messages, of lost messages, and of messages before the recorder joined.
-
-    """
-    assert recorder.end(signal.SIGINT) == 0
-    line = recorder.lines[-1]
-    counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
-    assert counts is not None, line
-    late = re.search(r'joined late, after (\d+) messages', line)
-    return int(counts[1]), int(counts[2]), int(late[1]) if late else 0
-
-
 def numbers(path: Path) -> list[int]:
     """Read the publisher's sequence numbers from a bag, which may still be open for writing."""
     sequence_numbers: list[int] = []
@@ -170,7 +136,7 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     start, record, tmp_path, kind
 ) -> None:
     publisher, path = Publisher(start, kind), tmp_path / 'bag'
-    recorder = record(publisher)
+    recorder = record('bag', f'topics:=[{publisher.topic}]')
     # The publisher may know the recorder before the recorder knows it: these messages are late.
     publisher.begin(period=0.005, waits=True)
     wait_for(recorder, path, 10)
@@ -181,7 +147,7 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     publisher.publish(10, period=0.1)
     late = numbers(path)[0] - 1
     wait_for(recorder, path, publisher.count - late)
-    assert last_line(recorder) == (publisher.count - late, 0, late)
+    assert end_recorder(recorder) == (publisher.count - late, 0, late)
     assert count(path) == publisher.count - late
 
 
@@ -189,14 +155,14 @@ def test_loss_and_joining_late_are_distinguished(start, record, tmp_path) -> Non
     publisher = Publisher(start, 'best effort')
     publisher.publish(1, waits=False)
     publisher.begin(period=0.005)
-    recorder = record(publisher)
+    recorder = record('bag', f'topics:=[{publisher.topic}]')
     wait_for(recorder, tmp_path / 'bag', 100)
     publisher.publish(0)  # pause the publisher
     recorder.process.send_signal(signal.SIGSTOP)
     publisher.publish(10 * A_SECOND)  # more than the queues can store
     recorder.process.send_signal(signal.SIGCONT)
     publisher.publish(10, period=0.1)
-    received, lost, late = last_line(recorder)
+    received, lost, late = end_recorder(recorder)
     assert count(tmp_path / 'bag') == received
     first = numbers(tmp_path / 'bag')[0]
     assert late == first - 1 > 0

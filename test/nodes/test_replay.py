@@ -26,10 +26,8 @@ from bags import BEGIN, channel, text, write
 import pytest
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from soft_throw_ros.nodes.replay import main
 from soft_throw_ros.recording.message import Message
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from twin_messages import TwinMessages
 
@@ -158,9 +156,7 @@ def test_check_needs_no_ros_and_playback_names_the_missing_ros(bag) -> None:
 # as a process
 
 
-MAIN = 'import sys; from soft_throw_ros.nodes.replay import main; sys.exit(main())'
-
-COMMAND = [sys.executable, '-c', MAIN]
+COMMAND = (sys.executable, '-m', 'soft_throw_ros', 'replay')
 
 
 @pytest.fixture(scope='module')
@@ -192,20 +188,6 @@ def resume(ros: Any, replay: Any) -> None:
     ros.spin_until(is_discovered, 'a response')
     response = client.call_async(Trigger.Request())
     ros.spin_until(lambda: response.done() or replay.process.poll() is not None, 'the player')
-
-
-def test_replay_ends_by_itself_after_the_last_message(start, ros, texts) -> None:
-    heard: list[str] = []
-    ros.node(Node, 'listener').create_subscription(
-        String, '/elsewhere', lambda message: heard.append(message.data), QoSProfile(depth=2000)
-    )
-    replay = start(*COMMAND, str(texts), '--paused', '--ros-args', '-r', '/texts:=/elsewhere')
-    resume(ros, replay)
-    ros.spin_until(lambda: '1000' in heard, 'the last message')
-    assert replay.wait() == 0
-    assert heard == [str(number) for number in range(1001)]
-    said = [line for line in replay.lines if line.startswith('replay: ')]
-    assert said == ['replay: 1001 messages of 1 topics played']
 
 
 SUBSCRIBER = """
@@ -240,24 +222,15 @@ def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
 
 
 def test_recorded_and_replayed_twin_agree_with_the_journal(
-    start, ros, tmp_path, capsys
+    start, start_node, record, ros, tmp_path, capsys
 ) -> None:
-    def run(name: str, *options: str) -> Any:
-        command = [sys.executable, '-m', 'soft_throw_ros', name, '--ros-args']
-        return start(*command, *[word for option in options for word in ('-p', option)])
-
-    def record(name: str) -> Any:
-        recorder = run('recorder', f'folder:={tmp_path}', f'name:={name}', 'topics:=[/twin]')
-        recorder.wait_for('recording into')
-        return recorder
-
     def check(name: str) -> list[str]:
         assert main(['--check', str(tmp_path / name)]) == 0
         return list(capsys.readouterr().out.splitlines())
 
-    twin = run('twin', 'throw.period:=0.3')
+    twin = start_node('twin', 'throw.period:=0.3')
     twin.wait_for('ready')
-    recorder = record('first')
+    recorder = record('first', 'topics:=[/twin]')
     observer = ros.node(Node, 'observer')
     ros.spin_until(lambda: observer.count_subscribers('/twin/joint_states') > 0, 'the recorder')
     thrown = last_throw(twin.lines)
@@ -268,7 +241,7 @@ def test_recorded_and_replayed_twin_agree_with_the_journal(
     first = check('first')
     assert not any(' 0 are the same' in line for line in first)
 
-    recorder = record('second')
+    recorder = record('second', 'topics:=[/twin]')
     replay = start(*COMMAND, str(tmp_path / 'first'), '--paused', '--rate', '3')
     for topic in ('/twin/joint_states', '/twin/journal'):
         ros.spin_until(lambda topic=topic: observer.count_subscribers(topic) > 0, topic)
