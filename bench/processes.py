@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 import contextlib
 import os
 from pathlib import Path
@@ -124,7 +124,7 @@ def stamp_of(data: bytes) -> int:
 
 
 def start(
-    command: tuple[str, ...], *, output: Any = subprocess.DEVNULL, **environment: str
+    command: Sequence[str], *, output: Any = subprocess.DEVNULL, **environment: str
 ) -> Process:
     """Start a process that imports this package and communicates on this machine only."""
     variables = {

@@ -40,6 +40,7 @@ from bench.processes import RATE, SECOND, SOFT_THROW, stamp_of, STATES, Usage
 from bench.race import head
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.recording.child_process import bound_to_parent
 
 SUBSCRIBERS = 4
 """Number of subscribers."""
@@ -178,7 +179,7 @@ class _Soak:
             running = {}
             for name, command in self._commands.items():
                 log = stack.enter_context((self._folder / f'{name}.log').open('wb'))
-                running[name] = processes.start(command, output=log)
+                running[name] = processes.start(bound_to_parent(command), output=log)
                 stack.callback(running[name].kill)
             heard = stack.enter_context(processes.subscriber('/nothing'))
             heard.wait(processes.TIMEOUT, lambda: bool(heard.values('lateness_max').size))

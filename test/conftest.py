@@ -20,7 +20,6 @@ import hypothesis
 from hypothesis.internal.conjecture import providers
 import numpy as np
 import pytest
-import strays
 
 # Hypothesis draws constants from the local modules that happen to be imported. Examples would then
 # depend on earlier tests and on threads that import. There is no public switch for this.
@@ -35,8 +34,6 @@ hypothesis.settings.register_profile(
 # Random examples for `make fuzz`; a failure prints how to repeat it.
 hypothesis.settings.register_profile('random', deadline=None, print_blob=True)
 hypothesis.settings.load_profile('repeatable')
-
-strays.watch_this_process()
 
 # Child processes receive these signals even if the tests run under nohup.
 for number in (signal.SIGINT, signal.SIGHUP):

@@ -268,7 +268,7 @@ def run(main: Callable[[list[str]], int | None], arguments: Sequence[str]) -> tu
     assert code in {0, 1, 2}, message
     assert 'Traceback' not in message
     if code == 2:
-        lines = re.sub(r'^usage: .*\n( .*\n)*', '', message, flags=re.MULTILINE).splitlines()
+        lines = message.splitlines()
         assert lines, 'refused without a message'
         assert all(re.match(r'[\w.-]+( [\w.-]+)?: ', line) for line in lines), message
         assert sum('error: ' in line for line in lines) <= 1, message

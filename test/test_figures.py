@@ -31,7 +31,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
 from animation import END, STEP  # noqa: E402, I100
-from draw import ANIMATION, DRAWINGS, main, path_of  # noqa: E402
+from draw import ANIMATION, DRAWINGS, path_of  # noqa: E402
 import fits  # noqa: E402
 from models import SERIES, THICKNESSES  # noqa: E402
 import style  # noqa: E402
@@ -89,13 +89,6 @@ def test_animation_in_docs_shows_the_whole_throw_and_is_small():
         assert animation.info['duration'] >= 1000  # the last picture stays [ms]
 
 
-def test_unknown_figure_is_refused_by_name(capsys):
-    with pytest.raises(SystemExit) as end:
-        main(['fig99'])
-    assert end.value.code == 2
-    assert "'fig99'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(('name', 'damping_ratio'), [('fig3', 0.0), ('fig11', 0.064)])
 def test_maps_are_the_exact_releases_of_equal_densities(name, damping_ratio):
     points = np.random.default_rng(4).uniform((0.02, 0.3), (0.98, 13.9), size=(40, 2))
@@ -108,15 +101,6 @@ def test_maps_are_the_exact_releases_of_equal_densities(name, damping_ratio):
             middle = (column + 0.5) / len(values), 14.0 * (row + 0.5) / len(values)
             expected = getattr(release_at(*middle, damping_ratio), result)
             assert values[row, column] == pytest.approx(expected, rel=1e-9)
-
-
-def test_fig3_marks_the_optimum_of_the_paper_and_the_computed_one():
-    axes = panels('fig3')[1]
-    x, c = line(axes, 'paper: ridge')
-    np.testing.assert_allclose(c, 10.2 * np.sqrt(x))
-    assert line(axes, r'paper: $\alpha$ = 4.12') == ([0.8], [6.7])
-    (x,), (c,) = line(axes, 'largest of all')
-    assert (x, c) == pytest.approx((0.8102, 6.678), abs=5e-4)
 
 
 @pytest.mark.parametrize(('name', 'damping_ratio'), [('fig5', 0.0), ('fig12', 0.064)])

@@ -32,6 +32,8 @@ import yaml
 ROOT = Path(__file__).parents[1]
 FILES = sorted(path.name for path in (ROOT / 'launch').glob('*.launch.py'))
 
+pytestmark = pytest.mark.usefixtures('stand_ins')
+
 
 class Recorded:
     """An action or a substitution with its arguments."""
@@ -119,7 +121,6 @@ def defaults(name):
     }
 
 
-@pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('name', FILES)
 def test_named_files_and_executables_exist(name):
     for action in actions(name):
@@ -133,7 +134,6 @@ def test_named_files_and_executables_exist(name):
             assert action.kwargs['executable'] in EXECUTABLES
 
 
-@pytest.mark.usefixtures('stand_ins')
 def test_twin_starts_alone_with_its_parameter_file():
     (twin,) = nodes(namespace='rig1').values()
     assert (twin['executable'], twin['name'], twin['namespace']) == ('twin', 'twin', 'rig1')
@@ -142,7 +142,6 @@ def test_twin_starts_alone_with_its_parameter_file():
     assert values == {'use_sim_time': False}
 
 
-@pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize(
     ('arguments', 'storage', 'sink'),
     [
@@ -159,23 +158,17 @@ def test_recorder_has_the_requested_storage_and_sink(arguments, storage, sink, f
     assert set(recording) <= set(RECORDER.by_name)
 
 
-@pytest.mark.usefixtures('stand_ins')
-@pytest.mark.parametrize('name', ['output', 'uri'])
-def test_path_of_a_bag_starts_the_recorder_as_in_rosbag2(name):
-    recording = nodes(folder='other', **{name: 'bags/first'})['recorder']['parameters'][-1]
-    assert recording == {
-        'storage': 'mcap', 'rerun.sink': 'none', 'folder': 'bags', 'name': 'first'
-    }
-    assert set(recording) <= set(RECORDER.by_name)
-
-
-@pytest.mark.usefixtures('stand_ins')
-def test_two_paths_of_a_bag_are_refused():
+def test_one_path_of_a_bag_starts_the_recorder_as_in_rosbag2():
+    for name in ('output', 'uri'):
+        recording = nodes(folder='other', **{name: 'bags/first'})['recorder']['parameters'][-1]
+        assert recording == {
+            'storage': 'mcap', 'rerun.sink': 'none', 'folder': 'bags', 'name': 'first'
+        }
+        assert set(recording) <= set(RECORDER.by_name)
     with pytest.raises(RuntimeError, match='output:=a and uri:=b'):
         nodes(output='a', uri='b')
 
 
-@pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('argument', ['rviz', 'use_rviz'])
 @pytest.mark.parametrize(('namespace', 'frame'), [('', 'rig'), ('/rig1', 'rig1/rig')])
 def test_rviz_shows_the_rig_of_the_namespace(argument, namespace, frame):
@@ -189,7 +182,6 @@ def test_rviz_shows_the_rig_of_the_namespace(argument, namespace, frame):
     assert description_of(publisher).get_root() == frame
 
 
-@pytest.mark.usefixtures('stand_ins')
 def test_description_has_the_sizes_of_the_twin_of_the_namespace(tmp_path):
     path = tmp_path / 'two_rigs.yaml'
     path.write_text(
@@ -203,7 +195,6 @@ def test_description_has_the_sizes_of_the_twin_of_the_namespace(tmp_path):
     assert robot.link_map['rig2/layer_00'].visual.geometry.length == pytest.approx(1.2e-3)
 
 
-@pytest.mark.usefixtures('stand_ins')
 def test_description_of_a_refused_parameter_is_refused_with_its_line(tmp_path):
     path = tmp_path / 'mine.yaml'
     path.write_text('twin:\n  ros__parameters:\n    layer:\n      thickness: -1.0\n')
@@ -211,13 +202,11 @@ def test_description_of_a_refused_parameter_is_refused_with_its_line(tmp_path):
         nodes(description='true', params_file=str(path))
 
 
-@pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('name', FILES)
 def test_every_launch_file_declares_only_arguments_of_twin_launch(name):
     assert set(defaults(name)) - {'topic'} <= set(defaults('twin.launch.py'))
 
 
-@pytest.mark.usefixtures('stand_ins')
 def test_rig_and_calibrator_follow_the_clock_of_the_twin():
     started = [*actions('loop.launch.py'), *actions('measured.launch.py')]
     declared = [action.kwargs for action in started if kind_of(action) == 'Node']
@@ -227,13 +216,11 @@ def test_rig_and_calibrator_follow_the_clock_of_the_twin():
         assert (path.name, values['use_sim_time'].name) == ('params_file', 'use_sim_time')
 
 
-@pytest.mark.usefixtures('stand_ins')
 def test_missing_parameter_file_is_refused_before_any_node_starts():
     with pytest.raises(RuntimeError, match=r'params_file:=nope\.yaml'):
         nodes(params_file='nope.yaml')
 
 
-@pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('argument', ['description', 'use_rviz'])
 def test_missing_package_is_refused_with_its_name(monkeypatch, argument):
     monkeypatch.setenv('ROS_DISTRO', 'jazzy')

@@ -19,11 +19,9 @@ import os
 from pathlib import Path
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import sysconfig
-import threading
 from xml.etree import ElementTree as ET
 import zipfile
 
@@ -258,28 +256,5 @@ def test_colcon_installs_to_the_paths_of_ros_and_finds_config(colcon_prefix, tmp
             assert (share / folder / path.name).read_bytes() == path.read_bytes()
     command = in_workspace(colcon_prefix, sys.executable, '-c', PRINT_PATH_AND_CONFIG)
     assert_finds_config(run(*command, cwd=tmp_path), colcon_prefix.parents[1])
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize('colcon_prefix', [()], ids=['copies'], indirect=True)
-def test_colcon_twin_throws_until_it_is_interrupted(colcon_prefix, tmp_path):
-    lines = []
-    with subprocess.Popen(
-        in_workspace(colcon_prefix, colcon_prefix / 'lib/soft_throw_ros/twin'),
-        cwd=tmp_path,
-        env=ENVIRONMENT | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as twin:
-        watchdog = threading.Timer(250, twin.kill)  # the first start compiles
-        watchdog.start()
-        for line in twin.stdout:
-            lines.append(line)
-            if 'alpha' in line:
-                twin.send_signal(signal.SIGINT)
-        watchdog.cancel()
-    assert any('alpha' in line for line in lines), ''.join(lines)
-    assert twin.returncode == 0, ''.join(lines)
-    assert not any('Traceback' in line for line in lines), ''.join(lines)
+    command = in_workspace(colcon_prefix, colcon_prefix / 'lib/soft_throw_ros/twin', '--help')
+    assert run(*command, cwd=tmp_path).startswith('usage: twin ')

@@ -74,7 +74,9 @@ _NEEDED = {
 }
 """Extra of this package and module that are required to write a file, by suffix."""
 
-_ALL_OPTIONS = {**OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS}
+_ALL_OPTIONS = {
+    **OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS, 'max_strain': '--max-strain'
+}
 
 
 def add_rig_options(parser: argparse.ArgumentParser) -> None:
@@ -235,12 +237,21 @@ def number_or_text(text: str) -> float | str:
     return text if value is None else value
 
 
-def any_number(text: str) -> float:
-    """Parse a number, as an argparse type."""
-    value = float_of(text)
-    if value is None or math.isnan(value):
-        raise argparse.ArgumentTypeError(f'must be a number, got {text!r}')
-    return value
+def _number(rule: str, allows: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return an argparse type for the numbers that a function allows."""
+
+    def read(text: str) -> float:
+        value = float_of(text)
+        if value is None or not allows(value):
+            raise argparse.ArgumentTypeError(f'must be {rule}, got {text!r}')
+        return value
+
+    return read
+
+
+any_number = _number('a number', lambda value: not math.isnan(value))
+positive = _number('finite and positive', lambda value: 0.0 < value < math.inf)
+not_negative = _number('finite and not negative', lambda value: 0.0 <= value < math.inf)
 
 
 def count(text: str) -> int:
@@ -248,22 +259,6 @@ def count(text: str) -> int:
     if not (text.isascii() and text.isdecimal()) or int(text) < 1:
         raise argparse.ArgumentTypeError(f'must be a whole number of 1 or more, got {text!r}')
     return int(text)
-
-
-def positive(text: str) -> float:
-    """Parse a finite number above 0, as an argparse type."""
-    value = float_of(text)
-    if value is None or not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f'must be finite and positive, got {text}')
-    return value
-
-
-def not_negative(text: str) -> float:
-    """Parse a finite number that is 0 or more, as an argparse type."""
-    value = float_of(text)
-    if value is None or not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f'must be finite and not negative, got {text}')
-    return value
 
 
 def new_file(*endings: str) -> Callable[[str], Path]:

@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping
-import csv
-import io
 import math
 from pathlib import Path
 import sys
@@ -34,7 +32,6 @@ from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     model_name,
-    number_or_text,
     OPTIONS,
     read_settings,
     UNCERTAINTY_OPTIONS,
@@ -49,7 +46,9 @@ from soft_throw_ros.commands.output import (
     to_json,
     write_columns,
 )
-from soft_throw_ros.configuration import rig_of, Settings, TWIN, Value
+from soft_throw_ros.configuration import rig_of, Settings, Value
+from soft_throw_ros.configuration.csv_rows import read_rows
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
@@ -90,20 +89,16 @@ def _parser() -> CommandParser:
         '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES), type=model_name,
         help=f'only this model; may be repeated: {", ".join(MODEL_NOTES)} (default all)',
     )
-    most = TWIN.by_name['max_strain']
-    parser.add_argument(
-        '--max-strain', metavar='NUMBER', type=number_or_text,
-        help=f'{most.meaning}; {most.rule} (default {most.default:g})'.replace('%', '%%'),
-    )
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         '--json', action='store_true', help='print one object: SI units, full precision'
     )
     group.add_argument(
         '--cases', metavar='FILE',
-        help='CSV with the columns mu, kappa, zeta, separated by commas (- for standard input); '
+        help='CSV with the columns mu, kappa, zeta (- for standard input); '
         'the columns te_f and alpha are added, computed without gravity',
     )
+    add_options(parser, ['max_strain'], title='range of the linear models')
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
     add_rig_options(parser)
     return parser
@@ -115,8 +110,6 @@ def _run(arguments: argparse.Namespace) -> int:
         text = _compute_cases(options)
     else:
         settings = read_settings(arguments)
-        if 'max_strain' in options:
-            settings['max_strain'] = TWIN.check_value('max_strain', options['max_strain'])
         with slow_notice('throw'):
             prediction = predict(settings, options.get('model', MODEL_NOTES))
         text = to_json(prediction) if 'json' in options else table(prediction)
@@ -316,11 +309,8 @@ def _compute_cases(arguments: Mapping[str, str]) -> str:
     path = arguments['cases']
     name = 'standard input' if path == '-' else path
     with naming(name):
-        if path == '-':
-            rows = _read_cases(sys.stdin, name)
-        else:
-            with Path(path).open(encoding='utf-8-sig', newline='') as file:
-                rows = _read_cases(file, name)
+        text = sys.stdin.read() if path == '-' else Path(path).read_text(encoding='utf-8')
+    rows = _read_cases(text.split('\n'), name)
     if not rows:
         print(f'throw: {name} has no rows below its header', file=sys.stderr)
     mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
@@ -333,41 +323,33 @@ def _compute_cases(arguments: Mapping[str, str]) -> str:
             first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
         except ThrowUnresolvedError as error:
             raise ValueError(f'{name}:{list(rows)[i]}: {error}') from None
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator='\n')
-    writer.writerow([*_CASES, 'te_f', 'alpha'])
     columns = np.array([mu, kappa, zeta, releases.ejection_phase, releases.energy_transfer])
-    writer.writerows(columns.T.tolist())
-    return text.getvalue()
+    lines = [[*_CASES, 'te_f', 'alpha'], *columns.T.tolist()]
+    return ''.join(','.join(map(str, line)) + '\n' for line in lines)
 
 
-def _read_cases(file: Iterable[str], name: str) -> dict[int, list[float]]:
-    """Return the values of every row by its line; the first line names the columns."""
-    reader = csv.DictReader(file)
-    rows: dict[int, list[float]] = {}
-    try:
-        header = [column.strip() for column in reader.fieldnames or ()]
-        if any(header.count(column) != 1 for column in _CASES):
-            raise ValueError(
-                f'{name}:1: must name the columns {", ".join(_CASES)}, got {",".join(header)!r}'
-                + ('; columns are separated by commas' if ';' in ''.join(header) else '')
-            )
-        reader.fieldnames = header
-        for row in reader:
-            position = f'{name}:{reader.line_num}'
-            rows[reader.line_num] = [
-                _case_value(column, row[column], position) for column in _CASES
-            ]
-    except csv.Error as error:
-        raise ValueError(f'{name}:{reader.line_num}: {error}') from None
-    return rows
+def _read_cases(lines: Iterable[str], name: str) -> dict[int, list[float]]:
+    """Return the values of every row by its line number; the first row names the columns."""
+    rows = list(read_rows(lines))
+    header = rows[0][1] if rows else []
+    if any(header.count(column) != 1 for column in _CASES):
+        raise ValueError(
+            f'{name}: the first row must name the columns {", ".join(_CASES)}, '
+            f'got {",".join(header)!r}'
+        )
+    return {
+        number: [
+            _case_value(column, dict(zip(header, cells, strict=False)), f'{name}:{number}')
+            for column in _CASES
+        ]
+        for number, cells in rows[1:]
+    }
 
 
-def _case_value(column: str, text: str | None, position: str) -> float:
+def _case_value(column: str, cells: Mapping[str, str], position: str) -> float:
     rule, allows = _CASES[column]
-    if text is None:
-        raise ValueError(f'{position}: the row ends before its value of {column}')
-    value = number_or_text(text)
-    if not isinstance(value, float) or not allows(value):
+    text = cells.get(column, '')
+    value = float_of(text)
+    if value is None or not allows(value):
         raise ValueError(f'{position}: {column} must be a number, {rule}, got {text!r}')
     return value

@@ -79,15 +79,7 @@ class _Unanswered(Exception):
 
 
 class Calibrator(RunnableNode):
-    """
-    A node that identifies the rig again when the twin's predictions are wrong.
-
-    Raises
-    ------
-    ParameterError
-        In one line, if a parameter is refused.
-
-    """
+    """A node that identifies the rig again when the twin's predictions are wrong."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('calibrator', **kwargs)

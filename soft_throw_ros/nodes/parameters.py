@@ -30,7 +30,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table, Value
 from soft_throw_ros.configuration.table import MAX_NAME, MAX_TEXT, quote
-from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.process import refuse, RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
 LOG_PERIOD = 0.5
@@ -270,14 +270,7 @@ def _answer_if_short(answer: Callable[[Any, Any], Any], request: Any, response: 
                 f'{parameter.name[:MAX_NAME]} must have at most {MAX_TEXT} characters or items, '
                 f'got {size}'
             )
-    if not reason:
-        return answer(request, response)
-    result = SetParametersResult(successful=False, reason=reason)
-    if isinstance(request, SetParameters.Request):
-        response.results = [result] * count
-    else:
-        response.result = result
-    return response
+    return refuse(request, response, reason) if reason else answer(request, response)
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:

@@ -60,7 +60,7 @@ class RunnableNode(Node):
     Raises
     ------
     ParameterError
-        If the name, the namespace or a parameter of rclpy's own is refused.
+        In one line, if the name, the namespace or a parameter is refused.
 
     Notes
     -----
@@ -99,7 +99,7 @@ class RunnableNode(Node):
             except Exception as error:  # noqa: BLE001  no request ends a node
                 reason = f'{srv_name}: a request is refused: {error}'
                 self.get_logger().error(reason, throttle_duration_sec=REFUSAL_LOG_PERIOD)
-                return _refuse(request, response, reason)
+                return refuse(request, response, reason)
 
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
@@ -132,8 +132,8 @@ class RunnableNode(Node):
         """Complete files and everything else that must not be cut short."""
 
 
-def _refuse(request: Any, response: Any, reason: str) -> Any:
-    """Complete the response to a request that raised an exception."""
+def refuse(request: Any, response: Any, reason: str) -> Any:
+    """Complete the response to a request to set parameters, or to trigger, as a refusal."""
     refusal = SetParametersResult(successful=False, reason=reason)
     if isinstance(response, SetParameters.Response):
         missing = len(request.parameters) - len(response.results)

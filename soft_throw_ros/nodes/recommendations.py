@@ -99,16 +99,9 @@ class RecommendationState:
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""
-        best = self.best
-        if best is None:
+        if self.best is None:
             return f'no recommendation: {self.reason}'
-        if isinstance(best, (Aim, MotionDesign)):
-            return summary_of(best, self.rig, self.config.settings)
-        name = f'{best.layer}, ' if best.layer else ''
-        return (
-            f'recommended: {name}{1e3 * best.thickness:.4g} mm and {best.wave_speed:.4g} m/s, '
-            f'alpha {best.energy_transfer:.3f}'
-        )
+        return summary_of(self.best, self.rig, self.config.settings)
 
     def to_status(self, node_name: str) -> DiagnosticStatus:
         """Return a diagnostic status with the recommendation and its rig."""
@@ -120,9 +113,8 @@ class RecommendationState:
         values = {**self.values(), **rig}
         if isinstance(best, Recommendation):
             values['remarks'] = remarks_of(best)
-        summary = summary_of(best, self.rig, self.config.settings)
         is_missed = isinstance(best, Aim) and not best.is_reached
-        return status_to_msg(node_name, 'recommendation', summary, values, warn=is_missed)
+        return status_to_msg(node_name, 'recommendation', self.describe(), values, warn=is_missed)
 
 
 def _save_motion(best: MotionDesign) -> Path:

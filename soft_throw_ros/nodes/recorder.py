@@ -45,11 +45,6 @@ class Recorder(RunnableNode):
     recording : Recording or None
         The recording under way; None while it is stopped.
 
-    Raises
-    ------
-    ParameterError
-        In one line, if a parameter is refused, or the bag exists.
-
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:

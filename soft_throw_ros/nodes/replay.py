@@ -21,10 +21,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-import math
 import sys
 from typing import Any
 
+from soft_throw_ros.commands.options import not_negative, positive
+from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.recording.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.recording.message import BagError
@@ -58,10 +59,11 @@ def main(args: list[str] | None = None) -> int:
 
     """
     own, of_ros = _split(sys.argv[1:] if args is None else args)
-    given = _parse(own)
+    options = _parse(own)
+    path, is_check = options.pop('bag'), options.pop('check')
     try:
-        with BagReader(given.bag) as reader:
-            return _check(reader) if given.check else _play(reader, given, of_ros)
+        with BagReader(path) as reader:
+            return _check(reader) if is_check else _play(reader, options, of_ros)
     except (BagError, CheckError) as error:
         print(f'replay: {error}', file=sys.stderr)
         return 1 if isinstance(error, UnfinishedError) else 2
@@ -78,8 +80,9 @@ def _split(arguments: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
     return [*arguments[:begin], *arguments[end + 1:]], arguments[begin:end]
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+def _parse(arguments: Sequence[str]) -> dict[str, Any]:
+    """Return `bag`, `check`, and the given options of playback, keyword arguments of `Player`."""
+    parser = CommandParser(
         prog='replay',
         description=__doc__,
         usage=_USAGE,
@@ -89,14 +92,14 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
     playing = parser.add_argument_group('playing')
     playing.add_argument(
-        '--rate', metavar='R', type=_positive,
+        '--rate', metavar='R', type=positive,
         help='playback speed relative to the recording (default 1)',
     )
     playing.add_argument(
-        '--start', metavar='S', type=_not_negative, help='skip the first S seconds of the bag'
+        '--start', metavar='S', type=not_negative, help='skip the first S seconds of the bag'
     )
     playing.add_argument(
-        '--duration', metavar='S', type=_not_negative, help='play S seconds of the bag'
+        '--duration', metavar='S', type=not_negative, help='play S seconds of the bag'
     )
     playing.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
     playing.add_argument('--loop', action='store_true', help='restart after the end')
@@ -105,7 +108,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         '--clock',
         metavar='HZ',
         nargs='?',
-        type=_positive,
+        type=positive,
         const=CLOCK_RATE,
         help=f'publish the time of the bag on /clock (default {CLOCK_RATE:g} Hz) '
         'instead of a recorded /clock',
@@ -117,40 +120,13 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         default=False,
         help='repeat the run from its journal and compare; exit code 1 if a message differs',
     )
-    given = parser.parse_args(arguments)
-    if given.check and (options := sorted(_options(given))):
+    given = vars(parser.parse_args(arguments))
+    if given['check'] and (options := sorted(given.keys() - {'bag', 'check'})):
         parser.error(f'argument --{options[0]}: not allowed with argument --check')
     return given
 
 
-def _options(given: argparse.Namespace) -> dict[str, Any]:
-    """Return the playback options as keyword arguments of `Player`."""
-    return {
-        name: value
-        for name, value in vars(given).items()
-        if name not in ('bag', 'check', 'ros_args')
-    }
-
-
-def _positive(text: str) -> float:
-    value = _not_negative(text)
-    if not value:
-        raise argparse.ArgumentTypeError(f'must be a positive number, got {text!r}')
-    return value
-
-
-def _not_negative(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f'must be a number, and not negative, got {text!r}')
-    return value
-
-
-def _play(reader: BagReader, given: argparse.Namespace, arguments: Sequence[str]) -> int:
-    options = _options(given)
+def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) -> int:
     topics = {channel.topic for channel in reader.channels}
     unknown = sorted(set(options.get('topics', ())) - topics)
     if unknown:

@@ -38,11 +38,6 @@ class SimulatedRig(RealTimeNode):
     """
     A simulated rig that publishes the measurements of its sensors.
 
-    Raises
-    ------
-    ParameterError
-        If a parameter is refused.
-
     Notes
     -----
     The node runs a session of a twin with its own parameters, unknown to the observed twin, and

@@ -89,11 +89,6 @@ class Twin(RealTimeNode):
     recommendation : RecommendationState or None
         The present recommendation; None while it is computed.
 
-    Raises
-    ------
-    ParameterError
-        In one line, if a parameter is refused.
-
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:

@@ -91,9 +91,10 @@ def test_json_has_everything_to_the_last_digit(command):
 
 
 def test_layer_without_a_throw_is_null_in_json(command):
-    found = command.json('--mass', 0.3)['recommendation']
+    request = ('--mass', 0.3, '--vary', 'thickness')
+    found = command.json(*request)['recommendation']
     assert (found['now'], found['now_score']) == (None, 0.0)
-    assert command.row(command.run('--mass', 0.3), 'energy transfer alpha')[0] == '-'
+    assert command.row(command.run(*request), 'energy transfer alpha')[0] == '-'
 
 
 def test_options_define_the_request(command):

@@ -25,7 +25,9 @@ import fcntl
 import os
 from pathlib import Path
 import re
+import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -47,6 +49,7 @@ from soft_throw_ros.configuration.interface import resolve, Service, Topic
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
+from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin.kernels import load_kernels
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from std_srvs.srv import Trigger
@@ -385,11 +388,19 @@ def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
 
 
 class Process:
-    """A process and its output, without the messages of Fast DDS."""
+    """
+    A process and its output, without the messages of Fast DDS.
+
+    The process ends with the tests, also if they are killed.
+    """
 
     def __init__(self, command: list[str], **kwargs: Any) -> None:
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **kwargs
+            bound_to_parent(command),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            **kwargs,
         )
         self.lines: list[str] = []
         self._line_written = threading.Condition()
@@ -453,3 +464,48 @@ def start(domain_id: int) -> Iterator[Callable[..., Process]]:
     yield start
     for process in started:
         process.close()
+
+
+@pytest.fixture
+def start_node(start: Callable[..., Process]) -> Callable[..., Process]:
+    """Return a function that starts a node with rules for parameters as a process."""
+
+    def start_node(name: str, *rules: str, **kwargs: Any) -> Process:
+        words = [word for rule in rules for word in ('-p', rule)]
+        return start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', *words, **kwargs)
+
+    return start_node
+
+
+@pytest.fixture
+def record(start_node: Callable[..., Process], tmp_path: Path) -> Callable[..., Process]:
+    """Return a function that starts a recorder of a bag in the temporary folder of the test."""
+
+    def record(name: str, *rules: str, **kwargs: Any) -> Process:
+        rules = (f'folder:={tmp_path}', f'name:={name}', *rules)
+        recorder = start_node('recorder', *rules, **kwargs)
+        recorder.wait_for('ready')
+        return recorder
+
+    return record
+
+
+def end_recorder(
+    recorder: Process, number: int = signal.SIGINT, code: int = 0
+) -> tuple[int, int, int]:
+    """
+    End a recorder by a signal, and read the counts in its last log line.
+
+    Returns
+    -------
+    tuple of int
+        Numbers of recorded messages, of lost messages, and of messages before the recorder joined.
+
+    """
+    assert recorder.end(number) == code
+    assert not any('Traceback' in line for line in recorder.lines), recorder.lines
+    line = recorder.lines[-1]
+    counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
+    assert counts is not None, line
+    late = re.search(r'joined late, after (\d+) messages', line)
+    return int(counts[1]), int(counts[2]), int(late[1]) if late else 0

@@ -19,7 +19,6 @@ from collections.abc import Callable
 from dataclasses import replace
 import signal
 import statistics
-import sys
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -46,12 +45,6 @@ HIDDEN = {
 NEW_LAYER = 'layer.thickness is now '
 
 
-def run(start: Any, name: str, **parameters: Any) -> Any:
-    options = [f'{key.replace("__", ".")}:={value}' for key, value in parameters.items()]
-    words = [word for option in options for word in ('-p', option)]
-    return start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', *words)
-
-
 def listen(
     ros: Any, topic: Topic, convert: Callable[[DiagnosticStatus], Any] = lambda status: status
 ) -> list[Any]:
@@ -67,21 +60,21 @@ def listen(
 @pytest.mark.slow
 @pytest.mark.once
 def test_calibration_finds_the_rig_improves_its_throw_and_stops(
-    start, ros
+    start_node, ros
 ) -> None:
     results: list[ThrowResult] = listen(
         ros, CALIBRATOR_TOPICS.throw_result, msg_to_throw_result
     )
     said = listen(ros, CALIBRATOR_TOPICS.diagnostics)
-    twin = run(
-        start, 'twin',
-        engine__motion='measured', layer__name='gelatin_29.1mm', recommendation__vary='thickness',
+    twin = start_node(
+        'twin', 'engine.motion:=measured', 'layer.name:=gelatin_29.1mm',
+        'recommendation.vary:=thickness',
     )
-    calibrator = run(start, 'calibrator', rig='/rig', throws=2)
+    calibrator = start_node('calibrator', 'rig:=/rig', 'throws:=2')
     for process in (twin, calibrator):
         process.wait_for('ready')
-    hidden = {name.replace('.', '__'): value for name, value in HIDDEN.items()}
-    rig = run(start, 'rig', rate=2500.0, throw__period=0.6, **hidden)
+    hidden = [f'{name}:={value}' for name, value in HIDDEN.items()]
+    rig = start_node('rig', 'rate:=2500.0', 'throw.period:=0.6', *hidden)
     try:
         rig.wait_for(NEW_LAYER)
     except AssertionError:

@@ -23,19 +23,13 @@ import sys
 from typing import Any
 
 import pytest
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.help_texts import HELP
 from soft_throw_ros.nodes.twin import main
-from stopping import stop
 
 pytestmark = pytest.mark.timeout(300)
 
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-
-
-def kill(pid: int) -> None:
-    os.kill(pid, signal.SIGKILL)
 
 
 def assert_ends_well(process: Any, number: int) -> None:
@@ -185,35 +179,6 @@ def test_node_whose_thread_dies_reports_it_and_ends_in_order(start) -> None:
     assert sum('discovery range LOCALHOST' in line for line in node.lines) == 1
 
 
-SUBSCRIBER = """
-import rclpy
-from rclpy.node import Node
-import pytest
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
-from soft_throw_ros.nodes.topics import create_subscription
-
-rclpy.init()
-node = Node('subscriber')
-for topic in (TWIN_TOPICS.joint_states, TWIN_TOPICS.journal, TWIN_TOPICS.throw_result):
-    create_subscription(node, topic.at('/twin'), lambda message: print('heard', flush=True))
-rclpy.spin(node)
-"""
-
-
-@pytest.mark.slow
-def test_twin_outlives_a_subscriber_that_is_stopped_and_killed(start, listen_to) -> None:
-    twin = start(*SOFT_THROW, 'twin', '--ros-args', '-p', 'throw.period:=0.1')
-    subscriber = start(sys.executable, '-c', SUBSCRIBER)
-    listener = listen_to()
-    listener.listen(TWIN_TOPICS.diagnostics)
-    subscriber.wait_for('heard')
-    for end in (stop, kill):
-        end(subscriber.process.pid)
-        reports = len(listener.heard[TWIN_TOPICS.diagnostics.name])
-        listener.hear(TWIN_TOPICS.diagnostics, reports + 2)  # the twin continues for seconds
-    assert_ends_well(twin, TERM)
-
-
 BAD_FILE = """/**:
   ros__parameters:
     layer:
@@ -281,9 +246,8 @@ def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path) -> None:
         assert all(word in line for word in words), line
 
 
-def test_help_has_usage_description_parameters_and_an_example(capsys) -> None:
+def test_help_has_usage_and_an_example(capsys) -> None:
     assert main(['--help']) == 0
     printed = capsys.readouterr().out
     assert printed.startswith('usage: twin [--ros-args')
-    for text in (HELP['twin'].description, 'throw.period', '(default 1 s)', HELP['twin'].example):
-        assert text in printed
+    assert printed.endswith(f'{HELP["twin"].example}\n')

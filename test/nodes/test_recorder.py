@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import json
 from pathlib import Path
+import shutil
 import socket
 import sys
 from typing import Any
@@ -228,6 +229,25 @@ def test_recorder_records_the_twin_in_its_own_namespace(ros, recorder, tmp_path)
     assert notes[f'versions of {name}']['python'] == sys.version.split()[0]
     assert 'period: 0.2' in files[f'{name[1:].replace("/", "_")}.yaml']
     assert "name: 'bag'" in files['recorder.yaml']
+
+
+def test_deleted_bag_is_reported_and_not_counted_as_recorded(
+    ros, recorder, talker, listen_to, tmp_path
+) -> None:
+    node = recorder(name='bag')
+    listener = listen_to(node)
+    listener.listen(RECORDER_TOPICS.diagnostics)
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
+    ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 3, 'the messages in the bag')
+    shutil.rmtree(tmp_path / 'bag')
+    status = listener.status(
+        RECORDER_TOPICS.diagnostics, 'bag', lambda item: item.level == DiagnosticStatus.WARN
+    )
+    assert 'was deleted' in status.message
+    recording = node.recording
+    node.close()
+    assert node.exit_code == 1
+    assert recording.losses() == {'/talk': 3}
 
 
 def test_topic_without_publisher_is_reported(ros, recorder, talker, tmp_path, capfd) -> None:

@@ -26,16 +26,11 @@ from bags import BEGIN, channel, text, write
 import pytest
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.nodes.replay import main
-from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import TickSchedule
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from stopping import stop
+from twin_messages import TwinMessages
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -46,30 +41,15 @@ def last_throw(lines: list[str]) -> int:
     return max((int(match[1]) for match in found if match), default=0)
 
 
-def messages_of_a_twin(steps: int) -> list[Message]:
-    """Return the messages that a twin publishes in `steps` steps."""
-    journal = channel('/twin/journal')
-    states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
-    made: list[Message] = []
-    due = BEGIN
-
-    def write_line(line: str) -> None:
-        made.append(Message(journal, text(line), due, due))
-
-    session = Session({**TWIN.defaults(), 'throw.period': 0.1}, on_entry=write_line)
-    pace = TickSchedule(step=0, time_ns=BEGIN, rate=session.rate)
-    session.set_tick_schedule(pace)
-    encode = JointStateEncoder('rig', ('plate', 'projectile')).encode
-    for step in range(steps):
-        due = pace.deadline(step)
-        outputs = session.advance()
-        made.append(Message(states, encode(due, outputs.state), due, due))
-    return made
+@pytest.fixture(scope='module')
+def messages() -> list[Message]:
+    """Return the messages of a twin during half a second."""
+    return TwinMessages(throw__period=0.1).go(500).messages
 
 
 @pytest.fixture(scope='module')
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp('good') / 'bag', messages_of_a_twin(500))
+def bag(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp('good') / 'bag', messages)
 
 
 # refused arguments
@@ -91,7 +71,7 @@ def test_wrong_argument_is_refused(bag, capsys, arguments, words) -> None:
     with pytest.raises(SystemExit) as exit_:
         main([str(bag) if argument == 'BAG' else argument for argument in arguments])
     assert exit_.value.code == 2
-    assert re.search(words, capsys.readouterr().err.splitlines()[-1])
+    assert re.search(words, capsys.readouterr().err.splitlines()[0])
 
 
 @pytest.mark.parametrize('mode', [[], ['--check']])
@@ -125,14 +105,9 @@ def test_check_of_a_correct_bag_has_exit_code_0(bag, capsys) -> None:
     assert ' 0 are different' in said.out
 
 
-def test_check_of_a_wrong_bag_has_exit_code_1(tmp_path, capsys) -> None:
-    made = messages_of_a_twin(1300)
-    index = next(
-        n
-        for n, message in enumerate(made)
-        if message.log_time == BEGIN + 250_000_000
-        and message.channel.topic == '/twin/joint_states'
-    )
+def test_check_of_a_wrong_bag_has_exit_code_1(messages, tmp_path, capsys) -> None:
+    made = list(messages)
+    index = [message.channel.topic for message in made].index('/twin/joint_states')
     data = bytearray(made[index].data)
     data[-1] ^= 0x40
     made[index] = made[index]._replace(data=bytes(data))
@@ -140,14 +115,15 @@ def test_check_of_a_wrong_bag_has_exit_code_1(tmp_path, capsys) -> None:
     assert '/twin' in capsys.readouterr().out
 
 
-def test_check_of_a_damaged_bag_or_one_without_journal_has_its_exit_code(tmp_path, capsys) -> None:
-    made = messages_of_a_twin(500)
-    (file,) = write(tmp_path / 'bag', made, compression='none').glob('*.mcap')
+def test_check_of_a_damaged_bag_or_one_without_journal_has_its_exit_code(
+    messages, tmp_path, capsys
+) -> None:
+    (file,) = write(tmp_path / 'bag', messages, compression='none').glob('*.mcap')
     data = file.read_bytes()
     file.write_bytes(data[: len(data) // 2])
     assert main(['--check', str(tmp_path / 'bag')]) == 1
     assert f'{file}: ' in capsys.readouterr().err
-    silent = [message for message in made if not message.channel.topic.endswith('journal')]
+    silent = [message for message in messages if not message.channel.topic.endswith('journal')]
     assert main(['--check', str(write(tmp_path / 'silent', silent))]) == 2
     assert 'journal' in capsys.readouterr().err
 
@@ -181,9 +157,7 @@ def test_check_needs_no_ros_and_playback_names_the_missing_ros(bag) -> None:
 # as a process
 
 
-MAIN = 'import sys; from soft_throw_ros.nodes.replay import main; sys.exit(main())'
-
-COMMAND = [sys.executable, '-c', MAIN]
+COMMAND = (sys.executable, '-m', 'soft_throw_ros', 'replay')
 
 
 @pytest.fixture(scope='module')
@@ -215,20 +189,6 @@ def resume(ros: Any, replay: Any) -> None:
     ros.spin_until(is_discovered, 'a response')
     response = client.call_async(Trigger.Request())
     ros.spin_until(lambda: response.done() or replay.process.poll() is not None, 'the player')
-
-
-def test_replay_ends_by_itself_after_the_last_message(start, ros, texts) -> None:
-    heard: list[str] = []
-    ros.node(Node, 'listener').create_subscription(
-        String, '/elsewhere', lambda message: heard.append(message.data), QoSProfile(depth=2000)
-    )
-    replay = start(*COMMAND, str(texts), '--paused', '--ros-args', '-r', '/texts:=/elsewhere')
-    resume(ros, replay)
-    ros.spin_until(lambda: '1000' in heard, 'the last message')
-    assert replay.wait() == 0
-    assert heard == [str(number) for number in range(1001)]
-    said = [line for line in replay.lines if line.startswith('replay: ')]
-    assert said == ['replay: 1001 messages of 1 topics played']
 
 
 SUBSCRIBER = """
@@ -265,24 +225,15 @@ def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
 
 @pytest.mark.slow
 def test_recorded_and_replayed_twin_agree_with_the_journal(
-    start, ros, tmp_path, capsys
+    start, start_node, record, ros, tmp_path, capsys
 ) -> None:
-    def run(name: str, *options: str) -> Any:
-        command = [sys.executable, '-m', 'soft_throw_ros', name, '--ros-args']
-        return start(*command, *[word for option in options for word in ('-p', option)])
-
-    def record(name: str) -> Any:
-        recorder = run('recorder', f'folder:={tmp_path}', f'name:={name}', 'topics:=[/twin]')
-        recorder.wait_for('recording into')
-        return recorder
-
     def check(name: str) -> list[str]:
         assert main(['--check', str(tmp_path / name)]) == 0
         return list(capsys.readouterr().out.splitlines())
 
-    twin = run('twin', 'throw.period:=0.3')
+    twin = start_node('twin', 'throw.period:=0.3')
     twin.wait_for('ready')
-    recorder = record('first')
+    recorder = record('first', 'topics:=[/twin]')
     observer = ros.node(Node, 'observer')
     ros.spin_until(lambda: observer.count_subscribers('/twin/joint_states') > 0, 'the recorder')
     thrown = last_throw(twin.lines)
@@ -293,7 +244,7 @@ def test_recorded_and_replayed_twin_agree_with_the_journal(
     first = check('first')
     assert not any(' 0 are the same' in line for line in first)
 
-    recorder = record('second')
+    recorder = record('second', 'topics:=[/twin]')
     replay = start(*COMMAND, str(tmp_path / 'first'), '--paused', '--rate', '3')
     for topic in ('/twin/joint_states', '/twin/journal'):
         ros.spin_until(lambda topic=topic: observer.count_subscribers(topic) > 0, topic)

@@ -23,6 +23,7 @@ import pytest
 
 @pytest.mark.slow
 @pytest.mark.once
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_promises_are_kept_for_half_a_minute(domain_id, tmp_path, capsys):
     pytest.importorskip('rerun')

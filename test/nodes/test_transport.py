@@ -36,11 +36,7 @@ VARIABLES = (
 CONFIG = Path(__file__).parents[2] / 'config'
 LISTEN = """
 from pathlib import Path
-from soft_throw_ros.nodes.transport import (
-    describe_discovery,
-    discovery_range,
-    use_transport_profile,
-)
+from soft_throw_ros.nodes.transport import use_transport_profile
 use_transport_profile()
 import rclpy
 rclpy.init()
