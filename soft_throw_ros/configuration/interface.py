@@ -49,6 +49,7 @@ JOINT_STATE = 'sensor_msgs/msg/JointState'
 MULTI_ARRAY = 'std_msgs/msg/Float64MultiArray'
 NUMBER = 'std_msgs/msg/Float64'
 TEXT = 'std_msgs/msg/String'
+TRAJECTORY = 'trajectory_msgs/msg/JointTrajectory'
 TRIGGER = 'std_srvs/srv/Trigger'
 
 _SEVERAL = 10  # depth of a queue for bursts: more messages than are ever published at once
@@ -183,6 +184,10 @@ class TwinTopics(NamedTuple):
         'velocities, stamped with the time of the measurement, at 2 to 10 kHz',
         depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS,
         quantities=('position', 'velocity'), is_input=True)
+    plate_trajectory: Topic = Topic(
+        '~/plate_trajectory', TRAJECTORY,
+        'Motion of the plate for a controller, `engine.command_lead` before each throw, with the '
+        'start of the throw as stamp, if `engine.command` is true')
     diagnostics: Topic = Topic(
         '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
         depth=_SEVERAL)
@@ -234,6 +239,10 @@ class RigTopics(NamedTuple):
 
     measured_joint_states: Topic = replace(
         TwinTopics().measured_joint_states.at('twin'), quantities=('position',), is_input=False)
+    plate_trajectory: Topic = replace(
+        TwinTopics().plate_trajectory.at('twin'),
+        meaning='Motion that the plate plays, from the stamp on; periodic throws then stop',
+        is_input=True)
 
 
 class CalibratorTopics(NamedTuple):

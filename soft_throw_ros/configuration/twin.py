@@ -117,6 +117,12 @@ _ENTRIES = (
         'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
         'are then units, and the loss tangent is that at the frequency',
         kind='the path of a file, or empty'),
+    row('engine.command', False,
+        'Publish the motion of `engine.motion_file` before each throw, for a controller that '
+        'moves the plate; only if `time_scale` is 1'),
+    row('engine.command_lead', 0.2,
+        'Time from this message to the start of the motion, at most a quarter of `throw.period`',
+        unit='s', low=0.0, high=10.0),
     row('engine.frequency', _RIG.engine.frequency, 'Natural frequency f of the plate',
         unit='Hz', low=1.0, high=1000.0),
     row('engine.amplitude', _RIG.engine.amplitude, 'Height A at which the plate settles',

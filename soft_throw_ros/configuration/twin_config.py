@@ -94,6 +94,8 @@ class TwinConfig:
         Steps, and rows of the field, per second of the clock. [Hz]
     time_scale : float
         Time of the rig over time of the clock, 1 with a measured plate. [-]
+    command_lead : float or None
+        Time from the command of a motion to its start [s]; None if the plate is not commanded.
     throw_period : float
         Time between the starts of two throws; 0 to throw only on request. [s]
     max_events, max_strain
@@ -109,6 +111,7 @@ class TwinConfig:
     state_rate: float
     field_rate: float
     time_scale: float
+    command_lead: float | None
     throw_period: float
     max_events: int
     max_strain: float
@@ -142,6 +145,7 @@ class TwinConfig:
         rig = rig_of(settings, motion_of) if rig is None else rig
         motion = settings['engine.motion']
         plate = Underdamped.of(rig.engine)
+        is_commanded = motion == 'file' and settings['time_scale'] == 1.0
         return cls(
             settings=settings,
             rig=rig,
@@ -163,6 +167,11 @@ class TwinConfig:
             state_rate=settings['rate.state'],
             field_rate=settings['rate.field'],
             time_scale=1.0 if motion == 'measured' else settings['time_scale'],
+            command_lead=(
+                settings['engine.command_lead']
+                if settings['engine.command'] and is_commanded
+                else None
+            ),
             throw_period=settings['throw.period'],
             max_events=settings['throw.max_events'],
             max_strain=rig.layer.linear_range(settings['max_strain']),

@@ -21,6 +21,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.qos import (
     DurabilityPolicy,
@@ -31,13 +32,15 @@ from rclpy.qos import (
 )
 from rclpy.time import Time
 from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings, TWIN
-from soft_throw_ros.configuration.interface import FRAME
+from soft_throw_ros.configuration.interface import FRAME, JOINTS
 from soft_throw_ros.configuration.table import number_of
+from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.bag_metadata import load_profiles
 from soft_throw_ros.recording.message import LATEST
 from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 _POLICIES = {
     'history': HistoryPolicy,
@@ -47,6 +50,9 @@ _POLICIES = {
 }
 
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
+
+_PLATE = JOINTS[0]
+_STATE = 3  # position, velocity and acceleration
 
 UNKNOWN_DEPTH = 1000
 """Queue depth of a publisher if the bag does not contain it; few middlewares report it."""
@@ -177,3 +183,46 @@ def _value(text: str) -> Scalar:
         return text == 'true'
     number = number_of(text)
     return text if number is None else number
+
+
+def motion_to_msg(start_ns: int, motion: SampledMotion) -> JointTrajectory:
+    """Return a motion of the plate that starts at a time [ns]."""
+    return JointTrajectory(
+        header=Header(stamp=time_to_msg(start_ns), frame_id=FRAME),
+        joint_names=[_PLATE],
+        points=[
+            JointTrajectoryPoint(
+                positions=[position],
+                velocities=[velocity],
+                accelerations=[acceleration],
+                time_from_start=Duration(seconds=time).to_msg(),
+            )
+            for time, (position, velocity, acceleration) in zip(
+                motion.times.tolist(), motion.states.tolist(), strict=True
+            )
+        ],
+    )
+
+
+def msg_to_motion(message: JointTrajectory) -> SampledMotion:
+    """
+    Return the motion of the plate in a message.
+
+    Raises
+    ------
+    ValueError
+        If another joint moves, a point lacks position, velocity or acceleration, or the points
+        are no motion.
+
+    """
+    if list(message.joint_names) != [_PLATE]:
+        raise ValueError(f'the joints must be [{_PLATE!r}], got {list(message.joint_names)!r:.80}')
+    states = [
+        [*point.positions, *point.velocities, *point.accelerations] for point in message.points
+    ]
+    if not all(len(state) == _STATE for state in states):
+        raise ValueError('every point must have one position, one velocity and one acceleration')
+    times = [
+        1e-9 * Duration.from_msg(point.time_from_start).nanoseconds for point in message.points
+    ]
+    return SampledMotion(np.array(times), np.array(states).reshape(-1, _STATE))

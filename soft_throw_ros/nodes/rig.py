@@ -22,16 +22,23 @@ from typing import Any
 import numpy as np
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import RIG_TOPICS
+from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
 from soft_throw_ros.configuration.rig import imperfections_of, RIG, sensor_faults_of, to_twin
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime_node import RealTimeNode
-from soft_throw_ros.nodes.topics import Publishers
+from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.session import Session
+from soft_throw_ros.twin.session import RequestRejected, Session
+from trajectory_msgs.msg import JointTrajectory
+
+_LINE_INTERVAL = 5.0
+"""Shortest time between two log lines about commanded throws. [s]"""
 
 
 class SimulatedRig(RealTimeNode):
@@ -44,6 +51,10 @@ class SimulatedRig(RealTimeNode):
     publishes positions as faulty sensors would measure them. Effects that no model of the core
     has, such as a stiffening layer, are computed before the throw as `Deviations` and added.
 
+    A trajectory of the plate replaces the motion of the engine. It starts with the first step
+    after its stamp. Periodic throws and the imperfections of the rig then stop; the faults of the
+    sensors continue.
+
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
@@ -52,6 +63,9 @@ class SimulatedRig(RealTimeNode):
         self._throws = 0
         self._start = 0  # step at which the last throw began
         self._is_worn = False
+        self._motion: SampledMotion | None = None  # that is commanded
+        self._motions = 0
+        self._start_ns: int | None = None  # of the commanded motion, until it has begun
         self.parameters = NodeParameters(
             self,
             RIG,
@@ -66,11 +80,25 @@ class SimulatedRig(RealTimeNode):
         self._faults = SensorFaults(**sensor_faults_of(settings))
         self._deviations = self._next_deviations = self._find_deviations()
         self.drive(Session(self._played))
+        create_subscription(self, RIG_TOPICS.plate_trajectory, self._on_trajectory)
 
     # Tick thread
 
+    def on_tick(self, due: int) -> None:
+        """Start the commanded motion if it is due, and advance by one step."""
+        if self._start_ns is not None and due >= self._start_ns:
+            self._start_ns = None
+            try:
+                self.session.request_throw()
+            except RequestRejected as refusal:
+                self.get_logger().warning(f'a commanded motion is not played: {refusal}')
+        super().on_tick(due)
+
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the measurements of the sensors."""
+        for result in outputs.results:
+            if self._motion is not None and result.stage == 'release':
+                self.get_logger().info(result.describe(), throttle_duration_sec=_LINE_INTERVAL)
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
             self._deviations = self._next_deviations
@@ -116,11 +144,40 @@ class SimulatedRig(RealTimeNode):
         before, self._played = self._played, self.parameters.checked.settings
         self._faults = SensorFaults(**sensor_faults_of(settings))
         deviations = self._find_deviations()
-        self.session.change(
-            {name: value for name, value in self._played.items() if value != before[name]},
-            self.parameters.checked,
-        )
-        self._next_deviations = deviations  # in effect with the next throw, as the settings
+        changes = {name: value for name, value in self._played.items() if value != before[name]}
+        if self._motion is None:
+            self.session.change(changes, self.parameters.checked)
+            self._next_deviations = deviations  # in effect with the next throw, as the settings
+        else:
+            self.session.change(changes | {'throw.period': 0.0})
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        """Prepare a commanded motion, and start it at its stamp."""
+        start_ns, now_ns = msg_to_time(message.header.stamp), self._current_clock().now()
+        try:
+            motion = msg_to_motion(message)
+        except ValueError as error:
+            self.get_logger().warning(f'a commanded motion is refused: {error}')
+            return
+        if start_ns < now_ns:
+            self.get_logger().warning(
+                f'a commanded motion is refused: it started {1e-6 * (now_ns - start_ns):.3g} ms '
+                'ago; increase engine.command_lead of the twin'
+            )
+            return
+        if not _are_equal(motion, self._motion):
+            self._motion, self._next_deviations = motion, None
+            self._motions += 1
+            self.session.change(
+                {
+                    'engine.motion': 'file',
+                    MOTION_FILE: f'commanded motion {self._motions}',
+                    'throw.period': 0.0,
+                },
+                motion_of=lambda _path: motion,
+            )
+            self.session.reset()  # otherwise the first throw would return to rest before it starts
+        self._start_ns = start_ns
 
     def _find_deviations(self) -> Deviations | None:
         """Return the effect of the imperfections, computed in about 0.1 s; None without any."""
@@ -128,6 +185,14 @@ class SimulatedRig(RealTimeNode):
         if not imperfections.are_present:
             return None
         return Deviations(self.parameters.checked.rig, imperfections)
+
+
+def _are_equal(motion: SampledMotion, other: SampledMotion | None) -> bool:
+    return (
+        other is not None
+        and np.array_equal(motion.times, other.times)
+        and np.array_equal(motion.states, other.states)
+    )
 
 
 main = partial(run, 'rig', SimulatedRig)

@@ -34,7 +34,7 @@ from rclpy.qos import (
 )
 from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
-from soft_throw_ros.nodes.conversions import statuses_to_msg
+from soft_throw_ros.nodes.conversions import motion_to_msg, statuses_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import close_event, open_event, take_event
 from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
@@ -113,8 +113,8 @@ class Publishers:
 
         Its arguments depend on the type of the topic. Joint states take a stamp [ns] and the
         values of one quantity after another, or one array per quantity where there are many
-        joints. Diagnostics take a stamp and statuses. Other types take an array, a number or a
-        text.
+        joints. Diagnostics take a stamp and statuses, trajectories a start [ns] and a motion.
+        Other types take an array, a number or a text.
 
         """
         return self._senders[topic.name]
@@ -142,6 +142,8 @@ class Publishers:
             return lambda array: publish(encode_array(topic.axes, array))
         if topic.type == interface.ARRAY:
             return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
+        if topic.type == interface.TRAJECTORY:
+            return lambda start_ns, motion: publish(motion_to_msg(start_ns, motion))
         return lambda value: publish(message_type(data=value))
 
     def _look_for_mismatches(self) -> None:

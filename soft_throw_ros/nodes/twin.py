@@ -116,6 +116,7 @@ class Twin(RealTimeNode):
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
+        self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
         session = Session(self.parameters.settings, on_entry=self.on_entry)
         self.measurement = Measurement(
             self,
@@ -162,6 +163,9 @@ class Twin(RealTimeNode):
             self._send_prediction(prediction.stamp_ns, prediction[1:4])
         if residual is not None:
             self._send_residual(residual.stamp_ns, residual[1:])
+        if outputs.command is not None:
+            command = outputs.command
+            self._run_in_executor(lambda: self._send_command(*command))
         if outputs.phases or outputs.results or outputs.throw_field is not None:
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 

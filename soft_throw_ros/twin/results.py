@@ -24,6 +24,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import Scalar
+from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 
@@ -358,6 +359,13 @@ class Residual(NamedTuple):
     projectile: float
 
 
+class PlateCommand(NamedTuple):
+    """The motion of the plate in the next throw, and the time of its start."""
+
+    start_ns: int
+    motion: SampledMotion
+
+
 class Outputs(NamedTuple):
     """Output of one step."""
 
@@ -371,3 +379,4 @@ class Outputs(NamedTuple):
     throw_field: ThrowField | None = None  # once per throw
     prediction: PredictedState | None = None  # in a throw of a measured plate
     residual: Residual | None = None  # if the projectile is measured as well
+    command: PlateCommand | None = None  # before a throw, if the plate is commanded

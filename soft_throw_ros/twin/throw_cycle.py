@@ -33,6 +33,7 @@ from soft_throw_ros.twin.results import (
     Outputs,
     Phase,
     PhaseChange,
+    PlateCommand,
     State,
     ThrowField,
     ThrowResult,
@@ -57,6 +58,7 @@ class AtRest:
     """Plate and projectile are at rest; the next throw starts when it is due or requested."""
 
     is_requested: bool = False
+    start_step: int | None = None  # of the next throw, whose motion is commanded already
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ class _RareOutputs:
     phases: tuple[tuple[Phase, int | None], ...] = ()  # with times; None for that of the step
     results: tuple[ThrowResult, ...] = ()
     throw_field: ThrowField | None = None
+    command: PlateCommand | None = None
 
 
 class ThrowCycle:
@@ -124,6 +127,9 @@ class ThrowCycle:
 
     Staged settings take effect when the return begins: after a throw, at a reset, or, if the rig
     is at rest, before the next throw, which starts later by the time of the return.
+
+    If a controller moves the plate (`engine.command`), the motion is an output some time before
+    the throw starts, and no settings take effect in between.
 
     If the plate is measured, a throw starts when the plate moves up suddenly after a rest,
     regardless of the period. It also ends when samples are missing for longer than a wave needs to
@@ -160,11 +166,19 @@ class ThrowCycle:
             return math.inf
         return self._period_start + self._prepared.period_ticks(config.throw_period)
 
+    @property
+    def _lead_ticks(self) -> int:
+        """Steps from the command of a motion to its start; 0 without a command."""
+        config = self._staged.config
+        ticks = round((config.command_lead or 0.0) * config.state_rate)
+        if not config.throw_period:
+            return ticks
+        return min(ticks, self._prepared.period_ticks(config.throw_period) // 4)
+
     def resume(self, step: int, entry: journal.Entry) -> None:
         """Start the throw of an entry of a journal at its step."""
         self.throws = entry['throw'] - 1
-        # a rig that has just returned starts the throw at once, also if changes wait
-        self._rig_state = Returning(step, step, self._state, is_requested=True)
+        self._rig_state = AtRest(start_step=step)  # at once, also if changes wait
         self._rare_outputs = _RareOutputs()
         if 'schedule' in entry:
             self.schedule = journal.decode_schedule(entry['schedule'])
@@ -180,7 +194,7 @@ class ThrowCycle:
         """
         rig_state = self._rig_state
         if isinstance(rig_state, AtRest):
-            if rig_state.is_requested:
+            if rig_state.is_requested or rig_state.start_step is not None:
                 return lambda: f'throw {self.throws + 1} is about to start'
             self._rig_state = AtRest(is_requested=True)
             return None
@@ -251,20 +265,38 @@ class ThrowCycle:
             throw_field=rare.throw_field,
             prediction=advanced.prediction,
             residual=advanced.residual,
+            command=rare.command,
         )
 
     def _begin_throw_if_due(self, step: int, rig_state: AtRest | Returning) -> None:
         """Start a throw, or return to rest before it if changes wait."""
+        if isinstance(rig_state, AtRest) and rig_state.start_step is not None:
+            if step >= rig_state.start_step:
+                self._begin_throw(step)
+            return
         has_returned = isinstance(rig_state, Returning)
         if isinstance(rig_state, Returning) and step < rig_state.end:
             return
-        if not rig_state.is_requested and step < self._due:
+        if not rig_state.is_requested and step < self._due - self._lead_ticks:
             if has_returned:
                 self._enter(AtRest(), Phase.REST)
         elif has_returned or not self._staged.pending:
-            self._begin_throw(step)
+            self._command_plate(step, has_returned=has_returned)
         else:
             self._put_back(step, is_requested=rig_state.is_requested)
+
+    def _command_plate(self, step: int, *, has_returned: bool) -> None:
+        """Output the motion of the next throw if a controller plays it, and start the throw."""
+        motion, start_step = self._prepared.rig.engine.motion, step + self._lead_ticks
+        if self._staged.config.command_lead is not None and motion is not None:
+            command = PlateCommand(self.schedule.deadline(start_step), motion)
+            self._rare_outputs.command = command
+        if start_step == step:
+            self._begin_throw(step)
+        elif has_returned:
+            self._enter(AtRest(start_step=start_step), Phase.REST)
+        else:
+            self._rig_state = AtRest(start_step=start_step)
 
     def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
         self.throws += 1
@@ -316,7 +348,8 @@ class ThrowCycle:
             self._report(step, advanced.forecast)
         if throw.events and not had_left:
             self._report(step, throw.result('release', tick))
-        latest_end = self._due - self._prepared.return_ticks(tick.config.throw_period)
+        returning = self._prepared.return_ticks(tick.config.throw_period)
+        latest_end = self._due - self._lead_ticks - returning
         if throw.ended_by or step >= latest_end:
             self._end_throw(step, throw, throw.ended_by or 'period')
         else:

@@ -44,6 +44,8 @@ def one_change() -> st.SearchStrategy:
         elif isinstance(entry.default, tuple):
             numbers = st.lists(st.floats(entry.low, entry.high), min_size=1, max_size=3)
             values = numbers.map(tuple)
+        elif isinstance(entry.default, bool):
+            values = st.booleans()
         else:
             kind = st.integers if isinstance(entry.default, int) else st.floats
             values = kind(entry.low, entry.high)

@@ -15,13 +15,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import to_twin
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rig import SimulatedRig
+from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.twin.session import Session
 
 SECOND = 1_000_000_000
@@ -41,7 +45,12 @@ class Driven(SimulatedRig):
             self.stamps.append(stamp),
             self.positions.append(values),
         )
+        self.received = 0
         self.ticker.run_due()  # the first step
+
+    def _on_trajectory(self, message: Any) -> None:
+        super()._on_trajectory(message)
+        self.received += 1
 
     def go(self, seconds: float) -> None:
         self.clock.time += round(seconds * SECOND)
@@ -146,3 +155,45 @@ def test_unplayable_rig_is_refused_with_the_value(start) -> None:
             *('-p', 'layer.wave_speed:=1.0'),
             *('-p', 'engine.frequency:=1000.0'),
         )
+
+
+@pytest.fixture
+def command(ros: Any) -> Any:
+    """Publish a trajectory of the plate, and wait until a rig has received it."""
+    topic = replace(RIG_TOPICS.plate_trajectory, is_input=False)
+    node = ros.node(RunnableNode, 'controller')
+    publishers = Publishers(node, [topic])
+
+    def command(rig: Driven, start_ns: int, motion: SampledMotion) -> None:
+        received = rig.received
+        ros.spin_until(lambda: node.count_subscribers(topic.name) > 0, 'the rig')
+        publishers.send(topic, start_ns, motion)
+        ros.spin_until(lambda: rig.received > received, 'the trajectory')
+
+    return command
+
+
+def test_commanded_motion_is_played_from_its_stamp_on(start, command) -> None:
+    rig = start(*QUIET, '-p', 'throw.period:=0.7')
+    times = np.linspace(0.0, 0.06, 301)
+    heights = 1e-3 * (1.0 - np.cos(2.0 * np.pi * times / 0.06)) * np.sin(40.0 * times)
+    motion = SampledMotion.from_positions(times, heights)
+    start_ns = rig.clock.time + SECOND // 4
+    command(rig, start_ns, motion)
+    rig.go(1.5)
+    stamps, plate = np.array(rig.stamps), np.array(rig.positions)[:, 0]
+    begin = stamps[stamps >= start_ns][0]
+    since = 1e-9 * (stamps - begin)
+    assert begin - start_ns < SECOND // RATE
+    played = (since >= 0.0) & (since < 0.05)
+    assert plate[played] == pytest.approx(motion.position(since[played]), abs=1e-9)
+    assert rig.session.throws == 1  # no periodic throws
+
+
+def test_impossible_trajectories_are_refused(start, command, capfd) -> None:
+    rig = start(*QUIET, '-p', 'throw.period:=0.0')
+    motion = SampledMotion.from_positions(np.linspace(0.0, 0.1, 101), np.zeros(101))
+    command(rig, rig.clock.time - SECOND, motion)
+    rig.go(0.5)
+    assert rig.session.throws == 0
+    assert 'it started 1e+03 ms ago' in capfd.readouterr().err

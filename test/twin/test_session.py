@@ -483,6 +483,38 @@ def test_journal_replays_a_motion_file_without_the_file(write_motion) -> None:
     assert [each.state for each in outputs] == [each.state for each in run.outputs]
 
 
+@pytest.mark.parametrize(('period', 'lead'), [(0.0, 200), (1.0, 200), (0.4, 100)])
+def test_motion_is_commanded_before_its_throw(write_motion, period, lead) -> None:
+    run = Run(
+        engine__motion_file=str(write_motion()), engine__command=True, throw__period=period
+    )
+    run.go(50)
+    if not period:
+        run.session.request_throw()
+        run.go(10)
+        with pytest.raises(RequestRejected, match='throw 1'):
+            run.session.request_throw()
+    run.session.change({'layer.thickness': 0.02})  # waits until the commanded throw is over
+    run.go(2500)
+    commands = [each for each in run.outputs if each.command is not None]
+    starts = run.starts()
+    assert len(commands) == len(starts) or len(commands) == len(starts) + 1
+    for outputs, start in zip(commands, starts, strict=False):
+        assert start - outputs.step == lead
+        assert outputs.command.start_ns == run.schedule.deadline(start)
+        assert outputs.command.motion == run.rig.engine.motion
+    again = list(replay(run.journal, until=len(run.outputs)))
+    assert [each.state for each in again] == [each.state for each in run.outputs]
+
+
+def test_plate_in_slow_motion_or_of_an_engine_is_not_commanded(write_motion) -> None:
+    slow = Run(
+        engine__motion_file=str(write_motion()), engine__command=True, time_scale=0.5
+    )
+    engine = Run(engine__command=True)
+    assert not any(outputs.command for run in (slow, engine) for outputs in run.go(2500))
+
+
 def test_journals_with_one_path_and_two_motions_are_replayed_in_parallel(write_motion) -> None:
     runs = [
         Run(engine__motion_file=str(write_motion(name, amplitude)))
