@@ -95,6 +95,9 @@ _STRAIN_STRIDE = 4
 _MAX_ROUNDS = 12
 """Programmes solved in turn while limits of the strain are added; 3 to 6 are enough."""
 
+_SMOOTHING_LOSS = 5e-4
+"""Relative loss of speed that is accepted for a motion without brief pulses. [-]"""
+
 _SCALINGS = 5
 """Most simulations that scale a motion down to the limits of its loads."""
 
@@ -501,6 +504,7 @@ class _Programme:
     ) -> None:
         self._critical = critical
         self._rig, self._limits, self._loads = rig, limits, loads
+        self._is_fine = resolution is _FINE
         per_crossing, most = resolution
         step = max(rig.crossing_time / per_crossing, longest / most)
         self._step = 1e-9 * math.ceil(1e9 * step)
@@ -558,13 +562,13 @@ class _Programme:
         goal[felt:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
         for _ in range(_MAX_ROUNDS):
             strain, strain_bounds = self._strain_limits(release, size)
-            found = self._optimise(
-                goal @ rise,
-                np.concatenate([rows[is_limit], strain @ rise]),
-                np.concatenate([bounds[is_limit], strain_bounds]),
-            )
+            limited = np.concatenate([rows[is_limit], strain @ rise])
+            limited_bounds = np.concatenate([bounds[is_limit], strain_bounds])
+            found = self._optimise(goal @ rise, limited, limited_bounds)
             if found is None:
                 return None, 0.0
+            if self._is_fine:
+                found = self._smoothest(found, goal @ rise, limited, limited_bounds, bends)
             pulses = limits.speed * (rise @ found)
             known = len(self._critical)
             self._critical |= self._excessive(pulses, release)
@@ -590,6 +594,28 @@ class _Programme:
             if found.status in (_OPTIMAL, _INFEASIBLE):
                 break
         return found.x if found.status == _OPTIMAL else None
+
+    def _smoothest(
+        self, fastest: Floats, goal: Floats, rows: Floats, bounds: Floats, bends: Floats
+    ) -> Floats:
+        """Return the motion with the least change of acceleration that is almost as fast."""
+        goals, changes = rows.shape[1], len(bends)
+        best = float(goal @ fastest)
+        # The additional unknowns are upper bounds of the magnitudes of all changes.
+        size = np.eye(changes)
+        found = self._optimise(
+            np.repeat((0.0, 1.0), (goals, changes)),
+            np.block([
+                [rows, np.zeros((len(rows), changes))],
+                [goal, np.zeros(changes)],
+                [bends, -size],
+                [-bends, -size],
+            ]),
+            np.concatenate([
+                bounds, [best + _SMOOTHING_LOSS * abs(best)], np.zeros(2 * changes)
+            ]),
+        )
+        return fastest if found is None else found[:goals]
 
     def _excessive(self, pulses: Floats, release: int) -> Critical:
         """Return the strains of a motion that exceed the limit."""
