@@ -20,6 +20,7 @@ from collections.abc import Iterator
 import contextlib
 from functools import partial
 import itertools
+import math
 import os
 from pathlib import Path
 import re
@@ -28,7 +29,7 @@ import sys
 import tempfile
 from typing import TYPE_CHECKING
 
-from soft_throw_ros.commands.options import new_file, number_or_text
+from soft_throw_ros.commands.options import any_number, new_file
 from soft_throw_ros.commands.output import CommandParser, naming, slow_notice
 from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer as viewer
@@ -96,7 +97,7 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
         help='screenshot size in pixels (default %(default)s)')
     add('--throw', metavar='N', type=int, help='show this throw (default the last whole one)')
     add(
-        '--at', metavar='TIME', type=_time,
+        '--at', metavar='TIME', type=any_number,
         help='show it at this time of the rig since the throw started, in seconds '
         '(default in the contact)',
     )
@@ -126,15 +127,9 @@ def _port(text: str) -> int:
     return int(text)
 
 
-def _time(text: str) -> float:
-    seconds = number_or_text(text)
-    if not isinstance(seconds, float) or not abs(seconds) <= 1e6:
-        raise argparse.ArgumentTypeError(f'must be a number of seconds, got {text!r}')
-    return seconds
-
-
 def _show_bag(arguments: argparse.Namespace) -> None:
     """Show a bag in one of four ways."""
+    from soft_throw_ros.recording.rerun_canvas import THROW_TIME
     from soft_throw_ros.recording.rerun_view import is_shown, Scene
 
     with BagReader(arguments.bag) as reader:
@@ -155,7 +150,7 @@ def _show_bag(arguments: argparse.Namespace) -> None:
                 cursor = _cursor(scene, arguments.at)
                 options = ('--headless', '--window-size', arguments.size, recording)
                 with viewer.Viewer(viewer.free_port(), *options) as process:
-                    picture = process.photograph(*cursor)
+                    picture = process.photograph(THROW_TIME, cursor)
                 arguments.screenshot.write_bytes(picture)
         elif arguments.sink == 'serve':
             output.serve(stream, arguments.port)
@@ -167,7 +162,8 @@ def _show_bag(arguments: argparse.Namespace) -> None:
         else:
             output.check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
             output.send_recording(stream, arguments.port, draw)
-            viewer.go_to(arguments.port, output.store_of(stream), *_cursor(scene, arguments.at))
+            cursor = _cursor(scene, arguments.at)
+            viewer.go_to(arguments.port, output.store_of(stream), THROW_TIME, cursor)
             stream.disconnect()
 
 
@@ -201,19 +197,17 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
         _say(f'{path}: {scene.damaged} messages are left out{damage}')
 
 
-def _cursor(scene: Scene, at: float | None) -> tuple[str, float | None]:
-    """Return timeline and time of the cursor, which is None without a throw [s]."""
-    from soft_throw_ros.recording.rerun_canvas import THROW_TIME
-
+def _cursor(scene: Scene, at: float | None) -> float | None:
+    """Return the time of the cursor since the start of the throw, None without a throw [s]."""
     low, high = scene.span
     if at is not None and scene.moment is None:
         raise ValueError(f'--at is a time since a throw started, and the bag has none, got {at:g}')
-    if at is not None and not low <= at <= high:
+    if at is not None and not (low <= at <= high and math.isfinite(at)):
         raise ValueError(
             f'--at must be within the recorded times, from {low:.6g} to {high:.6g} s since the '
             f'throw started, got {at:g}'
         )
-    return THROW_TIME, scene.moment if at is None else at
+    return scene.moment if at is None else at
 
 
 @contextlib.contextmanager

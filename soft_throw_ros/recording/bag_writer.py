@@ -181,19 +181,9 @@ class BagWriter:
 
     def attach(self, name: str, data: bytes, media_type: str, *, time: int = 0) -> None:
         """
-        Write an attachment into the bag; later files repeat the last one of each name.
+        Write an attachment into the bag, with a time [ns] and a type, such as `application/yaml`.
 
-        Parameters
-        ----------
-        name : str
-            Name of the attachment.
-        data : bytes
-            Its content.
-        media_type : str
-            Its media type, such as `application/yaml`.
-        time : int
-            Time of attaching. [ns]
-
+        Later files repeat the last one of each name.
         """
         add = partial(
             Writer.add_attachment,

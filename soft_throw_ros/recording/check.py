@@ -30,13 +30,7 @@ import math
 from typing import Any
 
 import numpy as np
-from soft_throw_ros.configuration.interface import (
-    JOINT_STATE,
-    TEXT,
-    THROW_TOPICS,
-    Topic,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT, THROW_TOPICS, TWIN_TOPICS
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.message import BagError, Message
@@ -88,10 +82,6 @@ _SHOWN = 5  # differences that are described one by one
 _PROGRESS = 100_000  # steps between two reports
 _BATCH = 5_000  # steps whose states are compared at once
 _UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
-_NUMBERS: Mapping[str, Topic] = {
-    number.name: topic for number, topic in THROW_TOPICS if number.is_repeatable
-}
-_STAGES = {number.name: number.stage for number, _ in THROW_TOPICS}
 
 
 class CheckError(BagError):
@@ -218,12 +208,14 @@ class _Check:
         self._node = node
         self._on_progress = on_progress
         self._result = CheckResult(twin=node)
-        self._states = RecordedStates(reader, TWIN_TOPICS.joint_states.at(node).name)
+        self._journal_topic = TWIN_TOPICS.journal.at(node).name
+        self._states_topic = TWIN_TOPICS.joint_states.at(node).name
+        self._states = RecordedStates(reader, self._states_topic)
         recorded = {channel.topic for channel in reader.channels}
-        self._numbers = {
-            name: RecordedNumbers()
-            for name, topic in _NUMBERS.items()
-            if topic.at(node).name in recorded
+        self._numbers = {  # of throws, by topic
+            topic.at(node).name: RecordedNumbers(number.name, number.stage)
+            for number, topic in THROW_TOPICS
+            if number.is_repeatable and topic.at(node).name in recorded
         }
         # messages that are missing at the ends of runs and within runs, by topic
         self._missing: defaultdict[str, np.ndarray[Any, Any]] = defaultdict(
@@ -244,15 +236,14 @@ class _Check:
 
     def run(self) -> CheckResult:
         """Repeat the journal in one pass, and return the result."""
-        journal_topic = TWIN_TOPICS.journal.at(self._node).name
-        names = {_NUMBERS[name].at(self._node).name: name for name in self._numbers}
-        for message in self._reader.messages((journal_topic, *names), by_log_time=False):
+        topics = self._journal_topic, *self._numbers
+        for message in self._reader.messages(topics, by_log_time=False):
             topic = message.channel.topic
             self._sequences[topic].append(message.sequence)
-            if topic == journal_topic:
+            if topic == self._journal_topic:
                 self._receive(_entry(message), message.log_time)
             else:
-                self._numbers[names[topic]].add(message, is_in_run=self._session is not None)
+                self._numbers[topic].add(message, is_in_run=self._session is not None)
         self._read_early_lines(math.inf)
         self._end_run()
         self._conclude()
@@ -306,7 +297,7 @@ class _Check:
     def _count_line(self, entry: journal.Entry) -> None:
         """Count a line of the journal, and those that are missing before it."""
         lines, number = self._result.lines, entry['line']
-        missing = self._missing[TWIN_TOPICS.journal.at(self._node).name]
+        missing = self._missing[self._journal_topic]
         if entry['kind'] == 'unreadable':
             where = f'a line after line {self._line} cannot be read'
             if self._session is not None:
@@ -376,9 +367,9 @@ class _Check:
             self._steps.append(Step(self._last_due_ns, outputs.step, outputs.state))
             for result in outputs.results:
                 values = result.values() if result.is_valid else {}
-                for name, numbers in self._numbers.items():
-                    if _STAGES[name] == result.stage and name in values:
-                        numbers.expect(float(values[name]), outputs.step)
+                for numbers in self._numbers.values():
+                    if numbers.stage == result.stage and numbers.name in values:
+                        numbers.expect(float(values[numbers.name]), outputs.step)
             if len(self._steps) >= _BATCH:
                 self._compare_states()
             self._step_count += 1
@@ -430,20 +421,19 @@ class _Check:
         self._compare_states()
         self._last_rate = session.rate
         end = math.ceil(END_TIME * session.rate)
-        topic = TWIN_TOPICS.joint_states.at(self._node).name
-        self._missing[topic] += count_missing(np.concatenate(self._is_recorded), end)
-        for name, numbers in self._numbers.items():
-            is_recorded, different, unchecked = numbers.end_run(
-                self._result_times[_STAGES[name]]
-            )
-            count = self._result.numbers
+        is_recorded = np.concatenate(self._is_recorded)
+        self._missing[self._states_topic] += count_missing(is_recorded, end)
+        count = self._result.numbers
+        for topic, numbers in self._numbers.items():
+            times = self._result_times[numbers.stage]
+            is_recorded, different, unchecked = numbers.end_run(times)
             count.same += int(is_recorded.sum())
             count.unchecked += unchecked
             for value in different:
-                self._result.count(count, name, f'{value!r} in the bag has another value here')
+                difference = f'{value!r} in the bag has another value here'
+                self._result.count(count, numbers.name, difference)
             # The recorder may have ended between a line and its number
             end = int(numbers.last_step + END_TIME * session.rate >= session.step)
-            topic = _NUMBERS[name].at(self._node).name
             self._missing[topic] += count_missing(is_recorded, end)
         self._begin_run(None)
 
@@ -484,10 +474,12 @@ class _Check:
         result, states = self._result, self._states
         if not self._has_begun:
             result.reason = result.reason or 'not compared: the journal has no start of a throw'
-        for name, numbers in self._numbers.items():
+        for numbers in self._numbers.values():
             if numbers.unreadable:
                 result.numbers.different += numbers.unreadable
-                result.differences.append(f'{numbers.unreadable} messages of {name} are no number')
+                result.differences.append(
+                    f'{numbers.unreadable} messages of {numbers.name} are no number'
+                )
         if self._has_begun:
             between, elsewhere = states.unmatched()
             result.states.different += len(between) + states.unreadable
@@ -506,20 +498,19 @@ class _Check:
                 result.differences.append(
                     f'{after} states come after the last line of the journal'
                 )
-        self._sequences[TWIN_TOPICS.joint_states.at(self._node).name] = states.sequences
-        for name in self._numbers:
-            self._judge_missing(result.numbers, _NUMBERS[name])
-        self._judge_missing(result.states, TWIN_TOPICS.joint_states)
-        self._judge_missing(result.lines, TWIN_TOPICS.journal)
+        self._sequences[self._states_topic] = states.sequences
+        for topic in self._numbers:
+            self._judge_missing(result.numbers, topic)
+        self._judge_missing(result.states, self._states_topic)
+        self._judge_missing(result.lines, self._journal_topic)
 
-    def _judge_missing(self, count: Count, topic: Topic) -> None:
+    def _judge_missing(self, count: Count, topic: str) -> None:
         """Compare the number of missing messages with the losses that the recorder counted."""
-        name = topic.at(self._node).name
         notes = {record.name: record.metadata for record in self._reader.metadata}
-        lost = _number(notes.get(LOSSES, {}).get(name, ''))
-        known = lost + _number(notes.get(LATE, {}).get(name, ''))
-        at_ends, within = (int(number) for number in self._missing[name])
-        sequences = self._sequences[name]
+        lost = _number(notes.get(LOSSES, {}).get(topic, ''))
+        known = lost + _number(notes.get(LATE, {}).get(topic, ''))
+        at_ends, within = (int(number) for number in self._missing[topic])
+        sequences = self._sequences[topic]
         uncounted = max(within - lost, 0)
         if not len(sequences):  # nothing tells when the recorder joined
             uncounted = max(at_ends + within - known, 0)
@@ -531,7 +522,7 @@ class _Check:
         if uncounted:
             counted = f'the recorder counted {known}' if LOSSES in notes else 'nobody counted them'
             self._result.differences.append(
-                f'{uncounted} messages of {name} are missing, and {counted} as lost'
+                f'{uncounted} messages of {topic} are missing, and {counted} as lost'
             )
 
 

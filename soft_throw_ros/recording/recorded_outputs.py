@@ -182,7 +182,9 @@ class RecordedNumbers:
     last number and the journal at once.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str, stage: str) -> None:
+        self.name = name  # in the results of throws
+        self.stage = stage  # of the results that have the number
         self.unreadable = 0  # number of messages that are no number
         self.last_step = 0  # step of the last expected number of this run
         self._recorded: list[tuple[bytes, int, bool]] = []  # log time [ns], whether in the run

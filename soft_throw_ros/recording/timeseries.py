@@ -185,31 +185,15 @@ def identify(name: str, type_name: str) -> tuple[str, Topic | None]:
 
 
 class TwinReader:
-    """
-    A reader of the messages of one twin that remembers settings and states.
-
-    Attributes
-    ----------
-    rig : Rig or None
-        Rig of the present throw; None while unknown.
-    settings, wanted : mapping of str to value
-        Settings of the present throw, and of the next one, with all pending changes.
-    throw : ThrowStart or None
-        The last throw; None before the first.
-    ejection_time : float or None
-        Time of the release in this throw; None if unknown. [s]
-    states : RigStates or None
-        Plate and projectile from one state before this throw on.
-
-    """
+    """A reader of the messages of one twin that remembers settings and states."""
 
     def __init__(self) -> None:
-        self.rig: Rig | None = None
-        self.settings: Settings = TWIN.defaults()
-        self.wanted: Settings = {}
-        self.throw: ThrowStart | None = None
-        self.ejection_time: float | None = None
-        self.states: RigStates | None = None
+        self.rig: Rig | None = None  # of the present throw; None while unknown
+        self.settings: Settings = TWIN.defaults()  # of the present throw
+        self.wanted: Settings = {}  # of the next throw, with all pending changes
+        self.throw: ThrowStart | None = None  # the last one
+        self.ejection_time: float | None = None  # in this throw; None if unknown [s]
+        self.states: RigStates | None = None  # from one state before this throw on
         self._schedule: TickSchedule | None = None
         self._motions: dict[str, str] = {}  # encoded motions by file
         self._rest: tuple[float, float] | None = None  # heights measured before the throw

@@ -16,9 +16,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+import itertools
 import json
 import math
-import shutil
 import struct
 from typing import Any
 
@@ -36,7 +36,7 @@ from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult, Count
-from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
@@ -124,20 +124,25 @@ def entry_of(message: Message) -> dict[str, Any]:
 @pytest.fixture
 def check(tmp_path) -> Callable[..., CheckResult]:
     """Return a function that checks messages of one twin, with the recorded losses if any."""
+    folders = (tmp_path / f'bag{number}' for number in itertools.count())
 
     def check_messages(
-        messages: Iterable[Message], losses: dict[str, str] | None = None
+        messages: Iterable[Message],
+        losses: dict[str, str] | None = None,
+        channels: Iterable[Channel] = (),
     ) -> CheckResult:
-        with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
+        folder = next(folders)
+        with BagWriter(folder, distribution='jazzy') as writer:
+            for channel in channels:
+                writer.add_channel(channel)
             for message in messages:
                 writer.write(message)
             if losses is not None:
                 writer.add_metadata('losses', losses)
-        with BagReader(tmp_path / 'bag') as reader:
+        with BagReader(folder) as reader:
             (result,) = check_bag(reader)
         return result
 
-    check_messages.folder = tmp_path / 'bag'  # type: ignore[attr-defined]
     return check_messages
 
 
@@ -240,21 +245,12 @@ def test_messages_logged_two_seconds_late_agree(plain, check) -> None:
 
 
 @pytest.mark.parametrize('lost', [range(700, 710), range(10), range(2200), range(2090, 2200)])
-def test_missing_states_must_be_counted_as_losses(
-    plain, check, tmp_path, lost
-) -> None:
+def test_missing_states_must_be_counted_as_losses(plain, check, lost) -> None:
     states = [plain.of('joint_states')[number] for number in lost]
     messages = [item for item in plain.messages if item not in states]
-    blank = states[0]._replace(channel=plain.channels['joint_states'])
     for counted in (len(lost), len(lost) - 1):
-        folder = tmp_path / str(counted)
-        with BagWriter(folder, distribution='jazzy') as writer:
-            writer.add_channel(blank.channel)
-            for message in messages:
-                writer.write(message)
-            writer.add_metadata('losses', {'/twin/joint_states': str(counted)})
-        with BagReader(folder) as reader:
-            (result,) = check_bag(reader)
+        losses = {'/twin/joint_states': str(counted)}
+        result = check(messages, losses, [plain.channels['joint_states']])
         is_counted = counted == len(lost)
         assert result.exit_code == (0 if is_counted else 1)
         assert result.states.same == 2200 - len(lost)
@@ -367,9 +363,7 @@ def test_duplicate_message_is_found(plain, check, topic) -> None:
 def test_unreadable_message_is_a_difference(plain, check) -> None:
     for topic in ('joint_states', 'throw/peak_strain', 'journal'):
         messages = plain.damaged(plain.of(topic)[2], b'\0\1\0\0\0')
-        plain_check = check(messages)
-        assert plain_check.exit_code == 1
-        shutil.rmtree(check.folder)
+        assert check(messages).exit_code == 1
 
 
 @pytest.mark.parametrize('name', ['ejection_time', 'energy_transfer', 'apex_height'])
@@ -390,7 +384,6 @@ def test_missing_throw_result_must_be_counted_as_a_loss(plain, check, index) -> 
     message = plain.of('throw/peak_strain')[index]
     messages = [other for other in plain.messages if other is not message]
     assert check(messages, {'/twin/throw/peak_strain': '1'}).exit_code == 0
-    shutil.rmtree(check.folder)
     result = check(messages, {'total': '0'})
     assert result.exit_code == 1
     assert result.numbers == Count(same=len(plain.numbers()) - 1, missing=1)
@@ -435,7 +428,6 @@ def test_missing_lines_are_reported_and_the_next_throw_is_checked(plain, check) 
     whole = sum(entry['kind'] == 'result' for entry in plain.entries())
     for losses, code in (({'/twin/journal': '1'}, 0), ({'total': '0'}, 1)):
         result = check(messages, losses)
-        shutil.rmtree(check.folder)
         assert result.exit_code == code
         assert len(result.gaps) == 1
         assert 'throw 2' in result.gaps[0]
@@ -449,7 +441,6 @@ def test_every_missing_line_of_the_journal_is_found(plain, check) -> None:
     for line in (0, 1, 2, len(entries) // 2, len(entries) - 2):
         result = check(plain.edited(lambda e, line=line: None if e['line'] == line else e),
                        {'total': '0'})
-        shutil.rmtree(check.folder)
         assert result.exit_code == 1, line
         assert result.lines.missing == 1
 
@@ -464,7 +455,7 @@ def test_states_may_continue_for_one_second_after_the_journal(check) -> None:
 
 
 def test_missing_samples_of_a_measured_throw_are_a_gap_and_a_missing_end_is_none(
-    measured, check, tmp_path
+    measured, check
 ) -> None:
     entries = measured.entries()
     samples = [entry['line'] for entry in entries if entry['kind'] == 'samples'][1]
