@@ -65,7 +65,7 @@ class SimulatedRig(RealTimeNode):
         self.load_kernels(self._played)
         self._faults = SensorFaults(**sensor_faults_of(settings))
         self._deviations = self._next_deviations = self._find_deviations()
-        self.drive(Session(self._played))
+        self.attach_session(Session(self._played))
 
     # Tick thread
 

@@ -126,7 +126,7 @@ class Ending(process.RunnableNode):
         super().__init__('ending')
         self.publisher = self.create_publisher(String, '/talk', 1)
         for name in ('first', 'second'):
-            self.at_end(self.note, name)
+            self.add_cleanup(self.note, name)
 
     def note(self, name):
         self.publisher.publish(String())  # an error without the publisher
