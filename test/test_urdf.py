@@ -50,18 +50,6 @@ def test_joints_agree_with_the_twin(robot):
         assert joint.axis == [0.0, 0.0, 1.0]
 
 
-@pytest.mark.parametrize(('name', 'side'), [('plate', 1.0), ('projectile', -1.0)])
-def test_bodies_are_drawn_at_their_positions(robot, name, side):
-    visual = robot.link_map[robot.joint_map[name].child].visual
-    assert np.allclose(visual.origin.xyz, [0.0, 0.0, -side * visual.geometry.length / 2])
-
-
-def test_projectile_agrees_with_the_default_rig(robot):
-    geometry = robot.link_map['projectile'].visual.geometry
-    assert geometry.length == RIG.projectile.length
-    assert 2.0 * geometry.radius == RIG.layer.diameter
-
-
 def bodies_of(settings, **options):
     """Return the parsed model of a rig, and the visuals of its links by name."""
     robot = URDF.from_xml_string(urdf_of(MODEL.read_text(), settings, **options).encode())
@@ -83,10 +71,11 @@ def test_sizes_are_those_of_the_parameters(robot, request_, thickness):
     sized, visuals = bodies_of(settings)
     assert [joint.name for joint in sized.joints] == [joint.name for joint in robot.joints]
     diameter = settings['layer.diameter']
-    projectile = visuals['projectile']
+    plate, projectile = visuals['plate'], visuals['projectile']
+    assert plate.origin.xyz == pytest.approx([0.0, 0.0, -0.5 * plate.geometry.length])
+    assert 2.0 * plate.geometry.radius == 2.5 * diameter
     assert projectile.geometry.length == settings['projectile.length']
     assert projectile.origin.xyz == [0.0, 0.0, 0.5 * settings['projectile.length']]
-    assert 2.0 * visuals['plate'].geometry.radius == 2.5 * diameter
     slices = [visuals[name] for name in LAYER_JOINTS if name in visuals]
     assert {2.0 * item.geometry.radius for item in [projectile, *slices]} == {diameter}
     # At rest the slices fill the same part of every layer, from the plate to the top

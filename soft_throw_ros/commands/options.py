@@ -243,7 +243,7 @@ def _number(rule: str, allows: Callable[[float], bool]) -> Callable[[str], float
     def read(text: str) -> float:
         value = float_of(text)
         if value is None or not allows(value):
-            raise argparse.ArgumentTypeError(f'must be {rule}, got {text!r}')
+            raise argparse.ArgumentTypeError(f'must be {rule}, got {text}')
         return value
 
     return read

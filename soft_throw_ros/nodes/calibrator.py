@@ -88,7 +88,7 @@ class Calibrator(RunnableNode):
         self._twin = full_name(self, settings['twin'])
         self._rig = full_name(self, settings['rig']) if settings['rig'] else ''
         self._measured = _Measured(self, self._twin)
-        self.at_end(self._measured.close)
+        self.add_cleanup(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(self._twin), self._on_results)
         self._get = self.create_client(GetParameters, f'{self._twin}/get_parameters')
         self._set = {
@@ -99,12 +99,12 @@ class Calibrator(RunnableNode):
         self._apply = self.create_client(
             Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, self._twin)
         )
-        self.call_every(_DRAIN_PERIOD, self._measured.read_messages)
+        self.create_steady_timer(_DRAIN_PERIOD, self._measured.read_messages)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
         self._status = status_to_msg(
             self.get_fully_qualified_name(), 'identification', 'nothing has been identified yet'
         )
-        self.call_every(1.0, self._publish_status)
+        self.create_steady_timer(1.0, self._publish_status)
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_mispredicted: Rig | None = None
         self._is_busy = False
@@ -115,8 +115,8 @@ class Calibrator(RunnableNode):
             on_failure=lambda _task, error: self._report_failure(repr(error)),
             log=self.get_logger().error,
         )
-        self.at_end(self._worker.close, _STOP_TIMEOUT)
-        self.at_end(self._closing.set)
+        self.add_cleanup(self._worker.close, _STOP_TIMEOUT)
+        self.add_cleanup(self._closing.set)
 
     def start(self) -> None:
         """Log that the node is ready; its timers are running already."""

@@ -225,7 +225,7 @@ class _ChangeLog:
     def __init__(self, node: RunnableNode) -> None:
         self._logger = node.get_logger()
         self._waiting: dict[str, str] = {}
-        self._timer = node.call_every(LOG_PERIOD, self._flush)
+        self._timer = node.create_steady_timer(LOG_PERIOD, self._flush)
         self._timer.cancel()
 
     def add(self, lines: Mapping[str, str]) -> None:

@@ -134,7 +134,7 @@ class Player(RunnableNode):
         self._woken = threading.Event()
         self._is_stopping = False
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
-        self.at_end(self._stop)
+        self.add_cleanup(self._stop)
         create_service(self, REPLAY_SERVICES.pause, self._on_pause)
         create_service(self, REPLAY_SERVICES.resume, self._on_resume)
         create_service(self, REPLAY_SERVICES.step, self._on_step)

@@ -68,7 +68,7 @@ class RunnableNode(Node):
 
     1. The executor has stopped: no callback runs any more.
     2. `close` completes files. Threads, publishers and subscriptions still work.
-    3. `destroy_node` calls the functions registered by `at_end`, the latest first, so that a
+    3. `destroy_node` calls the functions registered by `add_cleanup`, the latest first, so that a
        thread stops before anything that was registered earlier and that the thread uses.
     4. The publishers, subscriptions and services are destroyed, and ROS is shut down.
 
@@ -77,7 +77,7 @@ class RunnableNode(Node):
     """
 
     def __init__(self, name: str, **kwargs: Any) -> None:
-        self._at_end = ExitStack()
+        self._cleanups = ExitStack()
         try:
             super().__init__(name, **kwargs)
         except (InvalidParameterTypeException, NameValidationException) as error:
@@ -103,18 +103,18 @@ class RunnableNode(Node):
 
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
-    def call_every(self, seconds: float, callback: Callable[[], None]) -> Timer:
+    def create_steady_timer(self, seconds: float, callback: Callable[[], None]) -> Timer:
         """Call a function periodically on steady time, also while `/clock` stands still."""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.create_timer(seconds, callback, clock=steady)
 
-    def at_end(self, callback: Callable[..., object], *args: object) -> None:
+    def add_cleanup(self, callback: Callable[..., object], *args: object) -> None:
         """Register a function to call when the node is destroyed, in reverse order."""
-        self._at_end.callback(callback, *args)
+        self._cleanups.callback(callback, *args)
 
     def destroy_node(self) -> None:
         """Release all resources, also those of a node whose constructor raised an exception."""
-        self._at_end.close()
+        self._cleanups.close()
         super().destroy_node()
 
     @property

@@ -58,7 +58,7 @@ class RealTimeNode(RunnableNode):
     Abstract node that advances a session at the deadlines of its steps.
 
     A subclass declares its parameters, calls `load_kernels`, creates its publishers, and calls
-    `drive` last.
+    `attach_session` last.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ class RealTimeNode(RunnableNode):
             stdout=stdout,
             start_new_session=True,  # Ctrl-C reaches only the node, which then kills the process
         )
-        self.at_end(process.wait)
-        self.at_end(process.kill)  # files on the disk are complete at any time
+        self.add_cleanup(process.wait)
+        self.add_cleanup(process.kill)  # files on the disk are complete at any time
         return process
 
     def close(self) -> None:
@@ -137,15 +137,15 @@ class RealTimeNode(RunnableNode):
         compiling = self._compiling
         return compiling is not None and (self._is_closed or compiling.poll() is None)
 
-    def drive(self, session: Session) -> None:
+    def attach_session(self, session: Session) -> None:
         """Attach the session that the node advances after its start."""
         self.session = session
         self._node_clock = NodeClock(self)
-        self.at_end(self._node_clock.close)
+        self.add_cleanup(self._node_clock.close)
         self.ticker = Ticker(session, self.on_tick, self._current_clock)
-        self.at_end(session.close)
-        self.at_end(self.ticker.stop, STOP_TIMEOUT)
-        self.call_every(1.0, self.on_second)
+        self.add_cleanup(session.close)
+        self.add_cleanup(self.ticker.stop, STOP_TIMEOUT)
+        self.create_steady_timer(1.0, self.on_second)
 
     def on_tick(self, due: int) -> None:
         """Advance by one step, in the tick thread; `due` is its deadline [ns]."""

@@ -50,7 +50,7 @@ class Recorder(RunnableNode):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None
-        self.at_end(self.close)
+        self.add_cleanup(self.close)
         self._arguments = arguments
         self._has_failed = False
         self._python: str | None = None
@@ -68,8 +68,8 @@ class Recorder(RunnableNode):
         self._outgoing = Publishers(self, RECORDER_TOPICS)
         create_service(self, RECORDER_SERVICES.start, self._on_start)
         create_service(self, RECORDER_SERVICES.stop, self._on_stop)
-        self.call_every(DISCOVERY_TIME, self._on_discovery)
-        self.call_every(1.0, self._on_second)
+        self.create_steady_timer(DISCOVERY_TIME, self._on_discovery)
+        self.create_steady_timer(1.0, self._on_second)
 
     @property
     def exit_code(self) -> int | None:

@@ -79,7 +79,7 @@ class SimulatedRig(RealTimeNode):
         self.load_kernels(self._played)
         self._faults = SensorFaults(**sensor_faults_of(settings))
         self._deviations = self._next_deviations = self._find_deviations()
-        self.drive(Session(self._played))
+        self.attach_session(Session(self._played))
         create_subscription(self, RIG_TOPICS.plate_trajectory, self._on_trajectory)
 
     # Tick thread

@@ -105,7 +105,7 @@ class Publishers:
         self._senders = {
             topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
         }
-        node.call_every(_EVENT_PERIOD, self._look_for_mismatches)
+        node.create_steady_timer(_EVENT_PERIOD, self._look_for_mismatches)
 
     def sender(self, topic: Topic) -> Callable[..., None]:
         """

@@ -124,9 +124,9 @@ class Twin(RealTimeNode):
             now=lambda: self._current_clock().now(),
             clock_limit=lambda: float(self.parameters.settings['measured.clock_limit']),
         )
-        self.at_end(self.measurement.close)
-        self.at_end(self._run_jobs)  # the last lines of the journal
-        self.drive(session)
+        self.add_cleanup(self.measurement.close)
+        self.add_cleanup(self._run_jobs)  # the last lines of the journal
+        self.attach_session(session)
         self._diagnostics = Diagnostics(
             session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
         )
@@ -139,7 +139,7 @@ class Twin(RealTimeNode):
             log=self.get_logger().error,
             interval=RECOMMENDATION_INTERVAL,
         )
-        self.at_end(self._worker.close, STOP_TIMEOUT)
+        self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.checked)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)

@@ -82,10 +82,10 @@ class Viewer(RunnableNode):
             )
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
-        self.at_end(self.close)
-        self.call_every(DISCOVERY_PERIOD, self._discover)
-        self.call_every(DRAIN_PERIOD, self._drain)
-        self.call_every(1.0, self._report)
+        self.add_cleanup(self.close)
+        self.create_steady_timer(DISCOVERY_PERIOD, self._discover)
+        self.create_steady_timer(DRAIN_PERIOD, self._drain)
+        self.create_steady_timer(1.0, self._report)
 
     def start(self) -> None:
         """Subscribe to the topics that are there."""

@@ -219,7 +219,6 @@ def test_map_without_screen_and_viewer_names_a_remedy(command, monkeypatch):
         (['engine.damping_ratio=0:0.3:9:log', 'mu'], 'engine.damping_ratio .* :log'),
         (['--model', 'guess'], "argument --model: .*'guess'"),
         (['--model', 'spring_mass', '--release', 'last'], 'last release .*spring_mass'),
-        (['--thickness', '16.8'], 'argument --thickness: .* got 16.8'),
         (['--output', 'map.h5'], r"--output: .* got 'map.h5'"),
         (['--output', 'no_such/map.nc'], 'no_such/map.nc: folder no_such not found'),
     ],

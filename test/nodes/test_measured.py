@@ -145,12 +145,13 @@ def test_clock_topic_that_moves_in_steps_is_no_offset_of_the_sensors(twin, senso
     assert release.lead > 0.0
 
 
-def test_other_messages_are_refused_with_a_reason(twin, sensors, listener) -> None:
+def test_other_messages_are_refused_with_a_reason(twin, sensors, listener, capfd) -> None:
     listener.listen(TWIN_TOPICS.diagnostics)
     now = twin.clock.time
     sensors.send(Sample(now, 0.0, math.nan, 0.0), ('plank', 'projectile'))
     sensors.send(Sample(now, 0.0, math.nan, 0.0), ('plate',))
     sensors.send(Sample(now, math.nan, math.nan, 0.0))
+    sensors.send(Sample(now, 300.0, math.nan, 0.0))
     sensors.send(Sample(now + SECOND, 0.0, math.nan, 0.0))
     sensors.send(Sample(now, 0.0, math.nan, math.nan))
     sensors.send(Sample(now, 0.0, math.nan, math.nan))
@@ -160,6 +161,7 @@ def test_other_messages_are_refused_with_a_reason(twin, sensors, listener) -> No
     assert twin.session.sample_counts.refused == {
         'names': 2,
         'not finite': 1,
+        'out of range': 1,
         'future': 1,
         'doubled': 1,
     }
@@ -168,8 +170,9 @@ def test_other_messages_are_refused_with_a_reason(twin, sensors, listener) -> No
     )
     values = msg_to_values(status)
     assert status.level == DiagnosticStatus.WARN
-    assert (values['samples'], values['samples_refused'], values['refused.names']) == (2, 5, 2)
+    assert (values['samples'], values['samples_refused'], values['refused.names']) == (2, 6, 2)
     assert values['samples_out_of_order'] == 1
+    assert 'millimetres' in capfd.readouterr().err
 
 
 def test_message_that_is_too_large_is_refused_before_it_is_decoded(twin, sensors) -> None:

@@ -62,22 +62,16 @@ def datas(made: list[Message], topic: str) -> list[bytes]:
     return [message.data for message in made if message.channel.topic == topic]
 
 
-class Listener(Node):
-    """A node that keeps the bytes of the received messages."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__('listener', **kwargs)
-
-    def listen(self, topic: str, qos: QoSProfile = EVERYTHING) -> list[bytes]:
-        """Subscribe to a topic and return the list that will receive its messages."""
-        heard: list[bytes] = []
-        self.create_subscription(String, topic, heard.append, qos, raw=True)
-        return heard
-
-
 @pytest.fixture
-def listener(ros: Any) -> Listener:
-    return ros.node(Listener)
+def listener(ros: Any) -> Node:
+    return ros.node(Node, 'listener')
+
+
+def listen(listener: Node, topic: str, qos: QoSProfile = EVERYTHING) -> list[bytes]:
+    """Subscribe to a topic and return the list that will receive its messages as bytes."""
+    heard: list[bytes] = []
+    listener.create_subscription(String, topic, heard.append, qos, raw=True)
+    return heard
 
 
 @pytest.fixture
@@ -111,7 +105,7 @@ def finish(ros: Any, player: Player) -> int:
 
 def test_bag_is_played_byte_by_byte(ros, listener, play, tmp_path, capsys) -> None:
     made = messages()
-    heard = {topic: listener.listen(topic) for topic in ('/fast', '/slow')}
+    heard = {topic: listen(listener, topic) for topic in ('/fast', '/slow')}
     player = play(write(tmp_path / 'bag', made), 2, rate=2.0)
     assert finish(ros, player) == 0
     for topic, got in heard.items():
@@ -136,7 +130,7 @@ def test_quality_of_service_is_that_of_the_bag(ros, listener, play, tmp_path) ->
     assert profiles['/lossy'].reliability is ReliabilityPolicy.BEST_EFFORT
     # Late subscribers get the publisher's history, or all messages if the bag has no history depth
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    slow, kept = listener.listen('/slow', latched), listener.listen('/unknown', latched)
+    slow, kept = listen(listener, '/slow', latched), listen(listener, '/unknown', latched)
     ros.spin_until(lambda: len(slow) == 3 and len(kept) == 50, 'receipt of latched messages')
     assert slow == datas(made, '/slow')[-3:]
 
@@ -147,7 +141,7 @@ def test_quality_of_service_is_that_of_the_bag(ros, listener, play, tmp_path) ->
 def test_only_the_requested_times_and_topics_are_played(
     ros, listener, play, tmp_path
 ) -> None:
-    fast, slow = listener.listen('/fast'), listener.listen('/slow')
+    fast, slow = listen(listener, '/fast'), listen(listener, '/slow')
     path = write(tmp_path / 'bag', messages())
     assert finish(ros, play(path, 1, topics=['/fast'], start=0.4, duration=0.2)) == 0
     ros.spin_until(lambda: len(fast) == 201, 'receipt of 201 messages')
@@ -177,7 +171,7 @@ def test_clock_topic_has_the_time_of_the_bag_instead_of_a_recorded_clock(
 
 
 @pytest.fixture
-def call(ros: Any, listener: Listener) -> Callable[[Any], Trigger.Response]:
+def call(ros: Any, listener: Node) -> Callable[[Any], Trigger.Response]:
     """Return a function that calls a service of the player."""
     return lambda service: ros.call(
         listener.create_client(Trigger, resolve(service.name, '/replay')), Trigger.Request()
@@ -185,7 +179,7 @@ def call(ros: Any, listener: Listener) -> Callable[[Any], Trigger.Response]:
 
 
 def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, call, tmp_path) -> None:
-    heard = listener.listen('/fast')
+    heard = listen(listener, '/fast')
     player = play(write(tmp_path / 'bag', messages(300)), 1, paused=True)
 
     answer = call(STEP)
@@ -253,7 +247,7 @@ def test_damaged_bag_is_played_up_to_the_damage(
     made = messages(5000)
     (file,) = write(tmp_path / 'bag', made).glob('*.mcap')
     file.write_bytes(file.read_bytes().replace(b'fast 2500', b'fast 25oo'))
-    heard = listener.listen('/fast')
+    heard = listen(listener, '/fast')
     player = play(tmp_path / 'bag', 1, rate=5.0)
     assert finish(ros, player) == 1
     assert str(file) in capsys.readouterr().err

@@ -117,7 +117,7 @@ def test_node_ends_although_the_middleware_hangs(start, place, code) -> None:
 
 
 ENDING = """
-import sys
+import sys, threading
 from soft_throw_ros.nodes import process
 from std_msgs.msg import String
 
@@ -126,7 +126,7 @@ class Ending(process.RunnableNode):
         super().__init__('ending')
         self.publisher = self.create_publisher(String, '/talk', 1)
         for name in ('first', 'second'):
-            self.at_end(self.note, name)
+            self.add_cleanup(self.note, name)
 
     def note(self, name):
         self.publisher.publish(String())  # an error without the publisher
@@ -134,6 +134,10 @@ class Ending(process.RunnableNode):
 
     def start(self):
         print('started', flush=True)
+        if sys.argv[1:] == ['dying']:
+            thread = threading.Thread(target=lambda: 1 / 0, name='heart')
+            thread.start()
+            thread.join()
 
     def close(self):
         self.note('close')
@@ -149,33 +153,13 @@ def test_node_ends_in_the_documented_order(start) -> None:
     assert node.lines[-3:] == ['close', 'second', 'first']
 
 
-DYING = """
-import sys, threading
-from soft_throw_ros.nodes import process
-
-class Dying(process.RunnableNode):
-    def __init__(self, **_):
-        super().__init__('dying')
-
-    def start(self):
-        thread = threading.Thread(target=lambda: 1 / 0, name='heart')
-        thread.start()
-        thread.join()
-
-    def close(self):
-        print('closed')
-
-sys.exit(process.run('dying', Dying, []))
-"""
-
-
 def test_node_whose_thread_dies_reports_it_and_ends_in_order(start) -> None:
-    node = start(sys.executable, '-c', DYING)
+    node = start(sys.executable, '-c', ENDING, 'dying')
     assert node.wait() == 1
     (line,) = (line for line in node.lines if 'the node ends' in line)
     assert "'heart'" in line
     assert 'ZeroDivisionError' in line
-    assert 'closed' in node.lines
+    assert node.lines[-3:] == ['close', 'second', 'first']
     assert sum('discovery range LOCALHOST' in line for line in node.lines) == 1
 
 

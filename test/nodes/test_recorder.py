@@ -21,6 +21,7 @@ from pathlib import Path
 import shutil
 import socket
 import sys
+import time
 from typing import Any
 
 from bags import attachments, saved
@@ -346,6 +347,21 @@ def test_abandoned_viewer_is_reported_once(
     assert len(told) == 1
     assert 'exit code 1' in told[0]
     node.close()
+    assert texts(tmp_path / 'bag') == ['a']
+
+
+def test_viewer_that_hangs_delays_the_end_by_a_bounded_time(
+    ros, recorder, talker, tmp_path
+) -> None:
+    viewer = tmp_path / 'viewer'
+    viewer.write_text('#!/bin/sh\nexec sleep 60\n')
+    viewer.chmod(0o755)
+    node = recorder(name='bag', rerun__sink='viewer', rerun__python=viewer)
+    ros.spin_until(lambda: node.recording.viewer.starts == 1, 'the viewer')
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
+    begin = time.monotonic()
+    node.close()
+    assert time.monotonic() - begin < 20.0  # the viewer sleeps for longer
     assert texts(tmp_path / 'bag') == ['a']
 
 

@@ -11,83 +11,145 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The recorder as a process that is stopped, killed or cannot write."""
+"""The recorder as a process: stopped, killed, started late, or without room on the disk."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
+import contextlib
+from itertools import pairwise
 from pathlib import Path
 import random
 import re
 import resource
 import signal
+import struct
+import subprocess
+import sys
 from test.nodes.conftest import end_recorder
-import threading
 import time
 from typing import Any
 
-from bags import saved
-from diagnostic_msgs.msg import DiagnosticArray
+from mcap.exceptions import EndOfFile
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 import pytest
-from rclpy.node import Node
 from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
-from soft_throw_ros.configuration.interface import RECORDER_TOPICS, TWIN_TOPICS
-from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.recording.bag_reader import BagReader
+from stopping import stop
+
+PUBLISHER = """
+import select, sys, time
+import rclpy
+from soft_throw_ros.configuration.interface import RIG_TOPICS, TWIN_TOPICS
+from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.topics import Publishers
+from soft_throw_ros.nodes.transport import use_transport_profile
+
+use_transport_profile()
+rclpy.init()
+node = RunnableNode('twin')
+reliable = sys.argv[1] == 'reliable'
+topic = TWIN_TOPICS.joint_states if reliable else RIG_TOPICS.measured_joint_states
+publishers = Publishers(node, [topic])
+(publisher,) = (item for item in node.publishers if 'joint_states' in item.topic_name)
+values = (0.0,) * (6 if reliable else 2)
+while line := sys.stdin.readline():
+    count, period, waits = line.split()
+    while waits == 'wait' and not publisher.get_subscription_count():
+        time.sleep(0.01)
+    for number in range(int(count)):
+        publishers.send(topic, time.time_ns(), values)
+        if select.select([sys.stdin], [], [], float(period))[0]:  # the next request
+            count = number + 1
+            break
+    print(f'published {count}', flush=True)
+"""
+
+A_SECOND = 5000
+"""Number of messages per second at the highest rate of a twin."""
 
 
-@pytest.fixture
-def talk(ros: Any) -> Iterator[None]:
-    """Publish 1000 states a second, and a latched journal, as a twin does, from this process."""
-    publishers = Publishers(
-        ros.node(RunnableNode, 'twin'), [TWIN_TOPICS.joint_states, TWIN_TOPICS.journal]
-    )
-    publishers.send(TWIN_TOPICS.journal, '{"kind":"none","step":0}')
-    is_over = threading.Event()
+class Publisher:
+    """
+    A process that publishes on request.
 
-    def publish() -> None:
-        while not is_over.wait(0.01):
-            for _ in range(10):
-                publishers.send(TWIN_TOPICS.joint_states, time.time_ns(), (0.0,) * 6)
+    Parameters
+    ----------
+    start : callable
+        The fixture that starts processes.
+    kind : str
+        Reliability of the publisher, 'reliable' or 'best effort'.
 
-    thread = threading.Thread(target=publish, daemon=True)
-    thread.start()
-    yield
-    is_over.set()
-    thread.join(20.0)
+    """
+
+    def __init__(self, start: Any, kind: str) -> None:
+        self.topic = f'/twin/{"" if kind == "reliable" else "measured_"}joint_states'
+        command = (sys.executable, '-c', PUBLISHER, kind)
+        self.process = start(*command, stdin=subprocess.PIPE)
+
+    @property
+    def count(self) -> int:
+        """Number of published messages."""
+        return sum(int(line.split()[-1]) for line in self.process.lines if 'published' in line)
+
+    def publish(self, count: int, *, period: float = 0.0, waits: bool = True) -> None:
+        """Publish `count` messages; if `waits`, wait for a subscriber first."""
+        before = len(self.process.lines)
+        self._request(f'{count} {period} {"wait" if waits else "now"}')
+        self.process.wait_until(lambda lines: f'published {count}' in lines[before:])
+
+    def begin(self, *, period: float, waits: bool = False) -> None:
+        """Publish messages until the next request; if `waits`, wait for a subscriber first."""
+        self._request(f'1000000 {period} {"wait" if waits else "now"}')
+
+    def _request(self, line: str) -> None:
+        stdin = self.process.process.stdin
+        stdin.write(f'{line}\n')
+        stdin.flush()
 
 
-def wait_for_states(ros: Any, path: Path, count: int) -> None:
-    """Wait until a number of states and the journal are flushed to a bag."""
+def numbers(path: Path) -> list[int]:
+    """Read the publisher's sequence numbers from a bag, which may still be open for writing."""
+    sequence_numbers: list[int] = []
+    with (path / 'bag_0.mcap').open('rb') as file, contextlib.suppress(EndOfFile, struct.error):
+        records = StreamReader(file).records
+        messages = (record for record in records if isinstance(record, Message))
+        sequence_numbers.extend(message.sequence for message in messages)
+    return sequence_numbers
 
-    def has_enough() -> bool:
-        if not (path / 'metadata.yaml').is_file():
-            return False
-        found = Counter(topic for topic, *_ in saved(path))
-        return found['/twin/joint_states'] >= count and found['/twin/journal'] > 0
 
-    ros.spin_until(has_enough, f'{count} states in {path}')
+def wait_for(recorder: Any, path: Path, count: int) -> None:
+    """Wait until a bag has `count` messages; DDS needs time to resend reliable messages."""
+    deadline = time.monotonic() + 20.0
+    while len(saved := numbers(path)) < count:
+        assert recorder.process.poll() is None
+        if time.monotonic() > deadline:
+            gaps = [(a, b) for a, b in pairwise(saved) if b != a + 1]
+            limits = f'from {saved[:1]} to {saved[-1:]}'
+            pytest.fail(f'{len(saved)} of {count} messages, {limits}; {gaps=}')
+        time.sleep(0.05)
+
+
+def count(path: Path) -> int:
+    """Count the messages of a closed bag with the reader of rosbags."""
+    with Reader(path) as bag:
+        assert sum(1 for _ in bag.messages()) == bag.message_count
+        return int(bag.message_count)
 
 
 @pytest.mark.slow
-def test_recorder_that_is_killed_loses_at_most_the_last_second(
-    record, ros, talk, tmp_path
-) -> None:
-    path, recovered = tmp_path / 'bag', tmp_path / 'recovered'
+def test_recorder_that_is_killed_loses_at_most_the_last_second(start, record, tmp_path) -> None:
+    publisher, path = Publisher(start, 'reliable'), tmp_path / 'bag'
     recorder = record('bag')
-    wait_for_states(ros, path, 100)
+    publisher.begin(period=0.001, waits=True)
+    wait_for(recorder, path, 100)
     time.sleep(random.uniform(0.0, 1.0))  # to any time between two flushes
     killed = time.time_ns()
     assert recorder.end(signal.SIGKILL) == -signal.SIGKILL
-    recover.main([str(path), '--to', str(recovered)])
-    with Reader(recovered) as bag:
+    recover.main([str(path), '--to', str(tmp_path / 'recovered')])
+    with Reader(tmp_path / 'recovered') as bag:
         stamps = [stamp for _, stamp, _ in bag.messages()]
-        recorded = {connection.topic for connection in bag.connections}
-    assert {'/twin/joint_states', '/twin/journal'} <= recorded
     assert killed - stamps[-1] < 10**9
     assert len(stamps) > 100
 
@@ -95,20 +157,21 @@ def test_recorder_that_is_killed_loses_at_most_the_last_second(
 @pytest.mark.once
 @pytest.mark.parametrize('is_for_ever', [True, False])
 def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
-    record, ros, talk, tmp_path, is_for_ever
+    start, record, tmp_path, is_for_ever
 ) -> None:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def let_files_be_small() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, limits[1]))
 
-    path = tmp_path / 'bag'
+    publisher, path = Publisher(start, 'reliable'), tmp_path / 'bag'
     recorder = record('bag', 'compression:=none', preexec_fn=let_files_be_small)
+    publisher.begin(period=0.001, waits=True)
     recorder.wait_until(lambda lines: sum('too large' in line for line in lines) >= 2)
     assert any(re.search(r'too large; [1-9]\d* messages wait, 0 are', x) for x in recorder.lines)
     if not is_for_ever:
         resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, limits)
-        wait_for_states(ros, path, 3000)
+        wait_for(recorder, path, 3000)
     received, lost, _ = end_recorder(recorder, code=int(is_for_ever))
     if is_for_ever:
         assert f'`soft-throw recover {path}`' in recorder.lines[-1]
@@ -125,20 +188,39 @@ def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
     assert states == list(range(states[0], states[0] + len(states)))
 
 
-def test_recorder_loses_nothing_by_a_viewer_that_hangs(record, ros, talk, tmp_path) -> None:
-    python = tmp_path / 'viewer'
-    python.write_text('#!/bin/sh\nexec sleep 60\n')
-    python.chmod(0o755)
-    recorder = record('bag', 'rerun.sink:=viewer', f'rerun.python:={python}')
-    heard: list[Any] = []
+@pytest.mark.parametrize('kind', ['reliable', 'best effort'])
+def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
+    start, record, tmp_path, kind
+) -> None:
+    publisher, path = Publisher(start, kind), tmp_path / 'bag'
+    recorder = record('bag', f'topics:=[{publisher.topic}]')
+    # The publisher may know the recorder before the recorder knows it: these messages are late.
+    publisher.begin(period=0.005, waits=True)
+    wait_for(recorder, path, 10)
+    publisher.publish(0)  # pause the publisher
+    stop(recorder.process.pid)
+    publisher.publish(A_SECOND)
+    recorder.process.send_signal(signal.SIGCONT)
+    publisher.publish(10, period=0.1)
+    late = numbers(path)[0] - 1
+    wait_for(recorder, path, publisher.count - late)
+    assert end_recorder(recorder) == (publisher.count - late, 0, late)
+    assert count(path) == publisher.count - late
 
-    def take(message: DiagnosticArray) -> None:
-        heard.extend(item for item in message.status if item.name == '/recorder: viewer')
 
-    create_subscription(ros.node(Node, 'listener'), RECORDER_TOPICS.diagnostics, take)
-    wait_for_states(ros, tmp_path / 'bag', 100)
-    ros.spin_until(lambda: heard and msg_to_values(heard[-1])['starts'] == 1, 'the viewer')
-    begin = time.monotonic()
-    _, lost, _ = end_recorder(recorder, signal.SIGHUP)
-    assert time.monotonic() - begin < 20.0  # not as long as that sleeps
-    assert lost == 0
+def test_loss_and_joining_late_are_distinguished(start, record, tmp_path) -> None:
+    publisher = Publisher(start, 'best effort')
+    publisher.publish(1, waits=False)
+    publisher.begin(period=0.005)
+    recorder = record('bag', f'topics:=[{publisher.topic}]')
+    wait_for(recorder, tmp_path / 'bag', 100)
+    publisher.publish(0)  # pause the publisher
+    stop(recorder.process.pid)
+    publisher.publish(10 * A_SECOND)  # more than the queues can store
+    recorder.process.send_signal(signal.SIGCONT)
+    publisher.publish(10, period=0.1)
+    received, lost, late = end_recorder(recorder)
+    assert count(tmp_path / 'bag') == received
+    first = numbers(tmp_path / 'bag')[0]
+    assert late == first - 1 > 0
+    assert lost == publisher.count - late - received > 0
