@@ -30,7 +30,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,12 @@ def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, 
     )
 
 
+def scatter(values: NDArray[Any]) -> float:
+    """Return the standard deviation of values about an even or slowly changing rate, robustly."""
+    deviation = float(np.median(np.abs(np.diff(values, 2)))) / MEDIAN_DEVIATION
+    return deviation / math.sqrt(6.0)  # second differences have six times the variance
+
+
 class PlateEstimator:
     """
     Samples sorted by stamp, and the smoothed motion of the plate.
@@ -195,9 +201,7 @@ class PlateEstimator:
             return
         self._unscattered = 0
         stamps = self._samples.rows['stamp_ns'][max(last - _SCATTER_SAMPLES, 0):last]
-        # the variance of second differences is six times that of a stamp
-        deviation = float(np.median(np.abs(np.diff(stamps, 2)))) / MEDIAN_DEVIATION
-        self.stamp_scatter = deviation / (math.sqrt(6.0) * SECOND)
+        self.stamp_scatter = scatter(stamps) / SECOND
         self._outlier_filter.set_stamp_error(MOST_SCATTER * self.stamp_scatter)
 
     def add_samples(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:

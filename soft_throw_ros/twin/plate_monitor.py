@@ -124,7 +124,7 @@ class PlateMonitor:
             )
         if onset is None:
             return motion, None
-        self.is_armed = False
+        self.is_armed, self._begun = False, math.inf
         if self._has_swapped(onset):
             self._checks.report(
                 'names',
