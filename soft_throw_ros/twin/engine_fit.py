@@ -60,7 +60,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import MOST_SCATTER
+from soft_throw_ros.twin.plate_estimator import MOST_SCATTER, RestBaseline
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -261,29 +261,13 @@ class _Residuals(NamedTuple):
 
 @dataclass(frozen=True)
 class EngineEstimate:
-    """
-    The fitted motion of the engine in a throw.
+    """The fitted motion of the engine in a throw."""
 
-    Attributes
-    ----------
-    start_ns : int
-        Start of the motion. [ns]
-    plate : Underdamped
-        Motion of the plate.
-    unknowns : ndarray, shape (5,)
-        The solution, see `AMPLITUDE`.
-    covariance : ndarray, shape (5, 5)
-        Covariance of the unknowns.
-    stamp_error : float
-        Standard deviation of the stamps. [s]
-
-    """
-
-    start_ns: int
-    plate: Underdamped
-    unknowns: Floats
-    covariance: Floats
-    stamp_error: float = 0.0
+    start_ns: int  # [ns]
+    plate: Underdamped  # motion of the plate from the start on
+    unknowns: Floats  # the solution, see `AMPLITUDE`, shape (5,)
+    covariance: Floats  # of the unknowns, shape (5, 5)
+    stamp_error: float = 0.0  # standard deviation of the stamps [s]
 
 
 class EngineFit:
@@ -296,10 +280,8 @@ class EngineFit:
         Parameters of the measurement, with the motion of the engine.
     origin_ns : int
         First guess of the start, within a millisecond. [ns]
-    rest, rest_error : float
-        Height before the throw, and its standard error. [m]
-    noise : float
-        Standard deviation of heights. [m]
+    rest : RestBaseline
+        Height before the throw, with its errors.
     stamp_scatter, stamp_error : float
         Standard deviation of the stamps about an even rate, and its known part that is an error
         of the stamps. [s]
@@ -316,9 +298,7 @@ class EngineFit:
         config: MeasurementConfig,
         *,
         origin_ns: int,
-        rest: float,
-        rest_error: float,
-        noise: float,
+        rest: RestBaseline,
         stamp_scatter: float = 0.0,
         stamp_error: float = 0.0,
     ) -> None:
@@ -330,8 +310,8 @@ class EngineFit:
             amplitude=plate.amplitude,
             omega=2.0 * math.pi * plate.frequency,
             zeta=plate.damping_ratio,
-            height_noise=noise,
-            speed_noise=noise / config.position_noise * config.velocity_noise,
+            height_noise=rest.noise,
+            speed_noise=rest.noise / config.position_noise * config.velocity_noise,
             stamp_error=stamp_error,
             most_stamp_error=max(MOST_SCATTER * stamp_scatter, stamp_error),
         )
@@ -343,11 +323,11 @@ class EngineFit:
             _START_ERROR,
             max(config.frequency_error / plate.frequency, _TIGHTEST),
             max(config.damping_error, _TIGHTEST),
-            max(rest_error, _TIGHTEST * plate.amplitude),
+            max(rest.error, _TIGHTEST * plate.amplitude),
         ]
         self._variances = np.array(errors) ** 2  # before the throw
         self._scales = np.outer(errors, errors)
-        self._x = np.array([0.0, 0.0, 0.0, 0.0, rest])
+        self._x = np.array([0.0, 0.0, 0.0, 0.0, rest.plate])
         self._covariance = np.diag(self._variances)
         # normal equations of the prior and of older samples, about the origin
         self._information = np.diag(1.0 / self._variances)

@@ -60,6 +60,9 @@ PER_CROSSING = 3
 PER_PERIOD = 20
 """Samples that are needed in a period of the plate. [-]"""
 
+REST_WINDOWS = 8
+"""Shortest rest of the plate before a throw, in smoothing windows. [-]"""
+
 STATES_PER_WINDOW = 8
 """Times in a smoothing window at which the plate is estimated. [-]"""
 
@@ -141,8 +144,6 @@ class PlateEstimator:
 
     Attributes
     ----------
-    outliers : int
-        Number of accepted samples that were left out later as outliers.
     newest_ns : float
         Stamp of the newest sample, minus infinity if there is none. [ns]
     complete_ns : float
@@ -167,7 +168,7 @@ class PlateEstimator:
         self._samples = SampleBuffer(samples)
         self.newest_ns = samples[-1].stamp_ns if samples else -math.inf
         self._next = 0  # next time to estimate, in spacings
-        self.outliers = 0
+        self.outliers = 0  # accepted samples that were left out later
         self.complete_ns = -math.inf
         self._smoothed_ns = -math.inf  # end of the last window
         plate = config.plate
@@ -309,4 +310,32 @@ class PlateEstimator:
             config.position_noise * errors[known],
             gap_ns / SECOND,
             misfits[known],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestBaseline:
+    """Heights of plate and projectile at rest before a throw."""
+
+    plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
+    projectile: float
+    noise: float  # standard deviation of the plate's samples [m]
+    error: float  # standard error of its mean [m]
+
+    @classmethod
+    def before(cls, estimator: PlateEstimator, end_ns: float) -> RestBaseline | None:
+        """Return the rest of some windows before a time; None if there are too few samples."""
+        window_ns = estimator.config.smoothing_window_ns
+        samples = estimator.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
+        if len(samples) < FEWEST:
+            return None
+        plate, projectile = samples['plate'], samples['projectile']
+        measured = projectile[np.isfinite(projectile)]
+        # rounded samples at rest are all the same, so that their scatter underestimates the noise
+        noise = max(estimator.config.position_noise, float(plate.std()))
+        return cls(
+            plate=float(plate.mean()),
+            projectile=float(measured.mean()) if measured.size else math.nan,
+            noise=noise,
+            error=noise / math.sqrt(plate.size),
         )

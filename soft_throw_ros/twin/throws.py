@@ -68,19 +68,8 @@ class OngoingThrow(ABC):
     A throw from its start to its end, with its events and results.
 
     A throw ends at rest, or for another reason, see `ThrowResult`. Rest means contact, and speeds
-    of plate and projectile below `rest_speed` for the longer of their periods.
-
-    Parameters
-    ----------
-    prepared : PreparedRig
-        The rig; its stepper is reset.
-    number : int
-        Number of the throw.
-    start_ns : int
-        Start by the clock of the ticks. [ns]
-    rest_speed : float
-        Largest speed of plate and projectile at rest. [m/s]
-
+    of plate and projectile below `rest_speed` [m/s] for the longer of their periods. The stepper
+    of the rig is reset. The start is by the clock of the ticks [ns].
     """
 
     def __init__(
