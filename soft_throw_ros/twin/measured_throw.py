@@ -42,11 +42,10 @@ from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import PAST, PlateEstimator, PlateStates
 from soft_throw_ros.twin.plate_source import FittedEngine, PlateSource, SmoothedSamples
 from soft_throw_ros.twin.prepared_rig import (
-    FIELD_POINTS,
     PreparedRig,
     stepper_of,
     THROW_FIELD_LENGTH,
-    THROW_FIELD_ROWS,
+    throw_field_of,
     Track,
 )
 from soft_throw_ros.twin.results import (
@@ -68,7 +67,7 @@ LOST = PAST
 FEWEST_IN_FLIGHT = 8
 """Fewest samples of the projectile in flight that give the errors of the release. [-]"""
 
-REST_SPEED = 0.5
+MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
 
 _SIGNIFICANT_CHANGE = 0.1
@@ -137,7 +136,7 @@ class MeasuredThrow(OngoingThrow):
             prepared,
             number=number,
             start_ns=onset.onset_ns,
-            rest_speed=REST_SPEED * config.start_speed,
+            rest_speed=MEASURED_REST_SPEED * config.start_speed,
         )
         self._onset = onset
         self._estimator = estimator
@@ -464,10 +463,7 @@ class MeasuredThrow(OngoingThrow):
         self._has_shown_field = True
         stepper = stepper_of(self._prepared.config)
         stepper.append_plate_states(times, self._run.states)
-        rows = np.linspace(0.0, min(length, known), THROW_FIELD_ROWS)
-        strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
-        stepper.sample_strain(np.minimum(rows, stepper.horizon), strain)
-        return ThrowField.of(rows, strain, start_ns=self._start_ns)
+        return throw_field_of(stepper, min(length, stepper.horizon), start_ns=self._start_ns)
 
 
 class _Residuals:

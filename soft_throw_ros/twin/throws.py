@@ -20,12 +20,11 @@ from collections.abc import Sequence
 import dataclasses
 from typing import NamedTuple
 
-import numpy as np
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
 from soft_throw_ros.twin.plate_estimator import PlateStates
-from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, stepper_of
+from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig, stepper_of
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
@@ -97,9 +96,7 @@ class OngoingThrow(ABC):
     @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
-        rows = np.empty((3, FIELD_POINTS))
-        self._display_fork.read_layer(rows)
-        return LayerState(*rows)
+        return layer_of(self._display_fork)
 
     @abstractmethod
     def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:
