@@ -290,6 +290,10 @@ class EngineFit:
     ----------
     has_failed : bool
         Whether the plate has not moved as the engine should.
+    estimate : EngineEstimate or None
+        The last estimate before the fit failed, if any.
+    next_ns : int
+        Time from which samples are not in the fit yet. [ns]
 
     """
 
@@ -304,6 +308,8 @@ class EngineFit:
     ) -> None:
         plate = config.plate
         self.has_failed = False
+        self.estimate: EngineEstimate | None = None
+        self.next_ns = origin_ns - config.smoothing_window_ns
         self._origin_ns = origin_ns
         self._known_stamp_error = stamp_error  # by earlier throws [s]
         self._model = _Model(
@@ -346,6 +352,8 @@ class EngineFit:
 
     def update(self, rows: Rows) -> EngineEstimate | None:
         """Add later samples; return None if there are too few samples, or the fit fails."""
+        if len(rows):
+            self.next_ns = int(rows['stamp_ns'][-1]) + 1
         while len(rows):
             if len(self._samples) == _MOST:
                 self._condense()
@@ -364,9 +372,10 @@ class EngineFit:
             damping_ratio=engine.damping_ratio + x[DAMPING],
         )
         start_ns = self._origin_ns + round(x[START] * SECOND)
-        return EngineEstimate(
+        self.estimate = EngineEstimate(
             start_ns, plate, self._x.copy(), self._covariance.copy(), self.stamp_error
         )
+        return self.estimate
 
     def _moved(self) -> int:
         """Count the samples kept that are later than the start."""
