@@ -57,7 +57,6 @@ from soft_throw_ros.nodes.recommendations import recommend_for
 from soft_throw_ros.nodes.topics import load_type
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.session import Session
 
 PUBLISHED = [topic for topic in ALL_TWIN_TOPICS if not topic.is_input]
@@ -325,7 +324,7 @@ def test_journal_repeats_what_was_published(ros, twin, listener) -> None:
     begin = next(n for n, entry in enumerate(entries) if entry['kind'] == 'throw')
     begun, *entries = entries[begin:]
     session = Session.from_entry(begun)
-    again = [outputs for entry in entries for outputs in follow(session, entry)]
+    again = [outputs for entry in entries for outputs in session.follow(entry)]
     again += [session.advance() for _ in range(twin.session.step - session.step)]
     assert [outputs.state for outputs in again] == [outputs.state for outputs in twin.outputs[1:]]
     assert again[-1].state.projectile_position > 0.05
