@@ -210,14 +210,7 @@ class Session:
         """
         Change settings: at once, or when the rig is put back, see `StagedSettings`.
 
-        Parameters
-        ----------
-        values : mapping of str to value
-            The changes, with all implied changes.
-        config : TwinConfig, optional
-            The configuration with these changes, if it exists already.
-        motion_of : callable
-            See `Session`.
+        The values include all implied changes. A configuration that has them already saves time.
 
         Raises
         ------
