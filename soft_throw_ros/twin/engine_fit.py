@@ -214,9 +214,10 @@ def _solve(
     for _ in range(_MOST_STEPS):
         normal, right = information.copy(), pull - information @ x
         _add_up(samples, model, x, covariance, normal, right, residuals)
-        if not np.isfinite(normal).all():
-            return False  # the last solution, from which the fit has failed, was out of range
-        covariance[:] = scales * np.linalg.inv(scales * normal)
+        scaled = scales * normal
+        if not np.isfinite(scaled).all():
+            return False  # the last solution was out of range
+        covariance[:] = scales * np.linalg.inv(scaled)
         step = covariance @ right
         x += step
         x[DAMPING] = max(x[DAMPING], -model.zeta)
