@@ -28,7 +28,6 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.replay import advance_to, follow
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
@@ -50,8 +49,8 @@ def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outp
     session = Session.from_entry(next(begins))
     for entry in entries:
         if entry['kind'] == 'samples' or entry['step'] < until:
-            yield from follow(session, entry)
-    yield from advance_to(session, until)
+            yield from session.follow(entry)
+    yield from session.advance_to(until)
 
 
 class Run:

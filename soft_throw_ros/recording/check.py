@@ -42,7 +42,6 @@ from soft_throw_ros.recording.recorded_outputs import (
     Step,
 )
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session
 
@@ -358,7 +357,7 @@ class _Check:
                 f'line {entry["line"]} is {distance} steps after the one before, which is more '
                 f'than {MAX_STEPS_BETWEEN_LINES}'
             )
-        self._keep(follow(session, entry), session)
+        self._keep(session.follow(entry), session)
 
     def _keep(self, steps: Iterable[Outputs], session: Session) -> None:
         """Store the outputs of steps for the comparison."""

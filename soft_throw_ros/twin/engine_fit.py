@@ -60,7 +60,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import MOST_SCATTER
+from soft_throw_ros.twin.plate_estimator import MOST_SCATTER, RestBaseline
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -214,9 +214,10 @@ def _solve(
     for _ in range(_MOST_STEPS):
         normal, right = information.copy(), pull - information @ x
         _add_up(samples, model, x, covariance, normal, right, residuals)
-        if not np.isfinite(normal).all():
-            return False  # the last solution, from which the fit has failed, was out of range
-        covariance[:] = scales * np.linalg.inv(scales * normal)
+        scaled = scales * normal
+        if not np.isfinite(scaled).all():
+            return False  # the last solution was out of range
+        covariance[:] = scales * np.linalg.inv(scaled)
         step = covariance @ right
         x += step
         x[DAMPING] = max(x[DAMPING], -model.zeta)
@@ -261,29 +262,13 @@ class _Residuals(NamedTuple):
 
 @dataclass(frozen=True)
 class EngineEstimate:
-    """
-    The fitted motion of the engine in a throw.
+    """The fitted motion of the engine in a throw."""
 
-    Attributes
-    ----------
-    start_ns : int
-        Start of the motion. [ns]
-    plate : Underdamped
-        Motion of the plate.
-    unknowns : ndarray, shape (5,)
-        The solution, see `AMPLITUDE`.
-    covariance : ndarray, shape (5, 5)
-        Covariance of the unknowns.
-    stamp_error : float
-        Standard deviation of the stamps. [s]
-
-    """
-
-    start_ns: int
-    plate: Underdamped
-    unknowns: Floats
-    covariance: Floats
-    stamp_error: float = 0.0
+    start_ns: int  # [ns]
+    plate: Underdamped  # motion of the plate from the start on
+    unknowns: Floats  # the solution, see `AMPLITUDE`, shape (5,)
+    covariance: Floats  # of the unknowns, shape (5, 5)
+    stamp_error: float = 0.0  # standard deviation of the stamps [s]
 
 
 class EngineFit:
@@ -296,10 +281,8 @@ class EngineFit:
         Parameters of the measurement, with the motion of the engine.
     origin_ns : int
         First guess of the start, within a millisecond. [ns]
-    rest, rest_error : float
-        Height before the throw, and its standard error. [m]
-    noise : float
-        Standard deviation of heights. [m]
+    rest : RestBaseline
+        Height before the throw, with its errors.
     stamp_scatter, stamp_error : float
         Standard deviation of the stamps about an even rate, and its known part that is an error
         of the stamps. [s]
@@ -308,6 +291,10 @@ class EngineFit:
     ----------
     has_failed : bool
         Whether the plate has not moved as the engine should.
+    estimate : EngineEstimate or None
+        The last estimate before the fit failed, if any.
+    next_ns : int
+        Time from which samples are not in the fit yet. [ns]
 
     """
 
@@ -316,22 +303,22 @@ class EngineFit:
         config: MeasurementConfig,
         *,
         origin_ns: int,
-        rest: float,
-        rest_error: float,
-        noise: float,
+        rest: RestBaseline,
         stamp_scatter: float = 0.0,
         stamp_error: float = 0.0,
     ) -> None:
         plate = config.plate
         self.has_failed = False
+        self.estimate: EngineEstimate | None = None
+        self.next_ns = origin_ns - config.smoothing_window_ns
         self._origin_ns = origin_ns
         self._known_stamp_error = stamp_error  # by earlier throws [s]
         self._model = _Model(
             amplitude=plate.amplitude,
             omega=2.0 * math.pi * plate.frequency,
             zeta=plate.damping_ratio,
-            height_noise=noise,
-            speed_noise=noise / config.position_noise * config.velocity_noise,
+            height_noise=rest.noise,
+            speed_noise=rest.noise / config.position_noise * config.velocity_noise,
             stamp_error=stamp_error,
             most_stamp_error=max(MOST_SCATTER * stamp_scatter, stamp_error),
         )
@@ -343,11 +330,11 @@ class EngineFit:
             _START_ERROR,
             max(config.frequency_error / plate.frequency, _TIGHTEST),
             max(config.damping_error, _TIGHTEST),
-            max(rest_error, _TIGHTEST * plate.amplitude),
+            max(rest.error, _TIGHTEST * plate.amplitude),
         ]
         self._variances = np.array(errors) ** 2  # before the throw
         self._scales = np.outer(errors, errors)
-        self._x = np.array([0.0, 0.0, 0.0, 0.0, rest])
+        self._x = np.array([0.0, 0.0, 0.0, 0.0, rest.plate])
         self._covariance = np.diag(self._variances)
         # normal equations of the prior and of older samples, about the origin
         self._information = np.diag(1.0 / self._variances)
@@ -366,6 +353,8 @@ class EngineFit:
 
     def update(self, rows: Rows) -> EngineEstimate | None:
         """Add later samples; return None if there are too few samples, or the fit fails."""
+        if len(rows):
+            self.next_ns = int(rows['stamp_ns'][-1]) + 1
         while len(rows):
             if len(self._samples) == _MOST:
                 self._condense()
@@ -384,9 +373,10 @@ class EngineFit:
             damping_ratio=engine.damping_ratio + x[DAMPING],
         )
         start_ns = self._origin_ns + round(x[START] * SECOND)
-        return EngineEstimate(
+        self.estimate = EngineEstimate(
             start_ns, plate, self._x.copy(), self._covariance.copy(), self.stamp_error
         )
+        return self.estimate
 
     def _moved(self) -> int:
         """Count the samples kept that are later than the start."""

@@ -66,16 +66,9 @@ class EngineForecaster:
     """
     A forecast of the release by the fitted motion of the engine.
 
-    Parameters
-    ----------
-    ejection_time : float
-        Ejection time with the nominal engine. [s]
-    gradient : ndarray, shape (3, 5)
-        Derivatives of the time of the release [s], and of the logarithms of speed and energy
-        transfer, by the unknowns of `engine_fit`.
-    stepper : Stepper
-        Simulates throws ahead of time.
-
+    The parameters are the ejection time with the nominal engine [s], a stepper that simulates
+    throws ahead of time, and the derivatives, shape (3, 5), of the time of the release [s] and of
+    the logarithms of speed and energy transfer by the unknowns of `engine_fit`.
     """
 
     def __init__(self, ejection_time: float, gradient: Floats, stepper: Stepper) -> None:

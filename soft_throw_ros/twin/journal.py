@@ -57,7 +57,8 @@ from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
 from soft_throw_ros.configuration.table import number_of, quote
 from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.twin.onset import Onset, RestBaseline
+from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.plate_estimator import RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import TickSchedule
@@ -296,15 +297,8 @@ class JournalWriter:
     """
     A writer of the journal of a session: numbered entries, batches of samples, and checksums.
 
-    A checksum begins with every throw, so that a journal can be checked from any throw on.
-
-    Parameters
-    ----------
-    on_line : callable
-        Called with every line, in order; it must not call the writer.
-    step : int
-        Number of the first step.
-
+    A checksum begins with every throw, so that a journal can be checked from any throw on. The
+    writer calls `on_line` with every line, in order, which must not call the writer.
     """
 
     def __init__(self, on_line: Callable[[str], None], *, step: int) -> None:

@@ -87,15 +87,9 @@ def missing_parts() -> list[str]:
 
 def load_kernels(parts: Iterable[str] = tuple(PARTS), *, say: Say = lambda _text: None) -> None:
     """
-    Load the kernels of parts; compile them if the cache does not contain them.
+    Load the kernels of parts, keys of `PARTS`; compile them if the cache does not contain them.
 
-    Parameters
-    ----------
-    parts : iterable of str
-        Names of kernel groups, keys of `PARTS`.
-    say : callable
-        Called every other second while a part is being compiled, from another thread.
-
+    `say` is called every other second while a part is being compiled, from another thread.
     """
     missing = missing_parts()
     for part in parts:

@@ -42,11 +42,10 @@ from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import PAST, PlateEstimator, PlateStates
 from soft_throw_ros.twin.plate_source import FittedEngine, PlateSource, SmoothedSamples
 from soft_throw_ros.twin.prepared_rig import (
-    FIELD_POINTS,
     PreparedRig,
     stepper_of,
     THROW_FIELD_LENGTH,
-    THROW_FIELD_ROWS,
+    throw_field_of,
     Track,
 )
 from soft_throw_ros.twin.results import (
@@ -68,7 +67,7 @@ LOST = PAST
 FEWEST_IN_FLIGHT = 8
 """Fewest samples of the projectile in flight that give the errors of the release. [-]"""
 
-REST_SPEED = 0.5
+MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
 
 _SIGNIFICANT_CHANGE = 0.1
@@ -137,15 +136,13 @@ class MeasuredThrow(OngoingThrow):
             prepared,
             number=number,
             start_ns=onset.onset_ns,
-            rest_speed=REST_SPEED * config.start_speed,
+            rest_speed=MEASURED_REST_SPEED * config.start_speed,
         )
         self._onset = onset
         self._estimator = estimator
         self._smoothed = SmoothedSamples(onset, estimator)
         self._fit = onset.engine_fit(config)
-        self._fitted_ns = onset.onset_ns - config.smoothing_window_ns  # samples before are fitted
         self._fit_end_ns = onset.onset_ns + round(SECOND / prepared.rig.engine.frequency)
-        self._estimate: EngineEstimate | None = None
         self._relies_on_engine = onset.engine_is_nominal and prepared.forecaster is not None
         track, self._spare = prepared.tracks
         self._pursuit: _Run | None = None  # a new simulation that has not caught up
@@ -216,15 +213,14 @@ class MeasuredThrow(OngoingThrow):
         """Fit the engine's motion to the samples of a plate period; later ones may be at rest."""
         if not self._fit.has_failed:
             end_ns = min(self._estimator.complete_ns, self._fit_end_ns)
-            rows = self._estimator.samples(self._fitted_ns, end_ns + 1)
+            rows = self._estimator.samples(self._fit.next_ns, end_ns + 1)
             if len(rows):
-                self._fitted_ns = int(rows['stamp_ns'][-1]) + 1
-                self._estimate = self._fit.update(rows) or self._estimate
+                self._fit.update(rows)
         self._smoothed.stamp_error = self.stamp_error
 
     def _choose_source(self) -> None:
         """Simulate the throw on, or anew, by the fitted engine or by smoothed samples."""
-        run, smoothed, estimate = self._run, self._smoothed, self._estimate
+        run, smoothed, estimate = self._run, self._smoothed, self._fit.estimate
         if self._relies_on_engine:
             is_outdated = estimate is not None and self._is_outdated(run.estimate, estimate)
             if self._fit.has_failed or (self._is_fitted and not is_outdated):
@@ -347,15 +343,15 @@ class MeasuredThrow(OngoingThrow):
                 return None
             self._is_certain = True
             return self._predict(fork, release, run.estimate, tick)
-        if not self._relies_on_engine or self._estimate is None or self._lead is not None:
+        if not self._relies_on_engine or self._fit.estimate is None or self._lead is not None:
             return None
         forecaster = self._forecaster
         if self._forecast_by is None:
-            error = TWO_SIDED * forecaster.errors(self._estimate).speed
+            error = TWO_SIDED * forecaster.errors(self._fit.estimate).speed
             if error > self._estimator.config.prediction_error:
                 return None
-            self._forecast_by = self._estimate
-            forecaster.begin(self._estimate)
+            self._forecast_by = self._fit.estimate
+            forecaster.begin(self._fit.estimate)
         if not forecaster.advance(prepared.catch_up):
             return None
         estimate, self._forecast_by = self._forecast_by, None
@@ -397,11 +393,11 @@ class MeasuredThrow(OngoingThrow):
 
     def _release_errors(self, release: Event, estimate: EngineEstimate | None) -> ReleaseErrors:
         """Return the standard errors of a release, see `_assess_accuracy`."""
-        if estimate is None or self._estimate is None:
+        if estimate is None or self._fit.estimate is None:
             return self._smoothed.release_errors(release.time, self._peak_plate_speed)
         forecaster = self._forecaster
-        changes = forecaster.change(estimate, self._estimate)
-        return ReleaseErrors(*map(math.hypot, forecaster.errors(self._estimate), changes))
+        changes = forecaster.change(estimate, self._fit.estimate)
+        return ReleaseErrors(*map(math.hypot, forecaster.errors(self._fit.estimate), changes))
 
     def _try_to_advance(self, stepper: Stepper, time: float) -> None:
         """Advance a stepper to a time, or until its memory for events is full."""
@@ -464,10 +460,7 @@ class MeasuredThrow(OngoingThrow):
         self._has_shown_field = True
         stepper = stepper_of(self._prepared.config)
         stepper.append_plate_states(times, self._run.states)
-        rows = np.linspace(0.0, min(length, known), THROW_FIELD_ROWS)
-        strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
-        stepper.sample_strain(np.minimum(rows, stepper.horizon), strain)
-        return ThrowField.of(rows, strain, start_ns=self._start_ns)
+        return throw_field_of(stepper, min(length, stepper.horizon), start_ns=self._start_ns)
 
 
 class _Residuals:

@@ -28,14 +28,12 @@ from soft_throw_ros.twin.engine_fit import EngineFit, plate_states
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
+    RestBaseline,
     state_spacing_ns,
     STATES_PER_WINDOW,
 )
 from soft_throw_ros.twin.sample_buffer import Rows, Sample, seconds_since, to_samples
 from soft_throw_ros.twin.tick_schedule import SECOND
-
-REST_WINDOWS = 8
-"""Shortest rest of the plate before a throw, in smoothing windows. [-]"""
 
 RISE = 0.125
 """Time until the plate reaches the speed of a start, over its period. [-]"""
@@ -51,34 +49,6 @@ _MOST_FOR_START = 128
 
 
 @dataclass(frozen=True, kw_only=True)
-class RestBaseline:
-    """Heights of plate and projectile at rest before a throw."""
-
-    plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
-    projectile: float
-    noise: float  # standard deviation of the plate's samples [m]
-    error: float  # standard error of its mean [m]
-
-    @classmethod
-    def before(cls, estimator: PlateEstimator, end_ns: float) -> RestBaseline | None:
-        """Return the rest of some windows before a time; None if there are too few samples."""
-        window_ns = estimator.config.smoothing_window_ns
-        samples = estimator.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
-        if len(samples) < FEWEST:
-            return None
-        plate, projectile = samples['plate'], samples['projectile']
-        measured = projectile[np.isfinite(projectile)]
-        # rounded samples at rest are all the same, so that their scatter underestimates the noise
-        noise = max(estimator.config.position_noise, float(plate.std()))
-        return cls(
-            plate=float(plate.mean()),
-            projectile=float(measured.mean()) if measured.size else math.nan,
-            noise=noise,
-            error=noise / math.sqrt(plate.size),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Onset:
     """The start of the plate's motion, and so of a throw."""
 
@@ -91,13 +61,10 @@ class Onset:
 
     def engine_fit(self, config: MeasurementConfig) -> EngineFit:
         """Return a fit of the engine's motion to the samples of the throw."""
-        rest = self.rest
         return EngineFit(
             config,
             origin_ns=self.onset_ns,
-            rest=rest.plate,
-            rest_error=rest.error,
-            noise=rest.noise,
+            rest=self.rest,
             stamp_scatter=self.stamp_scatter,
             stamp_error=self.stamp_error,
         )

@@ -30,7 +30,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,9 @@ PER_CROSSING = 3
 
 PER_PERIOD = 20
 """Samples that are needed in a period of the plate. [-]"""
+
+REST_WINDOWS = 8
+"""Shortest rest of the plate before a throw, in smoothing windows. [-]"""
 
 STATES_PER_WINDOW = 8
 """Times in a smoothing window at which the plate is estimated. [-]"""
@@ -118,6 +121,12 @@ def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, 
     )
 
 
+def scatter(values: NDArray[Any]) -> float:
+    """Return the standard deviation of values about an even or slowly changing rate, robustly."""
+    deviation = float(np.median(np.abs(np.diff(values, 2)))) / MEDIAN_DEVIATION
+    return deviation / math.sqrt(6.0)  # second differences have six times the variance
+
+
 class PlateEstimator:
     """
     Samples sorted by stamp, and the smoothed motion of the plate.
@@ -135,8 +144,6 @@ class PlateEstimator:
 
     Attributes
     ----------
-    outliers : int
-        Number of accepted samples that were left out later as outliers.
     newest_ns : float
         Stamp of the newest sample, minus infinity if there is none. [ns]
     complete_ns : float
@@ -161,7 +168,7 @@ class PlateEstimator:
         self._samples = SampleBuffer(samples)
         self.newest_ns = samples[-1].stamp_ns if samples else -math.inf
         self._next = 0  # next time to estimate, in spacings
-        self.outliers = 0
+        self.outliers = 0  # accepted samples that were left out later
         self.complete_ns = -math.inf
         self._smoothed_ns = -math.inf  # end of the last window
         plate = config.plate
@@ -195,9 +202,7 @@ class PlateEstimator:
             return
         self._unscattered = 0
         stamps = self._samples.rows['stamp_ns'][max(last - _SCATTER_SAMPLES, 0):last]
-        # the variance of second differences is six times that of a stamp
-        deviation = float(np.median(np.abs(np.diff(stamps, 2)))) / MEDIAN_DEVIATION
-        self.stamp_scatter = deviation / (math.sqrt(6.0) * SECOND)
+        self.stamp_scatter = scatter(stamps) / SECOND
         self._outlier_filter.set_stamp_error(MOST_SCATTER * self.stamp_scatter)
 
     def add_samples(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
@@ -305,4 +310,32 @@ class PlateEstimator:
             config.position_noise * errors[known],
             gap_ns / SECOND,
             misfits[known],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestBaseline:
+    """Heights of plate and projectile at rest before a throw."""
+
+    plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
+    projectile: float
+    noise: float  # standard deviation of the plate's samples [m]
+    error: float  # standard error of its mean [m]
+
+    @classmethod
+    def before(cls, estimator: PlateEstimator, end_ns: float) -> RestBaseline | None:
+        """Return the rest of some windows before a time; None if there are too few samples."""
+        window_ns = estimator.config.smoothing_window_ns
+        samples = estimator.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
+        if len(samples) < FEWEST:
+            return None
+        plate, projectile = samples['plate'], samples['projectile']
+        measured = projectile[np.isfinite(projectile)]
+        # rounded samples at rest are all the same, so that their scatter underestimates the noise
+        noise = max(estimator.config.position_noise, float(plate.std()))
+        return cls(
+            plate=float(plate.mean()),
+            projectile=float(measured.mean()) if measured.size else math.nan,
+            noise=noise,
+            error=noise / math.sqrt(plate.size),
         )

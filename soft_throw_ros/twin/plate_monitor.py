@@ -19,9 +19,14 @@ from dataclasses import replace
 import math
 
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, REST_WINDOWS, RISE
+from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, RISE
 from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import PlateEstimator, PlateStates, SampleCounts
+from soft_throw_ros.twin.plate_estimator import (
+    PlateEstimator,
+    PlateStates,
+    REST_WINDOWS,
+    SampleCounts,
+)
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
@@ -40,27 +45,8 @@ class PlateMonitor:
     """
     A monitor of the plate from one throw to the next.
 
-    Parameters
-    ----------
-    config : MeasurementConfig
-        Parameters of the measurement.
-    counts : SampleCounts
-        Counts of samples, which the estimator updates.
-    checks : SensorChecks
-        Diagnoses, which the monitor updates.
-    onset : Onset, optional
-        Onset of the throw that has just begun, whose samples are used again.
-
-    Attributes
-    ----------
-    estimator : PlateEstimator
-        Samples in their order, and the smoothed motion.
-    is_armed : bool
-        Whether the plate is at rest, so that a throw starts when it moves up suddenly.
-    engine_is_nominal : bool
-        Whether the motion in the last throw was that of the engine.
-    stamp_error : float
-        Standard deviation of the stamps in the last throw. [s]
+    The monitor updates the counts of samples and the diagnoses. The samples of the onset of a
+    throw that has just begun are used again.
 
     Notes
     -----
@@ -83,6 +69,7 @@ class PlateMonitor:
         import scipy.optimize  # noqa: F401
 
         self._checks = checks
+        # of the last throw: whether its motion was that of the engine, and of its stamps [s]
         self.engine_is_nominal = onset is None or onset.engine_is_nominal
         self.stamp_error = 0.0 if onset is None else onset.stamp_error
         self.estimator = PlateEstimator(
@@ -106,7 +93,7 @@ class PlateMonitor:
         self._wait_for_rest()
 
     def _wait_for_rest(self) -> None:
-        self.is_armed = False
+        self.is_armed = False  # whether the plate is at rest, so that a jump starts a throw
         self._first = math.nan  # time of the first smoothed state
         self._last_moving_time = -math.inf  # last time at which it was too fast to be at rest
         self._last_quiet_time = -math.inf  # last time at which it was not
@@ -124,7 +111,7 @@ class PlateMonitor:
             )
         if onset is None:
             return motion, None
-        self.is_armed = False
+        self.is_armed, self._begun = False, math.inf
         if self._has_swapped(onset):
             self._checks.report(
                 'names',

@@ -95,14 +95,12 @@ class PreparedRig:
 
         """
         stepper = stepper_of(config)
-        rest_layer = np.empty((3, FIELD_POINTS))
-        stepper.read_layer(rest_layer)
         is_measured = config.is_measured
         return cls(
             config=config,
             stepper=stepper,
             rest=State._make(stepper.state.tolist()[1:]),
-            rest_layer=LayerState(*rest_layer),
+            rest_layer=layer_of(stepper),
             peak_plate_speed=motion_of(config.rig.engine).peak_velocity,
             throw_field=None if is_measured else _throw_field(stepper),
             tracks=(Track.of(stepper), Track.of(stepper_of(config))) if is_measured else (),
@@ -142,6 +140,21 @@ class PreparedRig:
         """Return the steps of the return to rest, at most half of the period."""
         ticks = max(1, round(RETURN_TIME / self.tick))
         return min(ticks, self.period_ticks(period) // 2) if period else ticks
+
+
+def layer_of(stepper: Stepper) -> LayerState:
+    """Return the present state of the layer."""
+    rows = np.empty((3, FIELD_POINTS))
+    stepper.read_layer(rows)
+    return LayerState(*rows)
+
+
+def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> ThrowField:
+    """Return the strain of the layer over a time [s] from the start on."""
+    times = np.linspace(0.0, length, THROW_FIELD_ROWS)
+    strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
+    stepper.sample_strain(times, strain)
+    return ThrowField.of(times, strain, start_ns=start_ns)
 
 
 def stepper_of(config: TwinConfig) -> Stepper:
@@ -219,12 +232,11 @@ def check_settings(settings: Settings, before: TwinConfig | None = None) -> Twin
 
 def _throw_field(stepper: Stepper) -> ThrowField:
     """Return the strain of the layer until `THROW_FIELD_LENGTH` ejection times."""
-    times = np.linspace(0.0, THROW_FIELD_LENGTH * _ejection_time(stepper), THROW_FIELD_ROWS)
-    strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
+    length = THROW_FIELD_LENGTH * _ejection_time(stepper)
     stepper.reset()
-    stepper.sample_strain(times, strain)
+    field = throw_field_of(stepper, length)
     stepper.reset()
-    return ThrowField.of(times, strain)
+    return field
 
 
 def _ejection_time(stepper: Stepper) -> float:

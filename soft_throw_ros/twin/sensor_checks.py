@@ -19,8 +19,7 @@ import math
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION
-from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator
+from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator, scatter
 
 MAX_NOISE = 1.5
 """Noise of the samples over `measured.position_noise`, above which it is reported. [-]"""
@@ -108,9 +107,7 @@ class SensorChecks:
         heights = estimator.samples(-math.inf)['plate']
         if heights.size < _FEWEST_SAMPLES:
             return
-        # the variance of second differences at an even rate is six times that of a sample
-        deviation = float(np.median(np.abs(np.diff(heights, 2)))) / MEDIAN_DEVIATION
-        noise, given = deviation / math.sqrt(6.0), estimator.config.position_noise
+        noise, given = scatter(heights), estimator.config.position_noise
         if noise > MAX_NOISE * given and np.ptp(heights) < _NOISE_RANGE * noise:
             self.report(
                 'noise',

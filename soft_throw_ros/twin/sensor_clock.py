@@ -44,19 +44,11 @@ class SensorClock:
 
     The offset is the smallest delay of a message, because the transport time of the fastest
     message cannot be distinguished from an offset. Offsets up to `TOLERATED` are not corrected.
-
-    Attributes
-    ----------
-    offset_ns : int
-        Correction to be added to stamps. [ns]
-    problem : str
-        A sentence on the fault of the stamps and its correction; empty without a fault.
-
     """
 
     def __init__(self) -> None:
-        self.offset_ns = 0
-        self.problem = ''
+        self.offset_ns = 0  # correction to be added to stamps [ns]
+        self.problem = ''  # a sentence on the fault of the stamps and its correction, if any
         self._begin_ns: int | None = None  # start of the observation [ns]
         self._watching_ns = _FIRST
         self._count = 0

@@ -20,7 +20,7 @@ clock, and a replay, which advances it as fast as it can, get the same outputs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from threading import Lock
 
@@ -103,7 +103,7 @@ class Session:
         Continue from the entry of the journal for the start of a session or a throw.
 
         The next step is that of the entry. Its outputs equal the original ones to the last bit,
-        and so do those of all later steps with the same inputs, see `twin.replay`.
+        and so do those of all later steps with the same inputs, see `follow`.
 
         Raises
         ------
@@ -210,14 +210,7 @@ class Session:
         """
         Change settings: at once, or when the rig is put back, see `StagedSettings`.
 
-        Parameters
-        ----------
-        values : mapping of str to value
-            The changes, with all implied changes.
-        config : TwinConfig, optional
-            The configuration with these changes, if it exists already.
-        motion_of : callable
-            See `Session`.
+        The values include all implied changes. A configuration that has them already saves time.
 
         Raises
         ------
@@ -278,3 +271,49 @@ class Session:
             is_measured = self._cycle.monitor is not None
             self._journal.end_step(outputs, rate=rate, is_measured=is_measured)
             return outputs
+
+    def advance_to(self, step: int) -> Iterator[Outputs]:
+        """Advance until a step is the next one."""
+        while self.step < step:
+            yield self.advance()
+
+    def follow(self, entry: journal.Entry) -> Iterator[Outputs]:
+        """
+        Advance to an entry of a journal of the session, and apply the input of the entry, if any.
+
+        Yields
+        ------
+        Outputs
+            One for each step.
+
+        Raises
+        ------
+        JournalError
+            If the entry cannot be read, or its input belongs before a step that has passed.
+        RequestRejected
+            If the session rejects the input, so that the journal is of another session.
+
+        """
+        if entry['kind'] == 'samples':
+            for step, samples in journal.decode_samples(entry):
+                yield from self.advance_to(step)
+                self.measure(samples)
+            return
+        yield from self.advance_to(entry['step'])
+        if entry['kind'] == 'tick_schedule':
+            self.set_tick_schedule(journal.decode_schedule(entry))
+        elif entry['kind'] == 'input':
+            if entry['step'] != self.step:
+                raise journal.JournalError(
+                    f'an input before step {self.step}, got {quote(dict(entry))}'
+                )
+            match entry.get('input'):
+                case 'throw':
+                    self.request_throw()
+                case 'reset':
+                    self.reset()
+                case 'parameters':
+                    values = journal.checked_settings(entry, 'values')
+                    self.change(values, motion_of=journal.motion_source(entry))
+                case name:
+                    raise journal.JournalError(f'no input is named {quote(name)}')

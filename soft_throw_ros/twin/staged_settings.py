@@ -31,13 +31,6 @@ class StagedSettings:
     all that wait take effect together. Every other change is effective at once. Rigs are built,
     and files read, in `prepare` only.
 
-    Parameters
-    ----------
-    config : TwinConfig
-        The configuration in effect.
-    wanted : TwinConfig, optional
-        The configuration with changes that wait already.
-
     Raises
     ------
     ValueError

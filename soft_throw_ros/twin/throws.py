@@ -20,12 +20,11 @@ from collections.abc import Sequence
 import dataclasses
 from typing import NamedTuple
 
-import numpy as np
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
 from soft_throw_ros.twin.plate_estimator import PlateStates
-from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, stepper_of
+from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig, stepper_of
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
@@ -68,19 +67,8 @@ class OngoingThrow(ABC):
     A throw from its start to its end, with its events and results.
 
     A throw ends at rest, or for another reason, see `ThrowResult`. Rest means contact, and speeds
-    of plate and projectile below `rest_speed` for the longer of their periods.
-
-    Parameters
-    ----------
-    prepared : PreparedRig
-        The rig; its stepper is reset.
-    number : int
-        Number of the throw.
-    start_ns : int
-        Start by the clock of the ticks. [ns]
-    rest_speed : float
-        Largest speed of plate and projectile at rest. [m/s]
-
+    of plate and projectile below `rest_speed` [m/s] for the longer of their periods. The stepper
+    of the rig is reset. The start is by the clock of the ticks [ns].
     """
 
     def __init__(
@@ -108,9 +96,7 @@ class OngoingThrow(ABC):
     @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
-        rows = np.empty((3, FIELD_POINTS))
-        self._display_fork.read_layer(rows)
-        return LayerState(*rows)
+        return layer_of(self._display_fork)
 
     @abstractmethod
     def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:

@@ -29,7 +29,6 @@ from soft_throw_ros.nodes.conversions import msg_to_values, time_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.topics import create_service
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.session import Session
 from std_srvs.srv import Trigger
 
@@ -82,7 +81,7 @@ def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
     assert max(map(abs, stamps)) - min(map(abs, stamps)) >= 3599
     entries = [journal.decode(line) for line in twin.lines]
     session = Session.from_entry(entries[0])
-    again = [outputs for entry in entries[1:] for outputs in follow(session, entry)]
+    again = [outputs for entry in entries[1:] for outputs in session.follow(entry)]
     ours = [outputs.state for outputs in twin.outputs]
     assert [outputs.state for outputs in again] == ours[: len(again)]
     assert len(again) >= len(ours) - 1

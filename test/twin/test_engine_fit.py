@@ -16,11 +16,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.engine_fit import AMPLITUDE, EngineEstimate, EngineFit, START
+from soft_throw_ros.twin.plate_estimator import RestBaseline
 from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, MEASUREMENT
@@ -46,9 +48,7 @@ def start_fit(plate: Underdamped, *, stamp_scatter: float = 0.0) -> EngineFit:
     return EngineFit(
         replace(MEASUREMENT, plate=plate),
         origin_ns=BEGIN,
-        rest=0.3,
-        rest_error=1e-6,
-        noise=NOISE,
+        rest=RestBaseline(plate=0.3, projectile=math.nan, noise=NOISE, error=1e-6),
         stamp_scatter=stamp_scatter,
     )
 

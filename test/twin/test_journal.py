@@ -25,8 +25,8 @@ from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.onset import Onset, RestBaseline
-from soft_throw_ros.twin.replay import follow
+from soft_throw_ros.twin.onset import Onset
+from soft_throw_ros.twin.plate_estimator import RestBaseline
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
@@ -63,7 +63,7 @@ def test_replay_writes_the_same_journal_and_starts_at_a_throw(eventful) -> None:
     entries = list(map(journal.decode, eventful.journal))
     session = Session.from_entry(entries[0], on_entry=written.append)
     for entry in entries[1:]:
-        for _ in follow(session, entry):
+        for _ in session.follow(entry):
             pass
     session.close()
     assert written == eventful.journal
@@ -252,9 +252,9 @@ def test_entry_inconsistent_with_the_session_is_refused_and_quoted(eventful) -> 
         Session.from_entry({**begin, 'settings': measured, 'onset': None})
     session = Session(TWIN.defaults())
     with pytest.raises(journal.JournalError, match='sing'):
-        list(follow(session, {'kind': 'input', 'step': 2, 'input': 'sing'}))
+        list(session.follow({'kind': 'input', 'step': 2, 'input': 'sing'}))
     with pytest.raises(journal.JournalError, match='before step 2'):
-        list(follow(session, {'kind': 'input', 'step': 1, 'input': 'throw'}))
+        list(session.follow({'kind': 'input', 'step': 1, 'input': 'throw'}))
     with pytest.raises(journal.JournalError, match='no samples'):
         journal.decode_samples({'kind': 'samples', 'step': 0, 'count': 1, 'data': '???'})
     cut = {**journal.encode_samples([(0, [Sample(1, 0.5)])]), 'step': 0, 'count': 2}

@@ -31,7 +31,6 @@ from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
-from soft_throw_ros.twin.replay import follow
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.session import RequestRejected, Session
 from twin_runs import replay, Run, same
@@ -545,7 +544,7 @@ def test_journal_without_its_motion_opens_no_file(write_motion) -> None:
     change = {'kind': 'input', 'step': 0, 'input': 'parameters', 'values': {}}
     change['values'] = {'engine.motion': 'file', 'engine.motion_file': str(write_motion())}
     with pytest.raises(journal.JournalError, match=r'has no motion of .*plate\.csv'):
-        list(follow(session, change))
+        list(session.follow(change))
 
 
 def test_motion_that_is_removed_and_set_again_is_replayed(write_motion) -> None:
