@@ -59,7 +59,7 @@ class SearchSpace(NamedTuple):
 
         """
         step = 0.12 if self.rig.layer.needs_cells or loads else 0.06
-        step *= 1.8 if throws > 1 else 1.0
+        step *= 1.5 if throws > 1 else 1.0
         has_one_axis = any(low == high for low, high in self.layers)
         return 0.3 * step if has_one_axis else step
 
