@@ -130,7 +130,7 @@ def start(
         source = given.get(name)
         is_argument = source is not None and not source.in_file
         is_result = name in table.by_name and table.by_name[name].is_result
-        if is_argument or not is_result:  # files may have results, as those of a dump
+        if is_argument or not is_result:  # `ros2 param dump` writes results to files
             requests.setdefault(source.order if source else 0, {})[name] = value
     places = {}  # of values that have a known one, also by their present names
     for name, item in given.items():

@@ -517,9 +517,9 @@ class _Programme:
         felt = max(release - int(rig.crossing_time / step), 1)  # pulses that reach the projectile
         braking = 1.2 * limits.rise_time + 2.0 * limits.acceleration_time
         size = felt + math.ceil(braking / step) + 6
-        # The unknowns are the control points of the height over speed and step, from before the
-        # start on. Their differences are the pulses, whose differences bound acceleration and
-        # jerk.
+        # The unknowns are the control points of the height over speed and step.
+        # Differences of control points are pulses.
+        # Differences of pulses bound acceleration and jerk.
         rise = np.diff(np.eye(size + 1), axis=0)
         steps, bends = (np.diff(np.pad(rise, ((n, n), (0, 0))), n, axis=0) for n in (1, 2))
         force, least = self._pushing(release, size)
