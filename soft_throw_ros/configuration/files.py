@@ -21,6 +21,7 @@ and line of each, for error messages and for the order of requests.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import lru_cache
 from importlib import resources
 from itertools import pairwise
 import math
@@ -127,8 +128,9 @@ def start(
     requests: dict[int, dict[str, Value]] = {}
     for name, value in values.items():
         source = given.get(name)
-        entry = table.by_name.get(name)
-        if not (source and source.in_file and entry and entry.is_result):
+        is_argument = source is not None and not source.in_file
+        is_result = name in table.by_name and table.by_name[name].is_result
+        if is_argument or not is_result:  # `ros2 param dump` writes results to files
             requests.setdefault(source.order if source else 0, {})[name] = value
     places = {}  # of values that have a known one, also by their present names
     for name, item in given.items():
@@ -186,14 +188,15 @@ def read_arguments(arguments: Sequence[str]) -> list[Given]:
 
 def select(values: Iterable[Given], node: str) -> dict[str, Given]:
     """Return the values for one node by parameter name; the last one wins."""
+    return {item.name: item for item in values if _matches(item.node, node)}
+
+
+@lru_cache
+def _matches(pattern: str, node: str) -> bool:
+    """Return whether a pattern of ROS matches the full name of a node."""
     tokens = {'': '', '*': r'/\w+', '**': r'(/\w+)*'}
-    chosen: dict[str, Given] = {}
-    for item in values:
-        words = item.node.split('/')
-        regex = ''.join(tokens.get(word, f'/{re.escape(word)}') for word in words)
-        if re.fullmatch(regex, node):
-            chosen[item.name] = item
-    return chosen
+    regex = ''.join(tokens.get(word, f'/{re.escape(word)}') for word in pattern.split('/'))
+    return re.fullmatch(regex, node) is not None
 
 
 def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:

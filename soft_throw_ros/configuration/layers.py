@@ -305,7 +305,7 @@ def _read_materials(
     """Add the materials and the stacks of a file."""
     root = located_yaml.read(path)
     if root is None:
-        raise ParameterError(f'{path}: no material in it')
+        raise ParameterError(f'{path}: the file has no material')
     for name, node in _parts(root, 'NAME: {density: ..., ...}').items():
         if not re.fullmatch(r'[A-Za-z0-9][A-Za-z0-9_.-]*', name) or name == CUSTOM:
             raise ParameterError(

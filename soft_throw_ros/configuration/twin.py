@@ -350,48 +350,32 @@ def _custom_layer(settings: Settings, changes: Settings) -> Settings:
     return {} if is_same else {'layer.name': CUSTOM}
 
 
-def _values_of_stack(_settings: Settings, changes: Settings) -> Settings:
-    """Imply the values of a stack as a whole."""
-    return whole(_sheets(changes)) if changes.get('layer.stack') else {}
-
-
-def _no_stack(settings: Settings, changes: Settings) -> Settings:
-    """Imply that there is no stack if another value of the whole is set."""
+def _stack(settings: Settings, changes: Settings) -> Settings:
+    """Imply the values of a stack as a whole, or no stack if another of these values is set."""
+    if changes.get('layer.stack'):
+        return whole(_sheets(changes))
     is_changed = any(name in changes for name in STACKED)
     return {'layer.stack': ''} if settings['layer.stack'] and is_changed else {}
 
 
 def _motion_of_file(settings: Settings, changes: Settings) -> Settings:
-    """Imply that the plate moves by a file if one is named, and not if none is."""
-    if changes.get(motions.PARAMETER):
-        motions.read(str(changes[motions.PARAMETER]))
+    """Imply that the plate moves by a file if a readable one is named, and not if none is."""
+    path, motion = changes.get(motions.PARAMETER), changes.get('engine.motion')
+    if path or motion == 'file':
+        _engine_of_file({**settings, **changes}, motions.read)
         return {'engine.motion': 'file'}
-    is_ended = motions.PARAMETER in changes and settings['engine.motion'] == 'file'
+    is_ended = path is not None and settings['engine.motion'] == 'file'
     return {'engine.motion': 'underdamped'} if is_ended else {}
 
 
-def _require_motion(settings: Settings, changes: Settings) -> Settings:
-    """Refuse a motion by a file that is not named, or cannot be read."""
-    if changes.get('engine.motion') == 'file':
-        _engine_of_file({**settings, **changes}, motions.read)
-    return {}
-
-
-def _no_damping(_settings: Settings, changes: Settings) -> Settings:
-    """Imply no damping of a harmonic motion."""
-    return {'engine.damping_ratio': 0.0} if changes.get('engine.motion') == 'harmonic' else {}
-
-
-def _default_damping(settings: Settings, changes: Settings) -> Settings:
-    """Imply the default damping of any motion after a harmonic one."""
-    motion = changes.get('engine.motion', 'harmonic')
-    is_ended = settings['engine.motion'] == 'harmonic' and motion != 'harmonic'
-    return {'engine.damping_ratio': _RIG.engine.damping_ratio} if is_ended else {}
-
-
-def _damped_motion(settings: Settings, changes: Settings) -> Settings:
-    """Imply that a harmonic motion becomes an underdamped one if damping is set."""
-    is_damped = settings['engine.motion'] == 'harmonic' and changes.get('engine.damping_ratio')
+def _damping(settings: Settings, changes: Settings) -> Settings:
+    """Imply no damping of a harmonic motion, the default after one, or a motion with damping."""
+    motion, was_harmonic = changes.get('engine.motion'), settings['engine.motion'] == 'harmonic'
+    if motion == 'harmonic':
+        return {'engine.damping_ratio': 0.0}
+    if was_harmonic and motion:
+        return {'engine.damping_ratio': _RIG.engine.damping_ratio}
+    is_damped = was_harmonic and changes.get('engine.damping_ratio')
     return {'engine.motion': 'underdamped'} if is_damped else {}
 
 
@@ -421,7 +405,7 @@ def contradictions(settings: Settings, names: Collection[str]) -> Iterator[Param
                     'layer.name',
                 )
     if 'layer.stack' in names and settings['layer.stack']:
-        for name, value in _values_of_stack({}, settings).items():
+        for name, value in whole(_sheets(settings)).items():
             if settings[name] != value:
                 yield ParameterError(
                     f'{name} of the stack is {value:g}, got {settings[name]:g}; '
@@ -472,13 +456,9 @@ TWIN = Table(
         _require_library,
         _values_of_named_layer,
         _custom_layer,
-        _values_of_stack,
-        _no_stack,
+        _stack,
         _motion_of_file,
-        _require_motion,
-        _no_damping,
-        _default_damping,
-        _damped_motion,
+        _damping,
         _one_target,
     ),
     contradictions=contradictions,

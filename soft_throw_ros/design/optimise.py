@@ -50,7 +50,7 @@ _MAX_CANDIDATES = 4
 _CANDIDATE_TOLERANCE = 0.1
 """Part of the highest score that a candidate may lack while its patch is a grid step wide. [-]"""
 
-_SHRINK = 0.3
+_SHRINK = 0.4
 """Size of the next patch over that of a patch with its best point inside. [-]"""
 
 _ROUNDING = 1e-13
@@ -59,7 +59,7 @@ _ROUNDING = 1e-13
 _MAX_ROUNDS = 40
 """Upper bound of the rounds of a pattern search, which usually needs 6 to 15."""
 
-_PATCH = (-1.0, -0.65, -0.3, 0.0, 0.3, 0.65, 1.0)
+_PATCH = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Points of a patch along an axis, in half widths."""
 
 _EQUAL = 1e-9

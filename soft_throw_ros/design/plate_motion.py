@@ -113,9 +113,6 @@ _MIN_WAVE_FORCE = 1e-3
 _PROGRAMME_ERROR = 0.01
 """Largest relative deficit of the simulated speed against the coarse programme. [-]"""
 
-_FORCE_FACTORS = (1.0, 4.0)
-"""Factors of the two smallest forces, tried in turn if a motion meets the projectile again."""
-
 _TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)
 """Factors of the time of release that are tried in turn."""
 
@@ -246,11 +243,6 @@ class Pulses(NamedTuple):
         return self.scaled(1.0 / max(1.0, (1.0 + _ROUNDING) * max(parts)))
 
 
-def with_motion(rig: Rig, motion: SampledMotion) -> Rig:
-    """Return the rig with a plate that moves so."""
-    return replace(rig, engine=replace(rig.engine, motion=motion))
-
-
 def find_best_motion(
     rig: Rig,
     limits: PlateLimits,
@@ -300,17 +292,14 @@ def find_best_motion(
     best: Throw | None = None
     for time_factor in _TIME_FACTORS if promised > 0.0 else ():
         programme = _Programme(rig, limits, loads, model, time_factor * time, _FINE, critical)
-        for force_factor in _FORCE_FACTORS:
-            check_cancelled(cancelled)
-            pulses, _ = programme.solve(time_factor * time, force_factor)
-            throw = pulses and follow(rig, pulses, model=model, loads=loads)
-            if throw and (best is None or throw.ejection_speed > best.ejection_speed):
-                best = throw
-            is_exact = rig.layer.stress_strain_law == 'linear'
-            if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
-                return best
-            if throw and not is_exact:
-                break
+        check_cancelled(cancelled)
+        pulses, _ = programme.solve(time_factor * time)
+        throw = pulses and follow(rig, pulses, model=model, loads=loads)
+        if throw and (best is None or throw.ejection_speed > best.ejection_speed):
+            best = throw
+        is_exact = rig.layer.stress_strain_law == 'linear'
+        if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
+            return best
     if best is None:
         raise ThrowUnresolvedError(
             f'no motion of the plate throws within {limits} and strain {loads.max_strain:g}, '
@@ -430,7 +419,8 @@ def follow(rig: Rig, pulses: Pulses, *, model: str, loads: Limits) -> Throw | No
     """
     for _ in range(_SCALINGS):
         try:
-            throw = simulate(with_motion(rig, pulses.motion()), model=model)
+            engine = replace(rig.engine, motion=pulses.motion())
+            throw = simulate(replace(rig, engine=engine), model=model)
         except (ValueError, EventLimitError, ThrowUnfinishedError):
             return None
         excess = max(
@@ -525,23 +515,19 @@ class _Programme:
         self._strains = (strains[::_FINER] - strains[0]).T
         self._static_strains = strains[0] * (rig.gravity / heavy.gravity)
 
-    def solve(self, time: float, force_factor: float = 1.0) -> tuple[Pulses | None, float]:
-        """
-        Find the pulses with the largest speed at a time; return the pulses and the speed.
-
-        The layer has to push with the smallest forces times `force_factor`.
-        """
+    def solve(self, time: float) -> tuple[Pulses | None, float]:
+        """Find the pulses with the largest speed at a time; return the pulses and the speed."""
         rig, limits, step = self._rig, self._limits, self._step
         release = min(round(time / step), self._count - 1)
         felt = max(release - int(rig.crossing_time / step), 1)  # pulses that reach the projectile
         braking = 1.2 * limits.rise_time + 2.0 * limits.acceleration_time
         size = felt + math.ceil(braking / step) + 6
-        # The unknowns are the control points of the height, scaled by speed and step, beginning
-        # before the start. Pulses are the differences of the control points; the differences of
-        # pulses bound acceleration and jerk.
+        # The unknowns are the control points of the height over speed and step.
+        # Differences of control points are pulses.
+        # Differences of pulses bound acceleration and jerk.
         rise = np.diff(np.eye(size + 1), axis=0)
         steps, bends = (np.diff(np.pad(rise, ((n, n), (0, 0))), n, axis=0) for n in (1, 2))
-        force, least = self._pushing(release, size, force_factor)
+        force, least = self._pushing(release, size)
         most = self._loads.max_acceleration * rig.projectile.mass
         most /= limits.speed * rig.layer.impedance
         slowest = np.where(np.arange(size) < felt, -1.0, 0.0)
@@ -646,9 +632,7 @@ class _Programme:
             bounds[row] = self._loads.max_strain - sign * self._static_strains[height]
         return rows, bounds
 
-    def _pushing(
-        self, release: int, size: int, force_factor: float
-    ) -> tuple[Floats, Floats]:
+    def _pushing(self, release: int, size: int) -> tuple[Floats, Floats]:
         """Return the force on the projectile over time, and its lower bound, against rest."""
         rig, step = self._rig, self._step / _FINER
         scale = self._limits.speed * rig.layer.impedance
@@ -656,9 +640,9 @@ class _Programme:
         rows = np.where(index > 0, self._force[np.maximum(index, 0)], 0.0) / rig.layer.impedance
         rows[np.abs(rows) < 1e-9 * np.abs(rows).max()] = 0.0
         weight = rig.projectile.mass * rig.gravity / scale
-        bound = np.full(len(rows), (force_factor * _MIN_CONTACT_FORCE - 1.0) * weight)
+        bound = np.full(len(rows), (_MIN_CONTACT_FORCE - 1.0) * weight)
         times = step * np.arange(1, len(rows) + 1)
         crossing = rig.crossing_time
         inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
-        bound[inside] += force_factor * _MIN_WAVE_FORCE
+        bound[inside] += _MIN_WAVE_FORCE
         return rows, bound

@@ -375,7 +375,7 @@ class _Search(NamedTuple):
             space.layers,
             step=space.grid_step(loads=self.limits.of_loads, throws=score.throws_per_layer),
             starts=[layer for layer in known if space.layers.contains(*layer)],
-            tolerance=5e-4 if has_cells else 1e-5,
+            tolerance=5e-4 if has_cells else 1e-4,
         )
 
     def _finish(self, space: SearchSpace, best: Optimum | None) -> _Candidate | None:

@@ -180,6 +180,13 @@ def test_arguments_that_contradict_each_other_are_refused() -> None:
         start(arguments)
 
 
+def test_results_are_ignored_except_in_arguments() -> None:
+    result = {'recommended.thickness': 0.01}
+    assert files.start(result, {}) == TWIN.defaults()
+    with pytest.raises(ParameterError, match=r'^-p recommended\.thickness:=0\.01: '):
+        start(['--ros-args', '-p', 'recommended.thickness:=0.01'])
+
+
 def test_arguments_outside_ros_args_are_ignored() -> None:
     assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == TWIN.defaults()
 

@@ -235,7 +235,7 @@ def test_error_is_quoted_with_file_and_line(
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        ('', 'no material in it'),
+        ('', 'has no material'),
         ('- foam\n', r":1: expected NAME: {density: ..., ...}, got \['foam'\]"),
         ('foam: soft\n', ":1: expected PROPERTY: VALUE, got 'soft'"),
         (FOAM + FOAM, ':8: foam is given twice'),
