@@ -345,16 +345,12 @@ class CellStepper(Stepper):
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
-    motion : Underdamped, SampledMotion, 'measured' or None
-        Motion of the plate; None is the engine's, 'measured' waits for `append_plate_states`.
+    rig, motion, field_points
+        As for `throw.make_stepper`.
     model : str
         One of `CELL_MODELS`.
     cells : int, optional
         Number of cells of the layer, from 1 to `MAX_CELLS`; the default is `cells_per_layer`.
-    field_points : int
-        Heights at which the layer is read, 2 or more.
 
     Raises
     ------

@@ -76,27 +76,19 @@ class EventLimitError(RuntimeError):
 
 
 class Event(NamedTuple):
-    """
-    The projectile left the layer, or touched it again.
-
-    Attributes
-    ----------
-    kind : {'release', 'recontact', 'landing'}
-        A re-contact is when the layer catches up with a projectile that has not fallen back yet;
-        a landing is when it has come down under gravity, and every contact after that.
-    time : float
-        Since the start. [s]
-    position : float
-        Height of the projectile's lower face above the plate's rest position. [m]
-    velocity : float
-        Velocity of the projectile, the same before and after the event. [m/s]
-
-    """
+    """The projectile left the layer, or touched it again."""
 
     kind: Literal['release', 'recontact', 'landing']
+    """
+    A re-contact is when the layer catches up with a projectile that has not fallen back yet; a
+    landing is when it has come down under gravity, and every contact after that.
+    """
     time: float
+    """Since the start. [s]"""
     position: float
+    """Height of the projectile's lower face above the plate's rest position. [m]"""
     velocity: float
+    """Velocity of the projectile, the same before and after the event. [m/s]"""
 
 
 class Loads(NamedTuple):
@@ -115,35 +107,22 @@ class Loads(NamedTuple):
 
 
 class FirstThrows(NamedTuple):
-    r"""
-    First releases and loads of many throws, without units.
-
-    Attributes
-    ----------
-    ejection_phase : ndarray
-        :math:`t_e f`. [-]
-    speed : ndarray
-        :math:`V_e / (A \omega)`. [-]
-    energy_transfer : ndarray
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-    peak_strain : ndarray
-        Largest strain in the layer, over :math:`A \omega / c_s`. [-]
-    peak_acceleration : ndarray
-        Largest acceleration of the projectile, over :math:`A \omega^2`. [-]
-    peak_plate_force : ndarray
-        Largest force of the layer on the plate, over :math:`A \omega E_s S / c_s`. [-]
-    plate_work : ndarray
-        Work of the plate up to the release, over :math:`m (A \omega)^2`. [-]
-
-    """
+    """First releases and loads of many throws, without units."""
 
     ejection_phase: Floats
+    """:math:`t_e f`. [-]"""
     speed: Floats
+    r""":math:`V_e / (A \omega)`. [-]"""
     energy_transfer: Floats
+    r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
     peak_strain: Floats
+    r"""Largest strain in the layer, over :math:`A \omega / c_s`. [-]"""
     peak_acceleration: Floats
+    r"""Largest acceleration of the projectile, over :math:`A \omega^2`. [-]"""
     peak_plate_force: Floats
+    r"""Largest force of the layer on the plate, over :math:`A \omega E_s S / c_s`. [-]"""
     plate_work: Floats
+    r"""Work of the plate up to the release, over :math:`m (A \omega)^2`. [-]"""
 
     @classmethod
     def collect(

@@ -142,14 +142,10 @@ class WaveStepper(Stepper):
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
-    motion : Underdamped, SampledMotion, 'measured' or None
-        Motion of the plate; None is the engine's, 'measured' waits for `append_plate_states`.
+    rig, motion, field_points
+        As for `throw.make_stepper`.
     steps : int, optional
         Per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
-    field_points : int
-        Heights at which the layer is read, 2 or more.
 
     Raises
     ------
