@@ -151,9 +151,9 @@ ROW = Row()
 ROWS = 40
 """Number of rows."""
 
-# A stepper has three records: the state at a step of the grid, the state at the requested time,
-# and the initial state for a reset. A pair of values is below and above the contact, or at the
-# plate and at the top of the layer.
+# A stepper has three records. The first is the state at a step of the grid, the second is the
+# state at the requested time, and the third is the initial state for a reset. A pair of values is
+# below and above the contact, or at the plate and at the top of the layer.
 RECORD = np.dtype(
     [
         # constants
@@ -162,14 +162,13 @@ RECORD = np.dtype(
         ('cells', 'i8'),  # number of cells of the layer
         ('first_node', 'i8'),  # lowest node of the layer
         ('contact_link', 'i8'),
-        ('is_massless', '?'),
         ('is_curved', '?'),  # a sheet is neo-Hookean
         ('has_maxwell', '?'),
         ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
         ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
         ('maxwell_decay', 'f8', (3,)),  # share of the stretch that is left after a step
         ('maxwell_gain', 'f8', (3,)),  # share of a new stretch that an element takes
-        ('relaxation_rate', 'f8'),  # stiffness over viscosity, of a free end without mass [1/s]
+        ('relaxation_rate', 'f8'),  # E / eta of a layer without mass, 0 for others [1/s]
         ('mass', 'f8'),  # of the projectile [kg]
         ('face_node_mass', 'f8'),  # share of the projectile in the mass of its lowest node [kg]
         ('carried_mass', 'f8'),  # above the contact [kg]
@@ -422,16 +421,15 @@ def _prepare_links(s, nodes, omega):
 def _prepare_contact(s, nodes):
     """Prepare free ends, the equations of flight and contact, and the nodes that land as one."""
     last, link = nodes.shape[1] - 1, s.contact_link
-    s.is_massless = link > 0 and nodes[ROW.mass, link] == 0.0
-    s.relaxation_rate = math.inf
-    if s.is_massless and nodes[ROW.viscosity, 0] > 0.0:
+    is_massless = link > 0 and nodes[ROW.mass, link] == 0.0
+    if is_massless:  # infinite without loss
         s.relaxation_rate = nodes[ROW.stiffness, 0] / nodes[ROW.viscosity, 0]
     # A dashpot that takes half of the momentum of a free end in half a step ends its alternation
     if link > 0:
         nodes[ROW.viscosity, link - 1] += s.rate * nodes[ROW.mass, link]
     if link + 2 <= last:
         nodes[ROW.viscosity, link + 1] += s.rate * nodes[ROW.mass, link + 1]
-    factorise(s, nodes, 1 if s.is_massless else 0, 0)
+    factorise(s, nodes, 1 if is_massless else 0, 0)
     factorise(s, nodes, 1 if link == 0 else 0, 1)
     s.contact = True
     _choose_system(s)
@@ -609,7 +607,7 @@ def _move_first_node(s, nodes, height, speed, acceleration):
     if s.contact_link == 0 and s.contact:
         nodes[ROW.displacement, 1], nodes[ROW.mean_velocity + now, 1] = height, speed
         nodes[ROW.velocity, 1] = nodes[ROW.velocity, 0]
-    elif s.is_massless and not s.contact:
+    elif s.relaxation_rate > 0.0 and not s.contact:
         _creep(s, nodes, now, s.below_before - before)
 
 

@@ -36,7 +36,7 @@ from soft_throw_ros.core.plate_kernels import (
     MAX_PIECES_AHEAD,
     write_motion,
 )
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Layer, Rig
 
 Floats = NDArray[np.float64]
 
@@ -478,6 +478,30 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
     if not low <= value <= high:
         raise ValueError(f'{name} must be from {low} to {high}, got {value}')
     return int(value)
+
+
+def require_rate(layer: Layer, needed: float, *, limit: float, unit: str) -> None:
+    """Raise ValueError with a remedy if a layer needs more steps per second than the limit."""
+    factor = needed / limit
+    if factor > 1.0:
+        raise ValueError(
+            f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
+            f'needs {needed:.3g} {unit} per second, the limit is {limit:g}; feasible: '
+            f'layer.thickness of {1.001 * layer.thickness * factor:.4g} m or more, or '
+            f'layer.wave_speed of {0.999 * layer.wave_speed / factor:.4g} m/s or less'
+        )
+
+
+def require_steps_per_period(rig: Rig, steps: float, *, limit: int, unit: str) -> int:
+    """Return the count of a unit for some steps in a period of the plate, or raise ValueError."""
+    needed = math.ceil(steps * rig.crossing_time * rig.engine.frequency)
+    if needed > limit:
+        raise ValueError(
+            f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
+            f'{rig.crossing_time:.4g} s needs {needed} {unit}, the limit is {limit}; feasible: '
+            f'engine.frequency of {0.999 * rig.engine.frequency * limit / needed:.4g} Hz or less'
+        )
+    return needed
 
 
 def require_target(name: str, array: Floats, shape: tuple[int, ...]) -> None:
