@@ -54,6 +54,8 @@ from soft_throw_ros.core.stepper import (
     load_kernels,
     Loads,
     require_count,
+    require_rate,
+    require_steps_per_period,
     Stepper,
 )
 
@@ -134,7 +136,7 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
                 f'layer.wave_speed of {rig.layer.wave_speed * MAX_UPDATE_RATE / rate:.4g} m/s'
             )
         return 1
-    layer, crossing = rig.layer, rig.crossing_time
+    layer = rig.layer
     per_cell = 1.0
     if model == 'cells_elastic':
         per_cell += max(rig.crossing_ratio, 2.0 / _CELLS)
@@ -146,17 +148,9 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
                 f'the cells of the layer, the limit is {_MAX_CROSSING_RATIO:g}; '
                 f'feasible: projectile.youngs_modulus of {1.001 * stiffer:.4g} Pa or more'
             )
-    rate = MAX_UPDATE_RATE * crossing_time(rig) / per_cell
-    limit = min(MAX_CELLS, math.floor(math.sqrt(rate)))
-    if limit < _CELLS:
-        longer = _CELLS**2 / rate
-        raise ValueError(
-            f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
-            f'needs {MAX_UPDATE_RATE * longer:.3g} updates of cells per second, the limit is '
-            f'{MAX_UPDATE_RATE:g}; feasible: layer.thickness of '
-            f'{1.001 * layer.thickness * longer:.4g} m or more, or layer.wave_speed of '
-            f'{0.999 * layer.wave_speed / longer:.4g} m/s or less'
-        )
+    rate = per_cell / crossing_time(rig)  # updates per second, over the square of the cells
+    require_rate(layer, _CELLS**2 * rate, limit=MAX_UPDATE_RATE, unit='updates of cells')
+    limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
     for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
     if for_mass > limit:
         least = rig.projectile.mass * for_mass / limit
@@ -165,15 +159,8 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
             f'{for_mass} cells, the limit is {limit}; '
             f'feasible: projectile.mass of {1.001 * least:.4g} kg or more'
         )
-    periods = crossing * rig.engine.frequency
-    for_plate = math.ceil(_MIN_STEPS_PER_PERIOD * periods)
-    if for_plate > limit:
-        most = rig.engine.frequency * limit / for_plate
-        raise ValueError(
-            f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
-            f'{crossing:.4g} s needs {for_plate} cells, the limit is {limit}; '
-            f'feasible: engine.frequency of {0.999 * most:.4g} Hz or less'
-        )
+    require_steps_per_period(rig, _MIN_STEPS_PER_PERIOD, limit=limit, unit='cells')
+    periods = rig.crossing_time * rig.engine.frequency
     wanted = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD * periods)
     return min(max(_CELLS, math.ceil(min(wanted, MAX_CELLS))), limit)
 
@@ -345,16 +332,12 @@ class CellStepper(Stepper):
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
-    motion : Underdamped, SampledMotion, 'measured' or None
-        Motion of the plate; None is the engine's, 'measured' waits for `append_plate_states`.
+    rig, motion, field_points
+        As for `throw.make_stepper`.
     model : str
         One of `CELL_MODELS`.
     cells : int, optional
         Number of cells of the layer, from 1 to `MAX_CELLS`; the default is `cells_per_layer`.
-    field_points : int
-        Heights at which the layer is read, 2 or more.
 
     Raises
     ------

@@ -485,7 +485,7 @@ class Rig:
 
 
 def values_of(rig: Rig) -> dict[str, float]:
-    """Return the numbers of a rig, `mass` for that of its projectile; without its elasticity."""
+    """Return the numbers of engine and layer, the gravity, and the mass of the projectile."""
     values = {**vars(rig.engine), **vars(rig.layer), 'gravity': rig.gravity}
     values = {name: value for name, value in values.items() if isinstance(value, float)}
     return {**values, 'mass': rig.projectile.mass}

@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import FirstRelease
 
@@ -69,8 +69,4 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     """
     q = checks.require_positive_array('frequency_ratio', frequency_ratio)
     speed = math.pi * q / (q + 1.0) * np.sinc((q - 1.0) / (q + 1.0))
-    return FirstRelease(*map(_as_float_if_scalar, (1.0 / (1.0 + q), speed, speed**2)))
-
-
-def _as_float_if_scalar(values: NDArray[np.float64]) -> float | NDArray[np.float64]:
-    return values if np.ndim(values) else float(values)
+    return FirstRelease(1.0 / (1.0 + q), speed, speed**2)

@@ -36,7 +36,7 @@ from soft_throw_ros.core.plate_kernels import (
     MAX_PIECES_AHEAD,
     write_motion,
 )
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Layer, Rig
 
 Floats = NDArray[np.float64]
 
@@ -76,27 +76,19 @@ class EventLimitError(RuntimeError):
 
 
 class Event(NamedTuple):
-    """
-    The projectile left the layer, or touched it again.
-
-    Attributes
-    ----------
-    kind : {'release', 'recontact', 'landing'}
-        A re-contact is when the layer catches up with a projectile that has not fallen back yet;
-        a landing is when it has come down under gravity, and every contact after that.
-    time : float
-        Since the start. [s]
-    position : float
-        Height of the projectile's lower face above the plate's rest position. [m]
-    velocity : float
-        Velocity of the projectile, the same before and after the event. [m/s]
-
-    """
+    """The projectile left the layer, or touched it again."""
 
     kind: Literal['release', 'recontact', 'landing']
+    """
+    A re-contact is when the layer catches up with a projectile that has not fallen back yet; a
+    landing is when it has come down under gravity, and every contact after that.
+    """
     time: float
+    """Since the start. [s]"""
     position: float
+    """Height of the projectile's lower face above the plate's rest position. [m]"""
     velocity: float
+    """Velocity of the projectile, the same before and after the event. [m/s]"""
 
 
 class Loads(NamedTuple):
@@ -115,35 +107,22 @@ class Loads(NamedTuple):
 
 
 class FirstThrows(NamedTuple):
-    r"""
-    First releases and loads of many throws, without units.
-
-    Attributes
-    ----------
-    ejection_phase : ndarray
-        :math:`t_e f`. [-]
-    speed : ndarray
-        :math:`V_e / (A \omega)`. [-]
-    energy_transfer : ndarray
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-    peak_strain : ndarray
-        Largest strain in the layer, over :math:`A \omega / c_s`. [-]
-    peak_acceleration : ndarray
-        Largest acceleration of the projectile, over :math:`A \omega^2`. [-]
-    peak_plate_force : ndarray
-        Largest force of the layer on the plate, over :math:`A \omega E_s S / c_s`. [-]
-    plate_work : ndarray
-        Work of the plate up to the release, over :math:`m (A \omega)^2`. [-]
-
-    """
+    """First releases and loads of many throws, without units."""
 
     ejection_phase: Floats
+    """:math:`t_e f`. [-]"""
     speed: Floats
+    r""":math:`V_e / (A \omega)`. [-]"""
     energy_transfer: Floats
+    r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
     peak_strain: Floats
+    r"""Largest strain in the layer, over :math:`A \omega / c_s`. [-]"""
     peak_acceleration: Floats
+    r"""Largest acceleration of the projectile, over :math:`A \omega^2`. [-]"""
     peak_plate_force: Floats
+    r"""Largest force of the layer on the plate, over :math:`A \omega E_s S / c_s`. [-]"""
     plate_work: Floats
+    r"""Work of the plate up to the release, over :math:`m (A \omega)^2`. [-]"""
 
     @classmethod
     def collect(
@@ -499,6 +478,30 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
     if not low <= value <= high:
         raise ValueError(f'{name} must be from {low} to {high}, got {value}')
     return int(value)
+
+
+def require_rate(layer: Layer, needed: float, *, limit: float, unit: str) -> None:
+    """Raise ValueError with a remedy if a layer needs more steps per second than the limit."""
+    factor = needed / limit
+    if factor > 1.0:
+        raise ValueError(
+            f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
+            f'needs {needed:.3g} {unit} per second, the limit is {limit:g}; feasible: '
+            f'layer.thickness of {1.001 * layer.thickness * factor:.4g} m or more, or '
+            f'layer.wave_speed of {0.999 * layer.wave_speed / factor:.4g} m/s or less'
+        )
+
+
+def require_steps_per_period(rig: Rig, steps: float, *, limit: int, unit: str) -> int:
+    """Return the count of a unit for some steps in a period of the plate, or raise ValueError."""
+    needed = math.ceil(steps * rig.crossing_time * rig.engine.frequency)
+    if needed > limit:
+        raise ValueError(
+            f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
+            f'{rig.crossing_time:.4g} s needs {needed} {unit}, the limit is {limit}; feasible: '
+            f'engine.frequency of {0.999 * rig.engine.frequency * limit / needed:.4g} Hz or less'
+        )
+    return needed
 
 
 def require_target(name: str, array: Floats, shape: tuple[int, ...]) -> None:

@@ -121,9 +121,9 @@ def make_stepper(
     Parameters
     ----------
     rig, motion, model, cells
-        As for `simulate`; the motion may also be 'measured'.
+        As for `simulate`; the motion may also be 'measured', given by `append_plate_states`.
     field_points : int
-        Heights at which the layer is read.
+        Heights at which the layer is read, 2 or more.
 
     Raises
     ------
@@ -329,18 +329,12 @@ def simulate(
 
     Notes
     -----
-    `travelling_wave` is for a rigid projectile on a layer of one material without loss.
-    `cells` takes any layer, with loss and large strain; `cells_elastic`
-    an elastic projectile, too, whose speed is that of its centre of mass;
-    `cells_glued` has the layer glued to the projectile and thrown along, as in [1]_,
-    and speeds of their common centre of mass. `spring_mass` is a layer without mass (App. A of
-    [2]_), for any plate and with gravity. `soft_throw_ros.core.wave_stepper` and `cell_stepper`
-    say how exact they are.
-
-    References
-    ----------
-    .. [1] Celestini, Raufaste et al. (2020), reference 27 of [2]_.
-    .. [2] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+    `travelling_wave` is for a rigid projectile on a layer of one material without loss. `cells`
+    takes any layer, with loss and large strain; `cells_elastic` an elastic projectile, too, whose
+    speed is that of its centre of mass; `cells_glued` has the layer glued to the projectile and
+    thrown along, as in reference 27 of the paper, with speeds of their common centre of mass.
+    `spring_mass` is a layer without mass (App. A of the paper), for any plate and with gravity.
+    `wave_stepper.steps_per_crossing` and `cell_stepper.cells_per_layer` give the errors.
 
     Examples
     --------

@@ -84,35 +84,22 @@ def check_cancelled(cancelled: Cancelled | None) -> None:
 
 
 class Throws(NamedTuple):
-    r"""
-    First releases of many throws and their loads; arrays of one shape, NaN without a release.
-
-    Attributes
-    ----------
-    ejection_time : ndarray
-        :math:`t_e`. [s]
-    ejection_speed : ndarray
-        :math:`V_e`. [m/s]
-    energy_transfer : ndarray
-        :math:`\alpha`. [-]
-    peak_strain : ndarray
-        Largest magnitude of the strain in the layer. [-]
-    peak_acceleration : ndarray
-        Largest magnitude of the projectile's acceleration. [m/s2]
-    peak_force : ndarray
-        Largest magnitude of the layer's force on the plate. [N]
-    plate_work : ndarray
-        Work of the plate up to the release. [J]
-
-    """
+    """First releases and loads of many throws, arrays of one shape; NaN without a release."""
 
     ejection_time: Floats
+    """:math:`t_e`. [s]"""
     ejection_speed: Floats
+    """:math:`V_e`. [m/s]"""
     energy_transfer: Floats
+    r""":math:`\alpha`. [-]"""
     peak_strain: Floats
+    """Largest magnitude of the strain in the layer. [-]"""
     peak_acceleration: Floats
+    """Largest magnitude of the projectile's acceleration. [m/s2]"""
     peak_force: Floats
+    """Largest magnitude of the layer's force on the plate. [N]"""
     plate_work: Floats
+    """Work of the plate up to the release. [J]"""
 
 
 def throw_many(

@@ -35,6 +35,8 @@ from soft_throw_ros.core.stepper import (
     Loads,
     MAX_EVENTS,
     require_count,
+    require_rate,
+    require_steps_per_period,
     Stepper,
 )
 from soft_throw_ros.core.wave_kernels import (
@@ -110,25 +112,12 @@ def steps_per_crossing(rig: Rig) -> int:
 
     """
     rig.check_for_waves()
-    layer, crossing = rig.layer, rig.crossing_time
-    shortest = _FEWEST_STEPS / MAX_STEP_RATE
-    if crossing < shortest:
-        raise ValueError(
-            f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
-            f'needs {_FEWEST_STEPS / crossing:.3g} steps per second, the limit is '
-            f'{MAX_STEP_RATE:g}; feasible: layer.thickness of '
-            f'{1.001 * shortest * layer.wave_speed:.4g} m or more, or layer.wave_speed of '
-            f'{0.999 * layer.thickness / shortest:.4g} m/s or less'
-        )
-    limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * crossing))
-    for_plate = math.ceil(_STEPS_PER_PERIOD * crossing * rig.engine.frequency)
-    if for_plate > limit:
-        most = rig.engine.frequency * limit / for_plate
-        raise ValueError(
-            f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
-            f'{crossing:.4g} s needs {for_plate} steps per crossing of the wave, the limit is '
-            f'{limit}; feasible: engine.frequency of {0.999 * most:.4g} Hz or less'
-        )
+    slowest = _FEWEST_STEPS / rig.crossing_time
+    require_rate(rig.layer, slowest, limit=MAX_STEP_RATE, unit='steps')
+    limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * rig.crossing_time))
+    for_plate = require_steps_per_period(
+        rig, _STEPS_PER_PERIOD, limit=limit, unit='steps per crossing of the wave'
+    )
     for_mass = math.ceil(min(_STEPS_PER_RELAXATION / rig.mass_ratio, _MOST_FOR_RELAXATION))
     for_echo = math.ceil(min(_STEPS_PER_ECHO / rig.mass_ratio, _MOST_FOR_ECHO))
     return min(max(_STEPS, for_mass, for_echo, for_plate), limit)
@@ -142,14 +131,10 @@ class WaveStepper(Stepper):
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
-    motion : Underdamped, SampledMotion, 'measured' or None
-        Motion of the plate; None is the engine's, 'measured' waits for `append_plate_states`.
+    rig, motion, field_points
+        As for `throw.make_stepper`.
     steps : int, optional
         Per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
-    field_points : int
-        Heights at which the layer is read, 2 or more.
 
     Raises
     ------
