@@ -176,7 +176,7 @@ class Knowledge:
         joint = np.vstack([-shifts.T, np.eye(len(sizes))]) * sizes
         covariance = joint @ joint.T
         covariance[:count, :count] += seen
-        return covariance
+        return np.asarray(covariance)
 
     def errors(self) -> dict[str, float]:
         """Return standard errors by names."""
