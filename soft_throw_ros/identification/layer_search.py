@@ -29,7 +29,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import changed_rig, LAYER, values_of
 from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
 from soft_throw_ros.identification.parameter_layout import OWN, START
@@ -40,10 +40,10 @@ from soft_throw_ros.identification.tracks import Track
 NEAR = 9.0
 """Largest increase of chi squared at another minimum that is reported. [-]"""
 
-_WAVE_SPEEDS = np.geomspace(1.0, 200.0, 961).tolist()
+_WAVE_SPEEDS = np.geomspace(1.0, 200.0, 641).tolist()
 """Wave speeds of the grid; the valleys of chi squared may be less than a percent wide. [m/s]"""
 
-_THICKNESSES = np.geomspace(0.6, 1.6, 9).tolist()
+_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Thicknesses of the grid, relative to the given one. [-]"""
 
 _MIN_THICKNESS = 1e-4  # smallest thickness of the search [m]
@@ -61,12 +61,15 @@ _MAX_STARTS = 4  # largest number of fits of other minima, the most promising on
 _APART = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
 
 
-class PlateAtWork(NamedTuple):
-    """The motion of the plate of a throw, and the time of its start [s]."""
+class SearchedThrow(NamedTuple):
+    """A throw whose layer is searched."""
 
-    engine: Engine
+    rig: Rig
     motion: PlateWithWaves
     start_time: float
+    """[s]"""
+    searched: tuple[str, ...]
+    """Parameters of the rig that the search changes."""
 
 
 class LayerCandidate(NamedTuple):
@@ -102,14 +105,18 @@ def find_layers(model: RigModel) -> list[Rig]:
     )
     model = replace(model, throws=throws)
     start = model.start()
-    at_work = {}
-    for throw in used:
-        rig, motion = model.motion(start, throw)
-        at_work[throw] = PlateAtWork(rig.engine, motion, model.value(start, START, throw))
+    searched = {}
+    for number in used:
+        treatments = {n: model.description.treatment(n, throws[number].name) for n in free}
+        searched[number] = SearchedThrow(
+            *model.motion(start, number),
+            model.value(start, START, number),
+            tuple(name for name, treatment in treatments.items() if treatment.value is None),
+        )
     early = model.cut_after(_PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
-    candidates = _best_of(_search_grid(early, at_work, free))
+    candidates = _best_of(_search_grid(early, searched, free))
     # Early heights are much alike on many layers; the flight afterwards is not
     end = max(model.flight_end(candidates[0].rig), _PERIODS / model.rig.engine.frequency)
     refined = _refine(model.cut_after(end), candidates, free)
@@ -163,7 +170,7 @@ def _is_apart(fit: Fit, other: Fit) -> bool:
 
 
 def _search_grid(
-    model: RigModel, at_work: Mapping[int, PlateAtWork], free: set[str]
+    model: RigModel, searched: Mapping[int, SearchedThrow], free: set[str]
 ) -> list[LayerCandidate]:
     """Return the minima among all wave speeds and some thicknesses, without loss."""
     rig = model.rig
@@ -175,7 +182,7 @@ def _search_grid(
     candidates = []
     for thickness in _thicknesses(model, free):
         row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
-        candidates += _minima(model, at_work, [changed_rig(rig, each) for each in row])
+        candidates += _minima(model, searched, [changed_rig(rig, each) for each in row])
     if not candidates:
         raise FitError('the models can follow no throw of such a projectile on any layer')
     return candidates
@@ -210,10 +217,10 @@ def _best_of(candidates: Sequence[LayerCandidate]) -> list[LayerCandidate]:
 
 
 def _minima(
-    model: RigModel, at_work: Mapping[int, PlateAtWork], rigs: Sequence[Rig]
+    model: RigModel, searched: Mapping[int, SearchedThrow], rigs: Sequence[Rig]
 ) -> list[LayerCandidate]:
     """Return the rigs of a row that fit better than their neighbours."""
-    chi2 = [math.inf, *(_mismatch(model, at_work, rig) for rig in rigs), math.inf]
+    chi2 = [math.inf, *(_mismatch(model, searched, rig) for rig in rigs), math.inf]
     return [
         LayerCandidate(chi2[k], rig)
         for k, rig in enumerate(rigs, 1)
@@ -221,18 +228,16 @@ def _minima(
     ]
 
 
-def _mismatch(model: RigModel, at_work: Mapping[int, PlateAtWork], rig: Rig) -> float:
+def _mismatch(model: RigModel, searched: Mapping[int, SearchedThrow], rig: Rig) -> float:
     """Return the sum of squares for any zero of heights; infinity for an impossible throw."""
-    rigs = replace(model, rig=rig).rigs
     total = 0.0
-    for throw, _, track in model.projectiles:
-        plate = at_work[throw]
+    for number, _, track in model.projectiles:
+        throw = searched[number]
         some = slice(None, None, -(-track.time.size // _SAMPLES))
-        time, height = track.time[some] - plate.start_time, track.position[some]
+        time, height = track.time[some] - throw.start_time, track.position[some]
+        changed = changed_rig(throw.rig, values_of(rig, throw.searched))
         try:
-            path = model.simulator.follow(
-                replace(rigs[throw], engine=plate.engine), time, motion=plate.motion
-            )
+            path = model.simulator.follow(changed, time, motion=throw.motion)
         except FitError:
             return math.inf
         total += time.size * float(np.var(height - path.position)) / track.noise**2

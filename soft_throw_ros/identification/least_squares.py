@@ -478,7 +478,7 @@ def estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
 
     """
     squares = np.convolve(residuals, _CURVATURE, 'valid') ** 2
-    speeds = np.zeros_like(squares) if speed is None else speed[1:-1] ** 2
+    speeds = speed[1:-1] ** 2
     kept = np.ones(squares.size, bool)
     for _ in range(8):
         level, growth = _estimate_variance(squares[kept], speeds[kept])

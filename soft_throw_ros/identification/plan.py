@@ -127,32 +127,56 @@ class Knowledge:
     names: tuple[str, ...]
     """Names of n parameters; thicknesses and masses unlike the rig's have values in brackets."""
     information: Floats
-    """Inverse of the covariance of parameters and causes, shape (n + k, n + k)."""
+    """
+    Information about the parameters and the causes, as if causes were parameters without a prior.
+
+    Its shape is (n + k, n + k).
+    """
     effects: tuple[UnseenEffect, ...] = ()
-    """Unseen effects; their causes of size 1 follow the parameters."""
+    """Unseen effects, in the order of their causes."""
 
     @classmethod
     def of_fit(cls, found: RigFit) -> Knowledge:
         """Return the information of earlier throws from their fit, including all priors."""
-        names = [name for name in found.fit.names if '[' not in name]
+        names = tuple(name for name in found.fit.names if '[' not in name)
         indices = [found.fit.names.index(name) for name in names]
         # Rounding has many causes, of which none changes a release
-        effects = tuple(effect for effect in found.effects if effect.name != ROUNDING)
+        effects = tuple(
+            effect._replace(are_pairs=False, margin=1.0)
+            for effect in found.effects
+            if effect.name != ROUNDING
+        )
         shifts = np.concatenate([
             np.zeros((0, len(names))),
             *(found.fit.unseen[effect.name][:, indices] for effect in effects),
         ])
-        seen = _inverse(found.fit.covariance[np.ix_(indices, indices)] - shifts.T @ shifts)
-        # A cause of size 1 shifts the fitted values, whose errors then have the other sign
-        joint = np.vstack([np.eye(len(names)), shifts])
-        information = joint @ seen @ joint.T
-        information[len(names):, len(names):] += np.eye(len(shifts))
-        return cls(names=tuple(names), information=information, effects=effects)
+        seen = found.fit.covariance[np.ix_(indices, indices)] - shifts.T @ shifts
+        return cls(names=names, information=_information(seen, shifts), effects=effects)
+
+    @cached_property
+    def seen(self) -> tuple[Floats, Floats]:
+        """Covariance without the effects, (n, n), and shifts by causes of size 1, (k, n)."""
+        count = len(self.names)
+        seen = _inverse(self.information[:count, :count])
+        return seen, self.information[count:, :count] @ seen
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance of parameters and causes."""
-        return _inverse(self.information)
+        """Covariance of parameters and causes; the causes are independent, as in a fit."""
+        count = len(self.names)
+        seen, shifts = self.seen
+        squares = np.diag(self.information)[count:]
+        squares = squares - np.sum(shifts * self.information[count:, :count], axis=1)
+        sizes, first = np.ones(len(shifts)), 0
+        for effect in self.effects:
+            causes = slice(first, first + effect.time.size)
+            sizes[causes] = effect.sizes(squares[causes].clip(0.0), np.zeros(effect.time.size))
+            first = causes.stop
+        # A cause shifts the fitted values, so that their errors have the other sign
+        joint = np.vstack([-shifts.T, np.eye(len(sizes))]) * sizes
+        covariance = joint @ joint.T
+        covariance[:count, :count] += seen
+        return np.asarray(covariance)
 
     def errors(self) -> dict[str, float]:
         """Return standard errors by names."""
@@ -167,6 +191,12 @@ class Knowledge:
         """Logarithm of the determinant of the covariance of the sought parameters."""
         sought = [k for k, name in enumerate(self.names) if name.partition('[')[0] in LAYER]
         return float(np.linalg.slogdet(self.covariance[np.ix_(sought, sought)])[1])
+
+
+def _information(seen: Floats, shifts: Floats) -> Floats:
+    """Return the information of a covariance (n, n) and of shifts by causes (k, n)."""
+    joint = np.vstack([np.eye(len(seen)), shifts])
+    return np.asarray(joint @ _inverse(seen) @ joint.T)
 
 
 def _inverse(matrix: Floats) -> Floats:
@@ -282,7 +312,7 @@ class Planner:
         """Unseen effects of the throws; with a fit, those of its throws, which more reduce."""
         if self.measured:
             return self.measured.effects
-        return tuple(effect.scaled() for effect in unseen_effects(self._model, self._values)[0])
+        return tuple(unseen_effects(self._model, self._values)[0])
 
     @cached_property
     def information(self) -> tuple[Floats, ...]:
@@ -321,15 +351,14 @@ class Planner:
             for name, index in self._shared.items()
         ]
         count = sum(effect.time.size for effect in self._effects)
-        precision = np.array(errors) ** -2.0
-        information = np.diag(np.append(precision, np.full(count, 0.0 if measured else 1.0)))
+        information = np.diag(np.append(np.array(errors) ** -2.0, np.zeros(count)))
         if self.measured:
             kept = [k for k, name in enumerate(measured) if name in self._shared]
             here = [self.names.index(measured[k]) for k in kept]
-            kept += range(len(measured), len(measured) + count)
             here += range(len(errors), len(errors) + count)
-            information[np.ix_(here, here)] += _inverse(
-                self.measured.covariance[np.ix_(kept, kept)]
+            seen, shifts = self.measured.seen
+            information[np.ix_(here, here)] += _information(
+                seen[np.ix_(kept, kept)], shifts[:, kept]
             )
         return Knowledge(names=self.names, information=information, effects=self._effects)
 

@@ -110,10 +110,9 @@ class UnseenEffect(NamedTuple):
             causes = random.permutation(causes)
         return causes @ np.column_stack([self.time, self.speed])
 
-    def scaled(self, seen: Floats | float = 0.0, products: Floats | float = 0.0) -> UnseenEffect:
-        """Return the effect with the sizes before a fit, or after one with such `sizes`."""
-        zeros = np.zeros(self.time.size)
-        sizes = self.sizes(zeros + seen, zeros + products)
+    def scaled(self, seen: Floats, products: Floats) -> UnseenEffect:
+        """Return the effect with the sizes after a fit, see `sizes`."""
+        sizes = self.sizes(seen, products)
         return self._replace(
             heights=sizes[:, None] * self.heights,
             time=sizes * self.time,
@@ -191,9 +190,8 @@ def add_unseen(model: RigModel, fit: Fit) -> tuple[Fit, list[UnseenEffect], list
     effects, skipped = unseen_effects(model, fit.values)
     shifts = {}
     for index, effect in enumerate(effects):
-        # Noise that is estimated from rounded heights does not show how large their errors are
-        scores = (0.0, 0.0) if effect.name == ROUNDING else linear.score(effect.heights)
-        effects[index] = effect.scaled(*scores)
+        if effect.name != ROUNDING:  # noise of rounded heights does not show their errors
+            effects[index] = effect.scaled(*linear.score(effect.heights))
         shifts[effect.name] = linear.shifts(linear.gradients(effects[index].heights))
     return fit.with_unseen(shifts), effects, skipped
 
