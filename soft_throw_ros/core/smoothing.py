@@ -28,11 +28,8 @@ References
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
+from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import kernel
 
 Floats = NDArray[np.float64]
@@ -42,77 +39,6 @@ BEHIND, AHEAD = 0.75, 0.25
 
 FEWEST = 4
 """Samples that a window must have."""
-
-
-class Smoothed(NamedTuple):
-    """
-    States by local fits, NaN where samples are too few, or on one side only.
-
-    Position [m], velocity [m/s] and acceleration [m/s2] by rows, and standard errors of the
-    velocity [m/s].
-    """
-
-    states: Floats
-    errors: Floats
-
-
-def smooth(
-    at: ArrayLike,
-    times: ArrayLike,
-    positions: ArrayLike,
-    velocities: ArrayLike | None = None,
-    *,
-    window: float,
-    position_noise: float,
-    velocity_noise: float = 1.0,
-) -> Smoothed:
-    """
-    Fit a cubic around each time; the error of the velocity is of third order.
-
-    Parameters
-    ----------
-    at : array_like, shape (n,)
-        Times of the estimates, increasing. [s]
-    times, positions, velocities : array_like, shape (m,)
-        Samples, times increasing; velocities are NaN where not measured. [s], [m], [m/s]
-    window : float
-        Length of the window. [s]
-    position_noise, velocity_noise : float
-        Standard deviations. [m], [m/s]
-
-    Raises
-    ------
-    ValueError
-        If series do not fit together, or window or noise is not positive.
-
-    Examples
-    --------
-    >>> times = [0.0, 0.1, 0.3, 0.4, 0.8, 1.0]
-    >>> fit = smooth([0.7], times, [t**3 for t in times], window=1.0, position_noise=1e-3)
-    >>> fit.states.round(9).tolist()
-    [[0.343, 1.47, 4.2]]
-
-    """
-    at = np.ascontiguousarray(at, dtype=np.float64)
-    times = np.ascontiguousarray(times, dtype=np.float64)
-    positions = np.ascontiguousarray(positions, dtype=np.float64)
-    if velocities is None:
-        velocities = np.full(times.shape, np.nan)
-    velocities = np.ascontiguousarray(velocities, dtype=np.float64)
-    if times.ndim != 1 or times.shape != positions.shape or times.shape != velocities.shape:
-        raise ValueError(
-            'times, positions and velocities must be series of one length, '
-            f'got shapes {times.shape}, {positions.shape} and {velocities.shape}'
-        )
-    for name, series in (('at', at), ('times', times)):
-        if series.ndim != 1 or (np.diff(series) <= 0.0).any():
-            raise ValueError(f'{name} must be an increasing series, got {series}')
-    window = checks.require_positive('window', window)
-    noise = checks.require_positive('position_noise', position_noise)
-    ratio = noise / checks.require_positive('velocity_noise', velocity_noise)
-    states, errors, misfits = np.empty((at.size, 3)), np.empty(at.size), np.empty((at.size, 2))
-    fit_cubics(at, times, positions, velocities, 0.5 * window, ratio, states, errors, misfits)
-    return Smoothed(states, noise * errors)
 
 
 @kernel
@@ -128,11 +54,24 @@ def fit_cubics(
     misfits: Floats,
 ) -> None:
     """
-    Fit a cubic around each time, unchecked, with windows `half` to either side of their middle.
+    Fit a cubic around each time, unchecked; the error of the velocity is of third order.
 
-    `ratio` is the noise of positions over the noise of velocities, `errors` are the errors of the
-    velocity for unit noise of the position, and `misfits` contains the weighted sums of squares of
-    the residuals [m2] and their degrees of freedom.
+    Parameters
+    ----------
+    at : ndarray, shape (n,)
+        Times of the estimates, increasing. [s]
+    times, positions, velocities : ndarray, shape (m,)
+        Samples, times increasing; velocities are NaN where not measured. [s], [m], [m/s]
+    half : float
+        Half the length of the window. [s]
+    ratio : float
+        Noise of positions over the noise of velocities. [s]
+    states, errors, misfits : ndarray, shapes (n, 3), (n,) and (n, 2)
+        For the results: position [m], velocity [m/s] and acceleration [m/s2]; errors of the
+        velocity for unit noise of the position [1/s]; weighted sums of squares of the residuals
+        [m2] and their degrees of freedom. States and errors are NaN where samples are too few, or
+        on one side only.
+
     """
     first = 0
     behind, ahead = 2.0 * BEHIND, 2.0 * AHEAD
@@ -222,4 +161,6 @@ def solve(factor: Floats, x: Floats) -> None:
 
 def warm_up() -> None:
     """Compile or load all kernels."""
-    smooth([0.5], [0.0, 0.25, 0.5, 1.0], np.zeros(4), window=1.0, position_noise=1.0)
+    times, zeros = np.array([0.0, 0.25, 0.5, 1.0]), np.zeros(4)
+    results = np.empty((1, 3)), np.empty(1), np.empty((1, 2))
+    fit_cubics(np.array([0.5]), times, zeros, zeros, 0.5, 1.0, *results)

@@ -22,7 +22,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.core.smoothing import AHEAD, smooth
+from reference.smoothing import smooth
+from soft_throw_ros.core.smoothing import AHEAD
 from soft_throw_ros.twin.plate_estimator import (
     FUTURE,
     least_rate,
