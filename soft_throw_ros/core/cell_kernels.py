@@ -60,6 +60,7 @@ from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
+from soft_throw_ros.core import stepper
 from soft_throw_ros.core.cell_grid import PLACE
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, Record, reduction
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
@@ -70,23 +71,6 @@ from soft_throw_ros.core.plate_kernels import (
     PLATE,
     start_block,
     write_underdamped,
-)
-from soft_throw_ros.core.stepper import (
-    BACKWARDS,
-    BEYOND_HORIZON,
-    LANDING,
-    note_event,
-    PLATE_FORCE,
-    PLATE_POSITION,
-    PLATE_VELOCITY,
-    PROJECTILE_FORCE,
-    PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
-    RECONTACT,
-    RELEASE,
-    TIME,
-    TOO_FAR,
-    TOO_MANY_EVENTS,
 )
 
 FORCE_NOISE = 1e-11
@@ -635,7 +619,7 @@ def _carried_speed(s, nodes):
 def _record_event(s, events, kind, fraction, height, velocity):
     """Write down an event in the last step."""
     s.event_time, s.event_velocity = (s.index - 1 + fraction) * s.step, velocity
-    note_event(s, events, kind, s.event_time, height, velocity)
+    stepper.note_event(s, events, kind, s.event_time, height, velocity)
 
 
 @inlined
@@ -698,7 +682,8 @@ def _handle_release(s, nodes, events):
     velocity = _carried_speed(s, nodes) + s.step * impulse / s.carried_mass
     s.contact = False
     _choose_system(s)
-    _record_event(s, events, RELEASE, part, _motion(s, nodes, s.cells + 1, part)[0], velocity)
+    height, _ = _motion(s, nodes, s.cells + 1, part)
+    _record_event(s, events, stepper.RELEASE, part, height, velocity)
 
 
 @part
@@ -727,7 +712,8 @@ def _handle_landing(s, nodes, events):
     _choose_system(s)
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
-    _record_event(s, events, LANDING if s.landed else RECONTACT, part, height, velocity)
+    kind = stepper.LANDING if s.landed else stepper.RECONTACT
+    _record_event(s, events, kind, part, height, velocity)
 
 
 @inlined
@@ -825,20 +811,20 @@ def _advance(core, nodes, path, events, time):
     """Advance to `time`; return the number of events until now, or an error code."""
     grid, s = core[0], core[1]
     if not time >= s.time:
-        return BACKWARDS
+        return stepper.BACKWARDS
     step = grid.step
     if time >= 4e15 * step:
-        return TOO_FAR
+        return stepper.TOO_FAR
     goal = int(time / step)
     while goal * step < time:
         goal += 1
     while goal > 0 and (goal - 1) * step >= time:
         goal -= 1
     if goal * step > grid.horizon:
-        return BEYOND_HORIZON
+        return stepper.BEYOND_HORIZON
     _march(grid, nodes, path, events, goal)
     if grid.events > events.shape[0]:
-        return TOO_MANY_EVENTS
+        return stepper.TOO_MANY_EVENTS
     piece = s.piece  # the grid's may be further on
     core[1] = core[0]
     s.piece = piece
@@ -855,15 +841,15 @@ def _advance(core, nodes, path, events, time):
             s.events -= 1
         on_plate, on_projectile, weight = s.on_plate_until, s.on_projectile_until, s.fraction
     state = s.state
-    state[TIME] = time
-    state[PLATE_POSITION], state[PLATE_VELOCITY], _ = motion_at(s, path, time)
-    height, state[PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.fraction)
-    state[PROJECTILE_POSITION] = s.rest_height + height
+    state[stepper.TIME] = time
+    state[stepper.PLATE_POSITION], state[stepper.PLATE_VELOCITY], _ = motion_at(s, path, time)
+    height, state[stepper.PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.fraction)
+    state[stepper.PROJECTILE_POSITION] = s.rest_height + height
     s.surface, _ = _motion(s, nodes, s.first_node + s.cells, s.fraction)
     rise = on_plate - s.on_plate_before
-    state[PLATE_FORCE] = s.on_plate_before + weight * rise
+    state[stepper.PLATE_FORCE] = s.on_plate_before + weight * rise
     rise = on_projectile - s.on_projectile_before
-    state[PROJECTILE_FORCE] = s.on_projectile_before + weight * rise
+    state[stepper.PROJECTILE_FORCE] = s.on_projectile_before + weight * rise
     return s.events
 
 
@@ -874,7 +860,8 @@ def _move_nodes(s, nodes):
     before = 1 - now
     for j in range(nodes.shape[1]):
         nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, part)
-    nodes[ROW.position, 0], nodes[ROW.speed, 0] = s.state[PLATE_POSITION], s.state[PLATE_VELOCITY]
+    nodes[ROW.position, 0] = s.state[stepper.PLATE_POSITION]
+    nodes[ROW.speed, 0] = s.state[stepper.PLATE_VELOCITY]
     case = 1 if s.contact else 0
     for j in range(nodes.shape[1] - 1):  # as `_link_tension`
         middle = nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j]

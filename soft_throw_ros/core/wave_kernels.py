@@ -60,6 +60,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core import stepper
 from soft_throw_ros.core.kernels import compiled, kernel, part
 from soft_throw_ros.core.plate_kernels import (
     BLOCK,
@@ -70,23 +71,6 @@ from soft_throw_ros.core.plate_kernels import (
     start_block,
     velocity_of_piece,
     write_underdamped,
-)
-from soft_throw_ros.core.stepper import (
-    BACKWARDS,
-    BEYOND_HORIZON,
-    LANDING,
-    note_event,
-    PLATE_FORCE,
-    PLATE_POSITION,
-    PLATE_VELOCITY,
-    PROJECTILE_FORCE,
-    PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
-    RECONTACT,
-    RELEASE,
-    TIME,
-    TOO_FAR,
-    TOO_MANY_EVENTS,
 )
 
 Floats = NDArray[np.float64]
@@ -341,14 +325,15 @@ def _change_contact(s, jumps, events, offset, V, P, a, b, is_whole):
         height = s.top + 2.0 * P - s.relaxation * V
         if s.events == 0:
             s.first_work = s.work + 0.5 * s.power * (2.0 * offset - 1.0)
-        note_event(s, events, RELEASE, time, height, V)
+        stepper.note_event(s, events, stepper.RELEASE, time, height, V)
         s.launch_cell, s.launch_offset = s.cell, offset
         s.launch_height, s.launch_velocity = height, V
         s.top = height - 2.0 * P
     else:
         _, height, V = _free_flight(s, offset)
         s.landed = s.landed or (V <= 0.0 and s.gravity > 0.0)
-        note_event(s, events, LANDING if s.landed else RECONTACT, time, height, V)
+        kind = stepper.LANDING if s.landed else stepper.RECONTACT
+        stepper.note_event(s, events, kind, time, height, V)
         s.top = height - 2.0 * P + s.relaxation * V
     if is_whole:
         # m is V - p in contact and p + g tau in flight; the plate turns the sign of its jumps
@@ -441,17 +426,17 @@ def _write_top(s, offset, a, V, P):
     if s.contact:
         s.downward[1] = V - a
         s.surface = s.top + 2.0 * P - s.relaxation * V
-        s.state[PROJECTILE_POSITION] = s.rest_height + s.surface
-        s.state[PROJECTILE_VELOCITY] = V
+        s.state[stepper.PROJECTILE_POSITION] = s.rest_height + s.surface
+        s.state[stepper.PROJECTILE_VELOCITY] = V
         force = s.impedance * (2.0 * a - V + s.gravity_offset)
-        s.state[PROJECTILE_FORCE] = force
+        s.state[stepper.PROJECTILE_FORCE] = force
     else:
         time, height, velocity = _free_flight(s, offset)
         s.downward[1] = a + s.gravity_offset
         s.surface = s.top + 2.0 * P + s.gravity_offset * time
-        s.state[PROJECTILE_POSITION] = s.rest_height + height
-        s.state[PROJECTILE_VELOCITY] = velocity
-        s.state[PROJECTILE_FORCE] = 0.0
+        s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
+        s.state[stepper.PROJECTILE_VELOCITY] = velocity
+        s.state[stepper.PROJECTILE_FORCE] = 0.0
 
 
 @part
@@ -622,12 +607,12 @@ def _advance(core, waves, jumps, path, events, time):
     """Advance to `time`; return the number of events so far, or an error code."""
     grid, s = core[0], core[1]
     if not time >= s.time:
-        return BACKWARDS
+        return stepper.BACKWARDS
     if time > grid.horizon:
-        return BEYOND_HORIZON
+        return stepper.BEYOND_HORIZON
     step = grid.step
     if time >= 4e15 * step:
-        return TOO_FAR
+        return stepper.TOO_FAR
     goal = int(time / step)
     while goal * step > time:
         goal -= 1
@@ -639,21 +624,21 @@ def _advance(core, waves, jumps, path, events, time):
     for k in range(size):
         records[size + k] = records[k]
     if s.cell != goal or s.events > events.shape[0]:
-        return TOO_MANY_EVENTS
+        return stepper.TOO_MANY_EVENTS
     s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
     _cross_step(s, waves, jumps, events, s.offset)
     if s.events > events.shape[0]:
-        return TOO_MANY_EVENTS
+        return stepper.TOO_MANY_EVENTS
     i = goal - s.base - s.steps
     m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
     height, speed, _ = motion_at(s, path, time)
     s.time = time
     s.upward[0] = speed - m
     s.downward[0] = m
-    s.state[TIME] = time
-    s.state[PLATE_POSITION] = height
-    s.state[PLATE_VELOCITY] = speed
-    s.state[PLATE_FORCE] = s.impedance * (m - s.upward[0] - s.gravity_offset)
+    s.state[stepper.TIME] = time
+    s.state[stepper.PLATE_POSITION] = height
+    s.state[stepper.PLATE_VELOCITY] = speed
+    s.state[stepper.PLATE_FORCE] = s.impedance * (m - s.upward[0] - s.gravity_offset)
     return s.events
 
 
@@ -691,7 +676,7 @@ def _read_layer(core, waves, out):
     for n in range(1, last + 1):
         squeezed += force[n - 1] + force[n]
         height[n] = squeezed
-    low, high = s.state[PLATE_POSITION], s.rest_height + s.surface
+    low, high = s.state[stepper.PLATE_POSITION], s.rest_height + s.surface
     error = (high - low - s.thickness + stretch * squeezed) / last
     for n in range(last + 1):
         height[n] = low + n * (cell + error) - stretch * height[n]
