@@ -152,6 +152,7 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypa
     saved.close()
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):
     command.run(*SMALL, '--release', 'last')  # so that no worker has to compile
     script, path = tmp_path / 'loud.py', tmp_path / 'map.nc'

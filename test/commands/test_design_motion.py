@@ -88,6 +88,7 @@ def test_stiffening_layer_is_distinguished_from_a_linear_one(command):
     assert 'leaves the linear range (linear layer)' in printed
 
 
+@pytest.mark.slow
 def test_recorded_motion_is_improved(command):
     printed = command.run(*QUICK, '--motion', DATA / 'reference_tracks.csv')
     assert '% more energy by the best motion' in printed

@@ -330,6 +330,7 @@ def test_samples_with_late_stamps_are_named_and_excluded(command, write, found_i
         assert value(found, name)[0] == pytest.approx(best, abs=error)
 
 
+@pytest.mark.slow
 def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
     time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4))
     plate[(time > 0.8) & (time < 0.83)] = 1.5e-3
@@ -401,6 +402,7 @@ def test_error_is_one_line(command, args, message):
     assert command.refused(*args).startswith(message)
 
 
+@pytest.mark.slow
 def test_wrong_unit_without_a_header_is_noticed(command, write):
     rows = [line for line in SAMPLE.read_text().splitlines() if line[0].isdigit()]
     message = command.refused(write('\n'.join(rows)), '--hold', 'layer.wave_speed')

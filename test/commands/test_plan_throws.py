@@ -30,6 +30,7 @@ HOLD_ALL = [
 ]
 
 
+@pytest.mark.slow
 def test_plan_has_the_best_throw_and_the_sufficient_number(command):
     planned = command.json(*AT_HAND, '--fit', 'layer.thickness', '--goal', 0.5)
     assert len(planned['candidates']) == 4

@@ -87,6 +87,7 @@ def test_layer_search_finds_the_optimum_for_unlimited_acceleration():
     assert 0.15 < found.mass_ratio < 0.45  # the optimum is flat for a plate that may also brake
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('mass_ratio', 'rise', 'alpha'), KNOWN[2::2])
 def test_layer_search_is_as_good_as_the_known_layer(mass_ratio, rise, alpha):
     """The known layer has thickness 1, within the limits of the search."""
@@ -170,6 +171,7 @@ def test_loads_are_limited():
     assert throw.ejection_speed < free.ejection_speed
 
 
+@pytest.mark.slow
 def test_strain_is_limited_everywhere_at_the_least_cost_in_speed():
     """A programme with the strain at five heights and 7 % less travel gives 1.529 m/s."""
     rig = Rig()

@@ -99,6 +99,7 @@ def test_ejection_that_jumps_within_the_errors_is_reported(fitted):
         assert found.error < 0.05 * (late.value - early.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('loss_tangent', [0.0, 0.03])
 def test_error_of_the_ejection_follows_from_the_error_of_the_wave_speed(fitted, loss_tangent):
     def at(wave_speed):

@@ -319,6 +319,7 @@ def test_free_loss_may_be_zero(see):
     assert found.fit['layer.loss_tangent'].error < 0.01
 
 
+@pytest.mark.slow
 def test_unknown_loss_is_found_beside_bench_effects(see):
     rig = Rig(layer=Layer(loss_tangent=0.1))
     found = fit_rig([followed(see, rig)], KNOWN)

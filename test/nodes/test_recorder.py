@@ -149,6 +149,7 @@ def test_losses_are_in_diagnostics_and_bag(
     assert notes['losses'] == {'total': '2', '/talk': '2'}
 
 
+@pytest.mark.slow
 def test_silence_of_twins_that_are_present_is_reported(
     ros, recorder, talker, listen_to, monkeypatch
 ) -> None:

@@ -208,6 +208,7 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     assert count(path) == publisher.count - late
 
 
+@pytest.mark.slow
 def test_loss_and_joining_late_are_distinguished(start, record, tmp_path) -> None:
     publisher = Publisher(start, 'best effort')
     publisher.publish(1, waits=False)

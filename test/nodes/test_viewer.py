@@ -114,6 +114,7 @@ def entities(viewer: Any) -> set[str]:
     return {entity.entity_path for entity in client.get_recording_schema().entities}
 
 
+@pytest.mark.slow
 def test_reconnected_viewer_gets_the_present_state(ros, show, twin) -> None:
     port = free_port()
     node = show(port=port)
@@ -167,6 +168,7 @@ def test_messages_are_served_to_viewers_on_this_machine(ros, show, twin) -> None
     assert node.end(signal.SIGINT) == 0
 
 
+@pytest.mark.slow
 def test_file_has_every_message_that_came_before_the_end(ros, show, twin, tmp_path) -> None:
     path = tmp_path / 'live.rrd'
     node = show(sink='file', file=path)

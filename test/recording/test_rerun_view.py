@@ -377,6 +377,7 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
     assert 'Measured track' in recording.views
 
 
+@pytest.mark.slow
 @settings(max_examples=10, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> None:
