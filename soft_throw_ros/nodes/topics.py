@@ -34,7 +34,7 @@ from rclpy.qos import (
 )
 from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
-from soft_throw_ros.nodes.conversions import motion_to_msg, statuses_to_msg
+from soft_throw_ros.nodes.conversions import encode_command, statuses_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import close_event, open_event, take_event
 from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
@@ -143,7 +143,7 @@ class Publishers:
         if topic.type == interface.ARRAY:
             return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
         if topic.type == interface.TRAJECTORY:
-            return lambda start_ns, motion: publish(motion_to_msg(start_ns, motion))
+            return lambda start_ns, motion: publish(encode_command(start_ns, motion))
         return lambda value: publish(message_type(data=value))
 
     def _look_for_mismatches(self) -> None:

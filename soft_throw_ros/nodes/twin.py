@@ -38,7 +38,7 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.conversions import throw_result_to_msg
+from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
 from soft_throw_ros.nodes.diagnostics import Diagnostics, duplicate_name_warning
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
@@ -111,6 +111,7 @@ class Twin(RealTimeNode):
             arguments=arguments,
         )
         self.load_kernels(self.parameters.settings)
+        self._serialize_command()
         self.outgoing = Publishers(self, ALL_TWIN_TOPICS)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
@@ -164,8 +165,7 @@ class Twin(RealTimeNode):
         if residual is not None:
             self._send_residual(residual.stamp_ns, residual[1:])
         if outputs.command is not None:
-            command = outputs.command
-            self._run_in_executor(lambda: self._send_command(*command))
+            self._send_command(*outputs.command)
         if outputs.phases or outputs.results or outputs.throw_field is not None:
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
@@ -325,10 +325,18 @@ class Twin(RealTimeNode):
         return self._config
 
     def _on_changed(self, changes: Settings) -> None:
+        self._serialize_command()
         self.session.change(changes, self.parameters.checked)
         if any(affects_recommendation(name) for name in changes):
             self.recommendation = None
             self._worker.submit(self.parameters.checked)
+
+    def _serialize_command(self) -> None:
+        """Serialize the motion of a commanded plate in advance, which is too slow for a tick."""
+        config = self.parameters.checked
+        motion = config.rig.engine.motion
+        if config.command_lead is not None and motion is not None:
+            encode_command(0, motion)
 
     def _describe_change(self, name: str) -> str:
         """Return when a change takes effect, as the end of a log line."""

@@ -30,6 +30,7 @@ from reference.cases import (
     STRAINS,
 )
 from reference.method_of_steps import follow
+from scipy.integrate import trapezoid
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
@@ -202,7 +203,7 @@ def energy(model):
     density = rig.layer.mass * layer[1] ** 2 + (layer[2] - weight) ** 2 / rig.layer.stiffness
     gap = model.state[PROJECTILE_POSITION] - model.surface_position
     height = model.state[PLATE_POSITION] + gap
-    waves = 0.5 * np.trapezoid(density, dx=1.0 / (model.field_points - 1))
+    waves = 0.5 * trapezoid(density, dx=1.0 / (model.field_points - 1))
     return waves + 0.5 * mass * model.state[PROJECTILE_VELOCITY] ** 2 + weight * height
 
 
