@@ -22,7 +22,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import HELD
+from soft_throw_ros.identification.fit_description import IDEAL_BENCH
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections, ImperfectThrow
 from soft_throw_ros.simulated_rig.sensor_faults import SensorFaults
 from trials.bench import Bench, Floats, measured_options, RigRange, Trial, truth_of
@@ -184,7 +184,12 @@ def _catches_up(thrown: ImperfectThrow) -> bool:
 
 
 _LOSSY = RigRange(loss_tangent=(0.02, 0.2))
-_HOLD = tuple(word for name in HELD if HELD[name] == 'held' for word in ('--hold', name))
+_HOLD = tuple(
+    word
+    for name, treatment in IDEAL_BENCH.items()
+    if treatment == 'held'
+    for word in ('--hold', name)
+)
 _FIT_LOSS = ('--fit', 'layer.loss_tangent')
 _RINGING, _SECOND_MODE = Imperfections(ringing=0.02), Imperfections(second_mode=0.01)
 _STICKING = Imperfections(sticking=2e-4)

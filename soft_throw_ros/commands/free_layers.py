@@ -115,9 +115,9 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
             f'the layers do not agree in their loss (chi squared {loss.chi2:.3g} for {loss.dof} '
             'degrees of freedom): is it one material, whose loss grows with frequency?'
         )
-    found = {'layer.wave_speed': speed.value}
+    result = {'layer.wave_speed': speed.value}
     if arguments.with_loss:
-        found['layer.loss_tangent'] = loss.value
+        result['layer.loss_tangent'] = loss.value
     if arguments.figure:
         with naming(arguments.figure):
             identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
@@ -131,7 +131,7 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
     lines += [line for _, each in layers for line in fit_lines(each.fit) if 'outliers' in line]
     return IdentificationReport(
         sources=tuple(paths),
-        found=found,
+        result=result,
         lines=tuple(lines),
         data={
             'layers': [

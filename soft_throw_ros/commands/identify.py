@@ -47,12 +47,12 @@ from soft_throw_ros.commands.output import CommandParser, naming, run_command
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.identification.ejection import answer_of, ejection_of
 from soft_throw_ros.identification.fit_description import (
+    DEFAULT_FREE,
     DEFAULTS,
     ENGINE,
     FitDescription,
     PARAMETERS,
     TREATMENTS,
-    USUAL,
 )
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
@@ -100,9 +100,9 @@ def add_fit_options(parser: CommandParser) -> None:
     add = parser.add_argument
     add(
         '--fit', metavar='NAME[=HOW]', action='append', default=[],
-        help=f'fit this too: one of {", ".join(DEFAULTS)} (default: to fit {", ".join(USUAL)}, '
-        'and parameters that are known with an error). HOW is '
-        f'{TREATMENTS.replace("%", "%%")}, as in '
+        help=f'fit this too: one of {", ".join(DEFAULTS)} '
+        f'(default: to fit {", ".join(DEFAULT_FREE)}, and parameters that are known with an '
+        f'error). HOW is {TREATMENTS.replace("%", "%%")}, as in '
         "'projectile.mass=0.0012 +- 1 %%', or shorter '--mass 0.0012+-1%%'. May be repeated",
     )
     add(
@@ -162,16 +162,16 @@ def read_all(arguments: argparse.Namespace) -> tuple[list[ThrowTracks], list[str
     throws: list[ThrowTracks] = []
     notes: list[str] = []
     for path in arguments.files:
-        found = read_throws(path, arguments, notes)
+        result = read_throws(path, arguments, notes)
         good = []
-        for throw in found if len(found) > 1 else ():
+        for throw in result if len(result) > 1 else ():
             try:
                 fit_plate(throw.plate)
             except FitError as error:
                 notes.append(f'{throw.name} is left out: {error}')
             else:
                 good.append(throw)
-        throws += good or found
+        throws += good or result
     return throws, notes
 
 
@@ -184,50 +184,50 @@ def _identify(
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': 'held'})
     rig = rig_of(settings)
-    found = fit_rig(throws, rig, description, tell=_show_progress)
-    warnings = found.fit.warnings()
-    lines = [*budget_lines(found), '', *found.remarks, *layer_lines(found.layers)]
-    lines += fit_lines(found.fit)
+    result = fit_rig(throws, rig, description, on_progress=_show_progress)
+    warnings = result.fit.warnings()
+    lines = [*budget_lines(result), '', *result.remarks, *layer_lines(result.layers)]
+    lines += fit_lines(result.fit)
     ejection = answer = None
     if has_projectile:
-        ejection = ejection_of(found)
-        answer = answer_of(found, ejection)
+        ejection = ejection_of(result)
+        answer = answer_of(result, ejection)
         lines += ejection_lines(ejection)
     relevant = PARAMETERS if has_projectile else ENGINE
-    law = found.rig.layer.stress_strain_law
-    values = {name: value for name, value in found.estimates().items() if name in relevant}
+    law = result.rig.layer.stress_strain_law
+    values = {name: value for name, value in result.estimates().items() if name in relevant}
     if arguments.figure:
         summary = [
             f'{name.rpartition(".")[2].replace("_", " ")} {with_unit(value, unit_of(name))}'
             for name, value in values.items()
         ]
         with naming(arguments.figure):
-            identify_figure.draw_throws(found, ejection, summary, arguments.figure)
+            identify_figure.draw_throws(result, ejection, summary, arguments.figure)
     return IdentificationReport(
-        sources=tuple(throw.name for throw in found.throws),
-        found=values,
-        held={name: value for name, value in found.held_values().items() if name in relevant},
+        sources=tuple(throw.name for throw in result.throws),
+        result=values,
+        held={name: value for name, value in result.held_values().items() if name in relevant},
         chosen={'layer.stress_strain_law': law} if law != rig.layer.stress_strain_law else {},
-        answer=tuple(answer_lines(answer, found, ejection)) if answer and ejection else (),
+        answer=tuple(answer_lines(answer, result, ejection)) if answer and ejection else (),
         lines=tuple(lines),
         data={
             'answer': answer and vars(answer),
-            'fit': fit_data(found.fit),
-            'terms': found.terms(),
-            'remarks': found.remarks,
-            'layers': found.layers,
-            'intervals': found.intervals,
+            'fit': fit_data(result.fit),
+            'terms': result.terms(),
+            'remarks': result.remarks,
+            'layers': result.layers,
+            'intervals': result.intervals,
             'throws': [
                 {
                     'name': throw.name,
-                    'start_time': found.start_time(number).value,
+                    'start_time': result.start_time(number).value,
                     'gaps': {
                         body: track.gaps
                         for body, track in vars(throws[number]).items()
                         if isinstance(track, Track)
                     },
                 }
-                for number, throw in enumerate(found.throws)
+                for number, throw in enumerate(result.throws)
             ],
             'ejection': ejection_data(ejection),
         },

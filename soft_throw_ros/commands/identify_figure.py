@@ -45,7 +45,7 @@ _MOST = 6  # largest number of throws or layers in one figure
 
 
 def draw_throws(
-    found: RigFit, ejection: Ejection | None, summary: Sequence[str], path: Path
+    result: RigFit, ejection: Ejection | None, summary: Sequence[str], path: Path
 ) -> None:
     """
     Draw tracks and model of the first few throws, over the time since each began.
@@ -62,25 +62,25 @@ def draw_throws(
         Name of a PNG, PDF or SVG file.
 
     """
-    residuals = {id(each.track): each for each in found.fit.residuals}
-    bodies = ['plate', 'projectile'][: 1 + any(throw.projectile for throw in found.throws)]
+    residuals = {id(each.track): each for each in result.fit.residuals}
+    bodies = ['plate', 'projectile'][: 1 + any(throw.projectile for throw in result.throws)]
     figure = _figure(9.6, 3.6 + 1.5 * len(bodies))
     layout: list[Any] = [['near', 'whole'], *([body, body] for body in bodies)]
     panels = figure.subplot_mosaic(layout, height_ratios=[2.6, *[1.0] * len(bodies)])
     for body in bodies[1:]:
         panels[body].sharex(panels['plate'])
-    for number, throw in enumerate(found.throws[:_MOST]):
-        start = found.start_time(number).value
-        rest = found.heights(number, np.array([start]))
-        for place, body in enumerate(bodies):
-            track = (throw.plate, throw.projectile)[place]
+    for number, throw in enumerate(result.throws[:_MOST]):
+        start = result.start_time(number).value
+        rest = result.heights(number, np.array([start]))
+        for body_index, body in enumerate(bodies):
+            track = (throw.plate, throw.projectile)[body_index]
             if track is None:
                 continue
             colour = _COLOURS[body]
             since = _MILLI * (track.time - start)
             fine = np.linspace(track.time[0], track.time[-1], _POINTS)
-            model = _MILLI * (found.heights(number, fine)[place] - rest[place])
-            height = _MILLI * (track.position - rest[place])
+            model = _MILLI * (result.heights(number, fine)[body_index] - rest[body_index])
+            height = _MILLI * (track.position - rest[body_index])
             for name in ('near', 'whole'):
                 label = body if number == 0 else None
                 panels[name].plot(since, height, color=colour, **_DATA)
@@ -92,8 +92,8 @@ def draw_throws(
     if ejection is not None:
         for panel in panels.values():
             panel.axvline(_MILLI * ejection.time.value, color='0.4', lw=0.9, ls=':')
-    period = _MILLI / found.rig.engine.frequency
-    highest = _MILLI * max(float(np.ptp(throw.plate.position)) for throw in found.throws)
+    period = _MILLI / result.rig.engine.frequency
+    highest = _MILLI * max(float(np.ptp(throw.plate.position)) for throw in result.throws)
     panels['near'].set(
         xlim=(-0.3 * period, _PERIODS * period),
         ylim=(-0.3 * highest, _RISES * highest),

@@ -189,19 +189,19 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
         damage = reader.damage
     if damage:
         notes.append(f'{damage}; the readable messages are used')
-    found = sorted(
+    result = sorted(
         name
         for name, rows in heights.items()
         if any(math.isfinite(plate) for plate, _ in rows.values())
     )
-    ranks = [[name for name in found if name.endswith(ending)] for ending in _PREFERRED]
-    best = next(filter(None, ranks), found)
+    ranks = [[name for name in result if name.endswith(ending)] for ending in _PREFERRED]
+    best = next(filter(None, ranks), result)
     if topic is not None:
-        best = [name for name in found if name == topic]
+        best = [name for name in result if name == topic]
     if len(best) != 1:
         raise TrackError(
             f'{path}: no topic {topic or "of its own"} has positions of a joint plate; those '
-            f'that have: {", ".join(found) or "none"}' + (' (choose with --topic)' * bool(found))
+            f'that have: {", ".join(result) or "none"}' + (' (choose with --topic)' * bool(result))
         )
     if count := unreadable[best[0]]:
         notes.append(f'{path}: {count} messages on {best[0]!r} are no {JOINT_STATE}, and left out')

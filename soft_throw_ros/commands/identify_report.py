@@ -78,7 +78,7 @@ class IdentificationReport:
     """
 
     sources: tuple[str, ...]
-    found: Mapping[str, Estimate]
+    result: Mapping[str, Estimate]
     held: Mapping[str, float] = field(default_factory=dict)
     chosen: Mapping[str, str] = field(default_factory=dict)
     answer: tuple[str, ...] = ()
@@ -101,21 +101,21 @@ class IdentificationReport:
 
     def json(self) -> str:
         """Return the report as JSON, in SI units."""
-        found = {
-            name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.found.items()
+        result = {
+            name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.result.items()
         }
-        parts: dict[str, object] = {'sources': self.sources, 'found': found, 'held': self.held}
+        parts: dict[str, object] = {'sources': self.sources, 'found': result, 'held': self.held}
         parts |= {'chosen': self.chosen, **self.data, 'notes': self.notes}
         return to_json({**parts, 'warnings': self.warnings})
 
     def _estimates(self) -> Iterator[tuple[str, str]]:
-        for name, value in self.found.items():
+        for name, value in self.result.items():
             yield name, with_unit(value, unit_of(name))
 
     def put_into(self, settings: Settings) -> Settings:
         """Return settings of the twin with the fitted parameters; may raise ParameterError."""
         request: dict[str, Value] = {
-            name: float(f'{value.value:.8g}') for name, value in self.found.items()
+            name: float(f'{value.value:.8g}') for name, value in self.result.items()
         }
         request |= self.chosen
         try:
@@ -183,18 +183,18 @@ def with_unit(value: Estimate, unit: str) -> str:
     return f'{Estimate(factor * value.value, factor * value.error)} {shown}'.rstrip()
 
 
-def budget_lines(found: RigFit) -> Iterator[str]:
+def budget_lines(result: RigFit) -> Iterator[str]:
     """Yield the nuisance parameters of the fit, and all large sources of error besides noise."""
-    for name, value in found.terms().items():
+    for name, value in result.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
-    for name, ends in found.intervals.items():
+    for name, ends in result.intervals.items():
         shown, factor = _handy_unit(unit_of(name))
         low, high = (f'{factor * end:.4g}' for end in ends)
         yield f'{name} is from {low} to {high} {shown}'.rstrip() + ' with 95 % (profile)'
-    for name in found.estimates():
-        if name not in found.fit or found.fit.names.index(name) in found.fit.known:
+    for name in result.estimates():
+        if name not in result.fit or result.fit.names.index(name) in result.fit.known:
             continue
-        parts = found.fit.budget(name)
+        parts = result.fit.budget(name)
         total = math.sqrt(sum(part**2 for part in parts.values()))
         if parts['noise'] < _NOISY * total:
             yield _budget_line(name, total, unit_of(name), parts)
@@ -212,10 +212,10 @@ def _budget_line(name: str, error: float, unit: str, parts: Mapping[str, float])
     return f'error of {name}: {factor * error:.2g} {shown}'.rstrip() + f', by {listed}'
 
 
-def answer_lines(answer: Answer, found: RigFit, ejection: Ejection) -> Iterator[str]:
+def answer_lines(answer: Answer, result: RigFit, ejection: Ejection) -> Iterator[str]:
     """Yield the wave speeds and the verdict."""
     speed, at_rest = answer.effective_wave_speed, answer.rest_wave_speed
-    amplitude = 1e3 * found.rig.engine.amplitude
+    amplitude = 1e3 * result.rig.engine.amplitude
     yield (
         f'{"effective wave speed":{_NAME_WIDTH}} {with_unit(speed, "m/s")} '
         f'({100.0 * speed.error / speed.value:.2g} %), at the amplitude of {amplitude:.3g} mm'
@@ -231,7 +231,7 @@ def answer_lines(answer: Answer, found: RigFit, ejection: Ejection) -> Iterator[
         'good enough to choose a layer' if answer.is_good_enough
         else 'not good enough to choose a layer'
     )
-    if found.fit.is_mismatch:
+    if result.fit.is_mismatch:
         verdict += ', because the model leaves out something'
     elif ejection.alternatives:
         verdict += '; another number of echoes is possible, see below'

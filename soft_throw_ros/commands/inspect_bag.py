@@ -170,8 +170,8 @@ def _show_bag(arguments: argparse.Namespace) -> None:
 def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     """Return the throw to show; None if the bag contains none and none is requested."""
     topics = [each.topic for each in reader.channels if tells_throws(each.topic, each.type)]
-    found = find_throws(reader.messages(topics)) if topics else {}
-    throws = next((throws for throws in found.values() if throws), [])  # of the view in front
+    result = find_throws(reader.messages(topics)) if topics else {}
+    throws = next((throws for throws in result.values() if throws), [])  # of the view in front
     chosen = [throw for throw in throws if number in (None, throw.number)]
     if number is not None and not chosen:
         known = f'{throws[0].number}-{throws[-1].number}' if throws else 'no throws'

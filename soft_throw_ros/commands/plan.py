@@ -44,10 +44,10 @@ from soft_throw_ros.identification.ejection import GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import values_of
 from soft_throw_ros.identification.plan import (
     Condition,
-    Knowledge,
+    MeasurementSetup,
+    ParameterInformation,
     PlannedThrow,
     Planner,
-    Sight,
 )
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import ThrowTracks
@@ -119,13 +119,13 @@ def _run(arguments: argparse.Namespace) -> int:
         description.check_throws(())
     rig = description.prepare(rig_of(settings))
     conditions = _conditions(arguments, rig)
-    sight = _sight(arguments, rig, throws)
+    setup = _setup(arguments, rig, throws)
     with slow_notice('plan'):
         measured = None
         if throws:
-            found = fit_rig(throws, rig, description)
-            rig, measured = found.rig, Knowledge.of_fit(found)
-        planner = Planner(rig, conditions, sight, description, measured)
+            result = fit_rig(throws, rig, description)
+            rig, measured = result.rig, ParameterInformation.of_fit(result)
+        planner = Planner(rig, conditions, setup, description, measured)
         start = planner.start()
         candidates = planner.rank(start)
         goal = 0.01 * arguments.goal
@@ -144,7 +144,7 @@ def _run(arguments: argparse.Namespace) -> int:
     else:
         if measured:
             print_text(f'The present measurements determine alpha to {100.0 * before:.2g} %.\n')
-        lines = _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, sight)
+        lines = _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, setup)
         print_text('\n'.join(lines) + '\n')
     return 0
 
@@ -170,7 +170,9 @@ def _conditions(arguments: argparse.Namespace, rig: Rig) -> list[Condition]:
     return [Condition(*each) for each in itertools.product(*choices)]
 
 
-def _sight(arguments: argparse.Namespace, rig: Rig, throws: Sequence[ThrowTracks]) -> Sight:
+def _setup(
+    arguments: argparse.Namespace, rig: Rig, throws: Sequence[ThrowTracks]
+) -> MeasurementSetup:
     """Return the setup of future measurements: as in the given throws, unless options differ."""
     rate, noise = _USUAL_RATE, _USUAL_NOISE
     if throws:
@@ -179,7 +181,9 @@ def _sight(arguments: argparse.Namespace, rig: Rig, throws: Sequence[ThrowTracks
     duration = arguments.end
     if not 0.0 < duration < math.inf:
         duration = _PERIODS_SEEN / rig.engine.frequency
-    return Sight(rate=arguments.rate or rate, noise=arguments.noise or noise, duration=duration)
+    return MeasurementSetup(
+        rate=arguments.rate or rate, noise=arguments.noise or noise, duration=duration
+    )
 
 
 def _lines(
@@ -187,12 +191,12 @@ def _lines(
     chosen: Sequence[PlannedThrow],
     values: Mapping[str, float],
     goal: float,
-    sight: Sight,
+    setup: MeasurementSetup,
 ) -> Iterator[str]:
     """Yield the lines of the plan."""
     yield (
-        f'Throws seen for {1e3 * sight.duration:.3g} ms at {sight.rate:g} Hz with a noise of '
-        f'{1e6 * sight.noise:.3g} um. The next one, the best first, and errors after it:'
+        f'Throws seen for {1e3 * setup.duration:.3g} ms at {setup.rate:g} Hz with a noise of '
+        f'{1e6 * setup.noise:.3g} um. The next one, the best first, and errors after it:'
     )
     yield _heads(candidates[0])
     for throw in candidates[:_SHOWN]:

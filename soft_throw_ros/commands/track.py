@@ -215,8 +215,8 @@ def _gap_notes(followed: FollowedSpots) -> Iterator[str]:
             gaps.append(f'{last + 1} to the end')
         if gaps:
             yield (
-                f'the spot at {spot.place} is not seen as a whole in pictures {", ".join(gaps)}; '
-                'these samples are missing'
+                f'the spot at {spot.location} is not seen as a whole in pictures '
+                f'{", ".join(gaps)}; these samples are missing'
             )
 
 

@@ -132,9 +132,9 @@ def start(
         is_result = name in table.by_name and table.by_name[name].is_result
         if is_argument or not is_result:  # `ros2 param dump` writes results to files
             requests.setdefault(source.order if source else 0, {})[name] = value
-    places = {}  # of values that have a known one, also by their present names
+    locations = {}  # of values that have a known one, also by their present names
     for name, item in given.items():
-        places[name] = places[table.deprecated.get(name, name)] = f'{item.where}: '
+        locations[name] = locations[table.deprecated.get(name, name)] = f'{item.where}: '
     settings = table.defaults()
     try:
         for _, request in sorted(requests.items()):
@@ -142,10 +142,10 @@ def start(
                 texts: list[str] = []
                 table.without_deprecated({name: value}, texts.append)
                 for text in texts:
-                    warn(places.get(name, '') + text)
+                    warn(locations.get(name, '') + text)
             settings.update(table.change(settings, table.without_deprecated(request)))
     except ParameterError as error:
-        where = next((places[name] for name in error.names if name in places), '')
+        where = next((locations[name] for name in error.names if name in locations), '')
         raise ParameterError(f'{where}{error}', *error.names) from None
     return settings
 

@@ -269,14 +269,14 @@ def _library(path: str, _changed_ns: int) -> Library:
             layers[name] = {'layer.thickness': thickness, **material.settings}
         if not material.thicknesses:
             layers[material.name] = material.settings
-    found = Library(MappingProxyType(materials), MappingProxyType(layers))
+    result = Library(MappingProxyType(materials), MappingProxyType(layers))
     for name, node in stacks.items():
         try:
             sheets = read_stack(node.value, lambda: materials)
             layers[name] = {'layer.stack': write_stack(sheets), **whole(sheets)}
         except ParameterError as error:
             raise ParameterError(f'{node.where}: {error}') from None
-    return found
+    return result
 
 
 def whole(sheets: Sequence[Layer]) -> dict[str, float]:

@@ -77,11 +77,11 @@ class _Loader(yaml.SafeLoader):
 
 
 def _parse(text: str, name: str, *, has_lines: bool) -> Located | None:
-    def place(mark: yaml.Mark) -> str:
+    def location(mark: yaml.Mark) -> str:
         return f'{name}:{mark.line + 1}' if has_lines else name
 
     def locate(node: yaml.Node) -> Located:
-        where = place(node.start_mark)
+        where = location(node.start_mark)
         if not isinstance(node, yaml.MappingNode):
             return Located(where, _value(node))
         items = ((str(key.value), locate(value)) for key, value in node.value)
@@ -93,7 +93,7 @@ def _parse(text: str, name: str, *, has_lines: bool) -> Located | None:
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, 'problem_mark', None)
         problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
-        raise ParameterError(f'{place(mark) if mark else name}: {problem}') from None
+        raise ParameterError(f'{location(mark) if mark else name}: {problem}') from None
 
 
 def _value(node: yaml.Node) -> Any:

@@ -293,8 +293,8 @@ def require_series(times: Floats, values: Floats, name: str, *, after: float = -
     """Raise ValueError unless all is finite, and times increase, beginning after `after`."""
     for label, array in (('times', times), (name, values)):
         if not np.isfinite(array).all():
-            place = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-            raise ValueError(f'{label} must be finite, got {array[place]} at index {place[0]}')
+            index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+            raise ValueError(f'{label} must be finite, got {array[index]} at index {index[0]}')
     backward = np.flatnonzero(np.diff(times, prepend=after) <= 0.0)
     if backward.size:
         first = int(backward[0])

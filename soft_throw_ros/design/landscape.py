@@ -171,7 +171,7 @@ class Landscape:
         The values of the two axes, of shapes (n,) and (m,). [SI]
     ejection_phase, energy_transfer : ndarray, shape (n, m)
         :math:`t_e f` and :math:`\alpha = (V_e / V_p^*)^2` along the first and the second axis.
-        NaN where the projectile does not leave, or the model cannot tell when. [-]
+        NaN where the projectile does not leave, or the model does not give the time. [-]
     model, release, density_ratio
         As for `compute_landscape`.
 

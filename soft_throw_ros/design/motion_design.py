@@ -96,8 +96,8 @@ class MotionDesign(PredictedThrow):
     def motions(self) -> dict[str, PlateMotion]:
         """Motion of the plate in each case; the best one last."""
         shown = [name for name in ('now', 'harmonic', 'step') if name in self.others]
-        found = {name: motion_of(self.others[name].engine) for name in shown}
-        return {**found, 'best': self.motion}
+        result = {name: motion_of(self.others[name].engine) for name in shown}
+        return {**result, 'best': self.motion}
 
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
@@ -159,18 +159,18 @@ def design_motion(
         with contextlib.suppress(ThrowUnresolvedError):
             varied = 'both' if vary == 'motion' else vary
             rigs['layer'] = recommend(rig, vary=varied, limits=limits, cancelled=cancelled).rig
-    found = {'best': own.rig}
+    result = {'best': own.rig}
     if vary != 'motion':
         layer = find_layer_for_motion(rig, plate, vary, loads=limits, cancelled=cancelled)
         both = max(own, _motions(layer, plate, limits, cancelled)['best'], key=_speed)
         if 'layer' in rigs and predict(rigs['layer']).ejection_speed > _speed(both):
             both = max(both, _motions(rigs['layer'], plate, limits, cancelled)['best'], key=_speed)
-        found['both'] = both.rig
-    best = found['best' if vary == 'motion' else 'both']
+        result['both'] = both.rig
+    best = result['best' if vary == 'motion' else 'both']
     if rig.layer.stress_strain_law != 'linear':
         rigs['linear'] = replace(best, layer=linear_layer(best.layer))
     throws = {}
-    for name, candidate in (rigs | found).items():
+    for name, candidate in (rigs | result).items():
         with contextlib.suppress(ThrowUnresolvedError):
             throws[name] = predict(candidate)
     return MotionDesign(

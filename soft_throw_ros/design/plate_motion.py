@@ -361,8 +361,8 @@ def find_layer_for_motion(
     simplex = np.vstack([best, best + 0.4 * np.diag(spacing)])
     options = {'initial_simplex': simplex, 'xatol': 5e-3, 'fatol': 1e-4 * limits.speed}
     options['maxfev'] = 60
-    found = scipy.optimize.minimize(slowness, best, method='Nelder-Mead', options=options)
-    return layer(found.x)
+    result = scipy.optimize.minimize(slowness, best, method='Nelder-Mead', options=options)
+    return layer(result.x)
 
 
 def rest_to_rest(limits: PlateLimits, *, travel: float) -> Pulses:
@@ -550,12 +550,12 @@ class _Programme:
             strain, strain_bounds = self._strain_limits(release, size)
             limited = np.concatenate([rows[is_limit], strain @ rise])
             limited_bounds = np.concatenate([bounds[is_limit], strain_bounds])
-            found = self._optimise(goal @ rise, limited, limited_bounds)
-            if found is None:
+            result = self._optimise(goal @ rise, limited, limited_bounds)
+            if result is None:
                 return None, 0.0
             if self._is_fine:
-                found = self._smoothest(found, goal @ rise, limited, limited_bounds, bends)
-            pulses = limits.speed * (rise @ found)
+                result = self._smoothest(result, goal @ rise, limited, limited_bounds, bends)
+            pulses = limits.speed * (rise @ result)
             known = len(self._critical)
             self._critical |= self._excessive(pulses, release)
             if len(self._critical) == known:
@@ -569,7 +569,7 @@ class _Programme:
     def _optimise(self, goal: Floats, rows: Floats, bounds: Floats) -> Floats | None:
         """Solve a linear programme; None if it has no solution."""
         for method, iterations in _METHODS.items():
-            found = scipy.optimize.linprog(
+            result = scipy.optimize.linprog(
                 goal,
                 A_ub=scipy.sparse.csr_matrix(rows),
                 b_ub=bounds,
@@ -577,9 +577,9 @@ class _Programme:
                 method=method,
                 options={'maxiter': iterations, 'time_limit': _PROGRAMME_TIME},
             )
-            if found.status in (_OPTIMAL, _INFEASIBLE):
+            if result.status in (_OPTIMAL, _INFEASIBLE):
                 break
-        return found.x if found.status == _OPTIMAL else None
+        return result.x if result.status == _OPTIMAL else None
 
     def _smoothest(
         self, fastest: Floats, goal: Floats, rows: Floats, bounds: Floats, bends: Floats
@@ -589,7 +589,7 @@ class _Programme:
         best = float(goal @ fastest)
         # The additional unknowns are upper bounds of the magnitudes of all changes.
         size = np.eye(changes)
-        found = self._optimise(
+        result = self._optimise(
             np.repeat((0.0, 1.0), (goals, changes)),
             np.block([
                 [rows, np.zeros((len(rows), changes))],
@@ -601,7 +601,7 @@ class _Programme:
                 bounds, [best + _SMOOTHING_LOSS * abs(best)], np.zeros(2 * changes)
             ]),
         )
-        return fastest if found is None else found[:goals]
+        return fastest if result is None else result[:goals]
 
     def _excessive(self, pulses: Floats, release: int) -> Critical:
         """Return the strains of a motion that exceed the limit."""

@@ -346,8 +346,8 @@ class _Search(NamedTuple):
         if not self.objective.is_fast:
             peaks = self._replace(objective=Peak())._drafts(spaces)
             spaces = [space for space, _ in peaks[:2 * _MAX_CANDIDATES]]
-        found = [self._finish(*draft) for draft in self._drafts(spaces)[:_MAX_CANDIDATES]]
-        return sorted((each for each in found if each is not None), key=lambda each: -each.score)
+        result = [self._finish(*draft) for draft in self._drafts(spaces)[:_MAX_CANDIDATES]]
+        return sorted((each for each in result if each is not None), key=lambda each: -each.score)
 
     def _drafts(self, spaces: list[SearchSpace]) -> list[tuple[SearchSpace, Optimum]]:
         """Draft the best layer of each space, the best first."""

@@ -91,7 +91,7 @@ class Ejection:
     """Contributions to the error of the time, see `RigFit.release_time_budget`. [s]"""
 
 
-def ejection_of(found: RigFit) -> Ejection:
+def ejection_of(result: RigFit) -> Ejection:
     r"""
     Compute the first release of a fitted rig.
 
@@ -107,7 +107,7 @@ def ejection_of(found: RigFit) -> Ejection:
     effects, such as a layer that sticks and releases the projectile later.
 
     """
-    releases = found.releases(_DRAWS)
+    releases = result.releases(_DRAWS)
     if np.isnan(releases.time[0]):
         raise FitError('the projectile of the rig that was fitted does not leave the layer')
     is_released = ~np.isnan(releases.time)
@@ -129,7 +129,7 @@ def ejection_of(found: RigFit) -> Ejection:
         peak_plate_speed=estimate(releases.peak_plate_speed),
         energy_transfer=estimate(releases.energy_transfer),
         alternatives=tuple(sorted(alternatives, key=lambda each: -each.probability)),
-        time_budget=found.release_time_budget(),
+        time_budget=result.release_time_budget(),
     )
 
 
@@ -166,22 +166,22 @@ class Answer:
     """
 
 
-def answer_of(found: RigFit, ejection: Ejection) -> Answer | None:
+def answer_of(result: RigFit, ejection: Ejection) -> Answer | None:
     """Return the answer of a fit; None if it does not determine the wave speed."""
-    name = next((n for n in found.fit.names if n.partition('[')[0] == 'layer.wave_speed'), None)
+    name = next((n for n in result.fit.names if n.partition('[')[0] == 'layer.wave_speed'), None)
     if name is None:
         return None
-    squares = {source: part**2 for source, part in found.fit.budget(name).items()}
+    squares = {source: part**2 for source, part in result.fit.budget(name).items()}
     main = max(squares, key=squares.__getitem__)
     alpha = ejection.energy_transfer
     limit = GOOD_ENOUGH * alpha.value
     others = [each.energy_transfer.value for each in ejection.alternatives]
     return Answer(
-        effective_wave_speed=found.effective_wave_speed(),
-        rest_wave_speed=found.rest_wave_speed(),
+        effective_wave_speed=result.effective_wave_speed(),
+        rest_wave_speed=result.rest_wave_speed(),
         limited_by=main if squares[main] > _MAIN_SHARE * sum(squares.values()) else None,
         energy_transfer_error=alpha.error / alpha.value,
         is_good_enough=alpha.error <= limit
         and all(abs(other - alpha.value) <= limit for other in others)
-        and not found.fit.is_mismatch,
+        and not result.fit.is_mismatch,
     )

@@ -43,7 +43,7 @@ LAYER = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
 
-TERMS = {
+NUISANCE_PARAMETERS = {
     'layer.stiffening': 0.0,
     'plate.drift': 0.0,
     'plate.ringing': 0.0,
@@ -69,10 +69,12 @@ STICKING = 'projectile.sticking'
 UNSEEN = (PLATE_MODE, STICKING)
 """Effects that tracks hardly show; they are not fitted, but increase the errors."""
 
-USUAL = (*ENGINE, 'layer.wave_speed')
+DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
 
-DEFAULTS: Mapping[str, str] = dict.fromkeys((*PARAMETERS, *TERMS, *UNSEEN), 'held') | {
+DEFAULTS: Mapping[str, str] = dict.fromkeys(
+    (*PARAMETERS, *NUISANCE_PARAMETERS, *UNSEEN), 'held'
+) | {
     'engine.frequency': 'free',
     'engine.damping_ratio': 'free',
     'engine.amplitude': 'free per throw',
@@ -97,10 +99,10 @@ With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain i
 error.
 """
 
-HELD: Mapping[str, str] = {
+IDEAL_BENCH: Mapping[str, str] = {
     name: 'held' for name in DEFAULTS if name not in ENGINE and name != 'layer.wave_speed'
 } | {'engine.amplitude': 'free'}
-"""Treatments for a bench without faults: all parameters except `USUAL` are known exactly."""
+"""Treatments for a bench without faults: all parameters except `DEFAULT_FREE` are known exactly."""
 
 Heights = Literal['own', 'common', 'absolute']
 """
@@ -319,18 +321,18 @@ class FitDescription:
 
     def treatment(self, name: str, throw: str | None = None) -> Treatment:
         """Return the treatment of a parameter; of a throw, if its name is given."""
-        found = None if throw is None else self.conditions(throw).get(name)
-        if found is None:
-            found = self.parameters.get(name, DEFAULTS[name])
-        return Treatment.parse(found) if isinstance(found, str) else found
+        result = None if throw is None else self.conditions(throw).get(name)
+        if result is None:
+            result = self.parameters.get(name, DEFAULTS[name])
+        return Treatment.parse(result) if isinstance(result, str) else result
 
     def conditions(self, throw: str) -> dict[str, Treatment | str]:
         """Return the treatments that hold for a throw only."""
-        found: dict[str, Treatment | str] = {}
+        result: dict[str, Treatment | str] = {}
         for pattern, conditions in self.throws.items():
             if _matches(throw, pattern):
-                found |= conditions
-        return found
+                result |= conditions
+        return result
 
     def check_throws(self, throws: Sequence[str]) -> None:
         """Raise `FitError` if a name or pattern of `throws` matches none of the given throws."""
@@ -369,7 +371,9 @@ class FitDescription:
         value = self.treatment(name, throw).value
         if value is not None:
             return value
-        return TERMS[name] if name in TERMS else values_of(rig, [name])[name]
+        if name in NUISANCE_PARAMETERS:
+            return NUISANCE_PARAMETERS[name]
+        return values_of(rig, [name])[name]
 
     def known(self, name: str, rig: Rig, throw: str) -> Estimate | None:
         """Return the prior of a parameter; None if it has none."""

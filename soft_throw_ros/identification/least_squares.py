@@ -160,10 +160,10 @@ class TrackResidual:
         r"""Variance of a mean over that of white noise, :math:`1 + 2 \sum_k \rho_k` [-]."""
         if self.is_white:
             return 1.0
-        found = self._autocorrelations(self.track.time.size // 4)
+        result = self._autocorrelations(self.track.time.size // 4)
         # Sum up to the first correlation that is not significant
-        last = int(np.argmax(np.append(found, -1.0) < 2.0 / math.sqrt(self.track.time.size)))
-        return 1.0 + 2.0 * float(found[:last].sum())
+        last = int(np.argmax(np.append(result, -1.0) < 2.0 / math.sqrt(self.track.time.size)))
+        return 1.0 + 2.0 * float(result[:last].sum())
 
     @property
     def worst_part(self) -> tuple[float, float]:
@@ -296,13 +296,13 @@ class Fit:
 
     def warnings(self) -> list[str]:
         """Return warnings about the fit, each a sentence."""
-        found = []
+        result = []
         for each in self.alternatives:
             apart = np.abs(each.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
             index = next(
                 (k for k, n in enumerate(self.names) if 'wave_speed' in n), int(apart.argmax())
             )
-            found.append(
+            result.append(
                 f'{self.names[index]} may as well be {each.values[index]:.5g} '
                 f'(chi squared is larger by {each.excess:.1f} there); the errors span both'
             )
@@ -316,7 +316,7 @@ class Fit:
         for i, j in combinations(free, 2):
             if abs(correlation[i, j]) > INSEPARABLE:
                 factor = 1.0 / math.sqrt(max(1.0 - correlation[i, j] ** 2, 1e-12))
-                found.append(
+                result.append(
                     f'{self.names[i]} and {self.names[j]} can hardly be told apart by these '
                     f'tracks (correlation {correlation[i, j]:.4f}): the error of each is '
                     f'{factor:.0f} times larger than with the other known; hold one'
@@ -324,14 +324,14 @@ class Fit:
         for index, known in self.known.items():
             off = abs(self.values[index] - known.value) / known.error
             if off > _CONTRADICTION:
-                found.append(
+                result.append(
                     f'{self.names[index]} is found {off:.1f} errors from what is known of it, '
                     f'{known}: a given value may be wrong'
                 )
         if self.is_mismatch:
             worst = max(self.residuals, key=lambda residual: residual.reduced_chi2)
             start, end = worst.worst_part
-            found.append(
+            result.append(
                 f'the residuals are {math.sqrt(self.reduced_chi2):.2g} times the noise: the model '
                 f'leaves out something that these tracks show, most of {worst.name} from '
                 f'{start:.4g} s to {end:.4g} s; errors are larger by as much, and may be too small'
@@ -340,12 +340,12 @@ class Fit:
         if coloured:
             worst = max(coloured, key=lambda residual: residual.inflation)
             more = f' and {len(coloured) - 1} more' if len(coloured) > 1 else ''
-            found.append(
+            result.append(
                 f'the residuals of {worst.name}{more} are no white noise (correlation of '
                 f'neighbours {worst.autocorrelation:.2f}): errors are up to '
                 f'{math.sqrt(max(worst.inflation, 1.0)):.2g} times larger'
             )
-        return found
+        return result
 
     @property
     def is_mismatch(self) -> bool:
@@ -403,7 +403,7 @@ def fit_best(
         fit_tracks(model, each, [track], noise=noise, max_evaluations=max_evaluations)
         for each in starts
     ]
-    best = min(tried, key=lambda found: found.chi2)
+    best = min(tried, key=lambda result: result.chi2)
     return fit_tracks(model, best.values, [track], max_evaluations=max_evaluations)
 
 
@@ -602,9 +602,9 @@ class _LeastSquares:
                 height, stamp = estimate_noise(each[kept], moving[kept])
                 noise = np.hypot(max(height, track.least_noise, 1e-15), stamp * moving)
             noises.append(noise)
-        found = np.concatenate(noises)
-        change = float(np.max(np.abs(np.log(found / self._noise))))
-        self._noise = found
+        result = np.concatenate(noises)
+        change = float(np.max(np.abs(np.log(result / self._noise))))
+        self._noise = result
         return change > _NOISE_TOLERANCE
 
     def _find_outliers(self, values: Floats) -> Flags:

@@ -84,8 +84,8 @@ class LinearFit:
         extra = self._project(np.concatenate([extra, unseen]))
         extra /= np.maximum(np.linalg.norm(extra, axis=0), 1e-300)
         left = self._project(self._left(self.fit.values))
-        found, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
-        return float(left @ left - np.sum((left - extra @ found) ** 2)), np.asarray(found)
+        result, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
+        return float(left @ left - np.sum((left - extra @ result) ** 2)), np.asarray(result)
 
     def gradients(self, heights: Floats) -> Floats:
         """Return the gradients of half of chi squared by sizes of columns, from shape (k, n)."""
@@ -138,15 +138,15 @@ def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float
     """
     correlation = np.abs(fit.correlation)
     indices = {name: fit.names.index(name) for name in LAYER if name in fit.names}
-    found = {}
+    result = {}
     for name, index in indices.items():
         others = [each for each in indices.values() if each != index]
         if correlation[index, others].max(initial=0.0) > INSEPARABLE:
             with contextlib.suppress(FitError):
                 system = LinearFit(model, fit, [index])
                 low, high = (_end_of_interval(system, fit, index, sign) for sign in (-1.0, 1.0))
-                found[name] = (low, high)
-    return found
+                result[name] = (low, high)
+    return result
 
 
 def _end_of_interval(system: LinearFit, fit: Fit, index: int, sign: float) -> float:

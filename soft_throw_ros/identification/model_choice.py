@@ -93,14 +93,14 @@ def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[str]]:
             if best.name == _LOSS:
                 start = best.model.without_faults(start)
                 start[best.model.layout.indices_of(_LOSS)] = _FIRST_LOSS
-            found = best.model.fit(start)
+            result = best.model.fit(start)
         except FitError:
             break  # the model with this term cannot be fitted
-        if found.reduced_chi2 >= fit.reduced_chi2:
+        if result.reduced_chi2 >= fit.reduced_chi2:
             break  # the fit ended in a worse minimum
         if best.name in _EXPLANATIONS:
-            remarks.append(_remark(best.name, fit, found))
-        model, fit = best.model, find_best_minimum(best.model, found)
+            remarks.append(_remark(best.name, fit, result))
+        model, fit = best.model, find_best_minimum(best.model, result)
     return model, fit, remarks
 
 
@@ -139,8 +139,8 @@ def _try_term(linear: LinearFit, name: str) -> _Candidate:
         for index in wider.layout.indices_of(part):
             throws = [throw for throw, at in wider.layout.indices[part].items() if at == index]
             columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
-    gain, found = linear.gain(np.stack(columns, axis=1))
-    if name == _LOSS and found.max() <= 0.0:
+    gain, result = linear.gain(np.stack(columns, axis=1))
+    if name == _LOSS and result.max() <= 0.0:
         gain = 0.0
     if fit.is_mismatch:
         gain /= max(1.0, fit.reduced_chi2)

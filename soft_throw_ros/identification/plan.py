@@ -105,7 +105,7 @@ class Condition(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
+class MeasurementSetup:
     """Sensors of the planned throws."""
 
     rate: float = 5000.0
@@ -121,7 +121,7 @@ class Sight:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Knowledge:
+class ParameterInformation:
     """Information about the parameters that all throws share, and about k unseen causes."""
 
     names: tuple[str, ...]
@@ -136,21 +136,21 @@ class Knowledge:
     """Unseen effects, in the order of their causes."""
 
     @classmethod
-    def of_fit(cls, found: RigFit) -> Knowledge:
+    def of_fit(cls, result: RigFit) -> ParameterInformation:
         """Return the information of earlier throws from their fit, including all priors."""
-        names = tuple(name for name in found.fit.names if '[' not in name)
-        indices = [found.fit.names.index(name) for name in names]
+        names = tuple(name for name in result.fit.names if '[' not in name)
+        indices = [result.fit.names.index(name) for name in names]
         # Rounding has many causes, of which none changes a release
         effects = tuple(
             effect._replace(are_pairs=False, margin=1.0)
-            for effect in found.effects
+            for effect in result.effects
             if effect.name != ROUNDING
         )
         shifts = np.concatenate([
             np.zeros((0, len(names))),
-            *(found.fit.unseen[effect.name][:, indices] for effect in effects),
+            *(result.fit.unseen[effect.name][:, indices] for effect in effects),
         ])
-        seen = found.fit.covariance[np.ix_(indices, indices)] - shifts.T @ shifts
+        seen = result.fit.covariance[np.ix_(indices, indices)] - shifts.T @ shifts
         return cls(names=names, information=_information(seen, shifts), effects=effects)
 
     @cached_property
@@ -182,7 +182,7 @@ class Knowledge:
         """Return standard errors by names."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))
 
-    def after(self, information: Floats) -> Knowledge:
+    def after(self, information: Floats) -> ParameterInformation:
         """Add the information of a throw."""
         return replace(self, information=self.information + information)
 
@@ -247,9 +247,9 @@ class Planner:
 
     rig: Rig
     conditions: Sequence[Condition]
-    sight: Sight
+    setup: MeasurementSetup
     description: FitDescription
-    measured: Knowledge | None = None
+    measured: ParameterInformation | None = None
 
     def __post_init__(self) -> None:
         if not self.conditions:
@@ -261,14 +261,14 @@ class Planner:
     def _model(self) -> RigModel:
         """Return a model of the rig and of all possible throws, as if they were measured."""
         description, throws = replace(self.description, throws={}), []
-        found = {}
+        result = {}
         simulator = ThrowSimulator()
         for number, condition in enumerate((Condition.of(self.rig), *self.conditions)):
             for name, treatment in condition.treatments(self.description).items():
                 description = description.set_condition(str(number), name, treatment)
             throws.append(self._tracks(str(number), condition, simulator))
-            found[number] = condition.values()
-        return RigModel(tuple(throws), self.rig, description, simulator, found=found)
+            result[number] = condition.values()
+        return RigModel(tuple(throws), self.rig, description, simulator, start_values=result)
 
     def _tracks(self, name: str, condition: Condition, simulator: ThrowSimulator) -> ThrowTracks:
         """Return empty tracks at the times at which a throw would be seen."""
@@ -276,14 +276,14 @@ class Planner:
             rig = changed_rig(self.rig, condition.values())
         except ValueError as error:
             raise FitError(str(error)) from None
-        duration = self.sight.duration
-        time = np.arange(-_REST / rig.engine.frequency, duration, 1.0 / self.sight.rate)
+        duration = self.setup.duration
+        time = np.arange(-_REST / rig.engine.frequency, duration, 1.0 / self.setup.rate)
         landing = simulator.landing_time(rig, duration)
         flying = time[time < IN_FLIGHT * landing]
         if flying.size < FEWEST:
             raise FitError(f'{flying.size} samples of a throw, where {FEWEST} are needed')
         plate, projectile = (
-            Track(time=each, position=np.zeros_like(each), known_noise=self.sight.noise)
+            Track(time=each, position=np.zeros_like(each), known_noise=self.setup.noise)
             for each in (time, flying)
         )
         return ThrowTracks(name=name, plate=plate, projectile=projectile)
@@ -323,7 +323,7 @@ class Planner:
         if self.measured:
             causes = [np.zeros((len(columns), effect.time.size)) for effect in self._effects]
         sought = np.concatenate([shared, *causes], axis=1)
-        found = []
+        result = []
         for number in range(1, len(self.conditions) + 1):
             own = [
                 index
@@ -334,16 +334,16 @@ class Planner:
                               for k in own])
             rows = self._model.rows == number
             basis, _ = np.linalg.qr(
-                np.concatenate([columns[rows][:, own] / self.sight.noise, np.diag(known)])
+                np.concatenate([columns[rows][:, own] / self.setup.noise, np.diag(known)])
             )
             seen = np.concatenate(
-                [sought[rows] / self.sight.noise, np.zeros((len(own), sought.shape[1]))]
+                [sought[rows] / self.setup.noise, np.zeros((len(own), sought.shape[1]))]
             )
             residual = seen - basis @ (basis.T @ seen)
-            found.append(residual.T @ residual)
-        return tuple(found)
+            result.append(residual.T @ residual)
+        return tuple(result)
 
-    def start(self) -> Knowledge:
+    def start(self) -> ParameterInformation:
         """Return the information before the next throw."""
         measured = self.measured.names if self.measured else ()
         errors = [  # the measured information includes the priors
@@ -360,24 +360,26 @@ class Planner:
             information[np.ix_(here, here)] += _information(
                 seen[np.ix_(kept, kept)], shifts[:, kept]
             )
-        return Knowledge(names=self.names, information=information, effects=self._effects)
+        return ParameterInformation(
+            names=self.names, information=information, effects=self._effects
+        )
 
-    def rank(self, known: Knowledge) -> list[PlannedThrow]:
+    def rank(self, known: ParameterInformation) -> list[PlannedThrow]:
         """Rank the throws that can be made next, the best one first."""
         return [self._planned(number, after) for number, after in self._ranked(known)]
 
-    def choose(self, known: Knowledge) -> Iterator[PlannedThrow]:
+    def choose(self, known: ParameterInformation) -> Iterator[PlannedThrow]:
         """Yield the best throws one after the other, without end."""
         while True:
             (best, known), *_ = self._ranked(known)
             yield self._planned(best, known)
 
-    def _ranked(self, known: Knowledge) -> list[tuple[int, Knowledge]]:
+    def _ranked(self, known: ParameterInformation) -> list[tuple[int, ParameterInformation]]:
         """Add the information of each throw, the best one first."""
         after = [known.after(information) for information in self.information]
         return sorted(enumerate(after), key=lambda each: each[1].log_det_covariance)
 
-    def energy_transfer(self, known: Knowledge) -> tuple[float, float]:
+    def energy_transfer(self, known: ParameterInformation) -> tuple[float, float]:
         """Return alpha of the rig and its standard error over alpha, over drawn rigs as a fit."""
         random = np.random.default_rng(0)
         steps = draw_normal(random, known.covariance, _DRAWS)
@@ -396,8 +398,8 @@ class Planner:
         # Neither loss nor damping becomes negative
         signed = [self._shared[name] for name in _WEAK_ERRORS if name in self._shared]
         values[:, signed] = np.maximum(values[:, signed], 0.0)
-        found = first_releases([self._model.rig_of(each, _TARGET) for each in values])
-        alpha = ((found.speed + slower) / found.peak_plate_speed) ** 2
+        result = first_releases([self._model.rig_of(each, _TARGET) for each in values])
+        alpha = ((result.speed + slower) / result.peak_plate_speed) ** 2
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')
         change = np.nan_to_num(alpha[1:] / alpha[0] - 1.0, nan=1.0)
@@ -413,12 +415,12 @@ class Planner:
         known = self._model.known.get(index)
         return known.error if known else _WEAKLY_KNOWN * self._size(name) or 1.0
 
-    def _planned(self, number: int, known: Knowledge) -> PlannedThrow:
+    def _planned(self, number: int, known: ParameterInformation) -> PlannedThrow:
         """Return the errors after a throw."""
         condition = self.conditions[number]
         rig = changed_rig(self.rig, condition.values())
         model = 'cells' if rig.layer.needs_cells else 'travelling_wave'
-        throw = simulate(rig, model=model, until=self.sight.duration)
+        throw = simulate(rig, model=model, until=self.setup.duration)
         return PlannedThrow(
             condition=condition,
             errors=known.errors(),

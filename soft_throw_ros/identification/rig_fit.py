@@ -206,12 +206,12 @@ class RigFit:
             with contextlib.suppress(ValueError):
                 rigs.append(self.model.rig_of(values))
                 kept.append(row)
-        found = first_releases(rigs)
-        speed = found.speed + shifts[kept, 1]
-        return found._replace(
-            time=found.time + shifts[kept, 0],
+        result = first_releases(rigs)
+        speed = result.speed + shifts[kept, 1]
+        return result._replace(
+            time=result.time + shifts[kept, 0],
             speed=speed,
-            energy_transfer=(speed / found.peak_plate_speed) ** 2,
+            energy_transfer=(speed / result.peak_plate_speed) ** 2,
         )
 
     def release_time_budget(self) -> dict[str, float]:
@@ -241,8 +241,8 @@ class RigFit:
             except ValueError:  # the value is at its bound
                 rigs.append(rigs[0])
                 widths.append(0.0)
-        found = first_releases(rigs)
-        times = np.where(found.echoes == found.echoes[0], found.time, np.nan)
+        result = first_releases(rigs)
+        times = np.where(result.echoes == result.echoes[0], result.time, np.nan)
         above, below = times[1:].reshape(2, -1)
         width = np.array(widths[1:]).reshape(2, -1).sum(axis=0)
         slopes = np.divide(above - below, width, out=np.zeros_like(width), where=width > 0.0)
@@ -273,7 +273,7 @@ def fit_rig(
     rig: Rig,
     description: FitDescription | None = None,
     *,
-    tell: Callable[[str], object] = lambda _: None,
+    on_progress: Callable[[str], object] = lambda _: None,
 ) -> RigFit:
     """
     Fit a rig to the tracks of one throw or many.
@@ -287,7 +287,7 @@ def fit_rig(
         should be right to a third.
     description : FitDescription, optional
         Treatments of the parameters; `DEFAULTS` by default.
-    tell : callable
+    on_progress : callable
         Called with the name of each step.
 
     Raises
@@ -306,37 +306,37 @@ def fit_rig(
     seconds = _SECONDS_PER_THROW * len(throws)
     simulator = ThrowSimulator(seconds)
     try:
-        tell('fitting the plate')
+        on_progress('fitting the plate')
         model, remarks = _fit_plates(throws, rig, description, simulator)
         others: list[Rig] = []
         if free:
-            tell('looking at all layers that it may be')
+            on_progress('searching the layers')
             model, others = _find_layers(model, free)
-        tell('fitting')
-        found = replace(_fit_until_landing(model), remarks=remarks)
+        on_progress('fitting')
+        result = replace(_fit_until_landing(model), remarks=remarks)
     except DeadlineExceeded:
         raise FitError(
             f'the fit takes more than {seconds:g} s; leave out late samples of the tracks, or fit '
             'fewer parameters'
         ) from None
     try:
-        tell('looking for other minima')
-        found = replace(found, fit=find_best_minimum(found.model, found.fit, others))
-        tell('looking for effects of the bench, and comparing layers')
-        found = _choose_layer(found)
+        on_progress('searching for other minima')
+        result = replace(result, fit=find_best_minimum(result.model, result.fit, others))
+        on_progress('searching for effects of the bench, and comparing layers')
+        result = _choose_layer(result)
     except DeadlineExceeded:
-        remark = 'not all that a bench may add was looked for: the fit takes too long'
-        found = replace(found, remarks=(*found.remarks, remark))
-    tell('computing the errors')
-    model = replace(found.model, simulator=ThrowSimulator())
-    fit, effects, skipped = add_unseen(model, found.fit)
+        remark = 'the search for effects of the bench is incomplete: the fit takes too long'
+        result = replace(result, remarks=(*result.remarks, remark))
+    on_progress('computing the errors')
+    model = replace(result.model, simulator=ThrowSimulator())
+    fit, effects, skipped = add_unseen(model, result.fit)
     return replace(
-        found,
+        result,
         model=model,
         fit=fit,
-        intervals=profile_intervals(model, found.fit),
+        intervals=profile_intervals(model, result.fit),
         effects=tuple(effects),
-        remarks=(*found.remarks, *skipped),
+        remarks=(*result.remarks, *skipped),
     )
 
 
@@ -364,16 +364,16 @@ def _fit_plates(
     return model, tuple(remarks)
 
 
-def _choose_layer(found: RigFit) -> RigFit:
+def _choose_layer(result: RigFit) -> RigFit:
     """Add the terms that the tracks show, and choose the law of the layer that explains them."""
-    simple = found.model
-    model, fit, remarks = add_terms(simple, found.fit)
+    simple = result.model
+    model, fit, remarks = add_terms(simple, result.fit)
     layers, strained = compare_layers(model, fit)
     if strained is not None:
         other = replace(simple, rig=strained[0])
         model, fit, remarks = add_terms(other, other.fit(other.start(strained[1])))
     return replace(
-        found, model=model, fit=fit, layers=tuple(layers), remarks=(*found.remarks, *remarks)
+        result, model=model, fit=fit, layers=tuple(layers), remarks=(*result.remarks, *remarks)
     )
 
 
@@ -384,7 +384,7 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
         if throw.projectile is not None:
             conditions = model.description.conditions(throw.name)
             groups.setdefault(conditions.get('layer'), []).append(number)
-    found: dict[int, dict[str, float]] = {}
+    result: dict[int, dict[str, float]] = {}
     for numbers in groups.values():
         throws = tuple(
             throw if number in numbers else replace(throw, projectile=None)
@@ -393,8 +393,8 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
         best, *others = find_layers(replace(model, throws=throws))
         if len(groups) == 1:
             return replace(model, rig=best), others
-        found |= dict.fromkeys(numbers, values_of(best, free))
-    return replace(model, found=found), []
+        result |= dict.fromkeys(numbers, values_of(best, free))
+    return replace(model, start_values=result), []
 
 
 def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
@@ -439,13 +439,13 @@ def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescri
 def _fit_until_landing(model: RigModel) -> RigFit:
     """Fit the samples before the landing, whose time depends on the fit."""
     cut = _in_flight(model)
-    found = RigFit(model=cut, fit=cut.fit(cut.start()))
+    result = RigFit(model=cut, fit=cut.fit(cut.start()))
     for _ in range(_LANDING_ROUNDS - 1):
-        cut = _in_flight(replace(model, rig=found.rig))
-        if cut.rows.size == found.model.rows.size:
+        cut = _in_flight(replace(model, rig=result.rig))
+        if cut.rows.size == result.model.rows.size:
             break
-        found = RigFit(model=cut, fit=cut.fit(cut.start()))
-    return found
+        result = RigFit(model=cut, fit=cut.fit(cut.start()))
+    return result
 
 
 def _in_flight(model: RigModel) -> RigModel:

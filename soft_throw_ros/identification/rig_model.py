@@ -30,8 +30,8 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
     ENGINE,
     FitDescription,
+    NUISANCE_PARAMETERS,
     PARAMETERS,
-    TERMS,
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
@@ -128,7 +128,7 @@ class RigModel:
     simulator: ThrowSimulator
     plates: tuple[PlateFit, ...] = ()
     """Fits of the plates alone, throw by throw."""
-    found: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+    start_values: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     """Start values for the layers of some throws, by their numbers."""
     needs_cells: bool = False
     """Whether cells simulate a layer of any kind, to compare layers without other differences."""
@@ -148,7 +148,9 @@ class RigModel:
     def rigs(self) -> list[Rig]:
         """Rig of each throw, with the values of the description and start values."""
         return [
-            changed_rig(self.description.prepare(self.rig, throw.name), self.found.get(number, {}))
+            changed_rig(
+                self.description.prepare(self.rig, throw.name), self.start_values.get(number, {})
+            )
             for number, throw in enumerate(self.throws)
         ]
 
@@ -181,21 +183,21 @@ class RigModel:
     @cached_property
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
-        found: dict[int, Estimate | None] = {}
+        result: dict[int, Estimate | None] = {}
         for index, ((part, _), (throw, *_)) in enumerate(self.layout.groups.items()):
             name = TERM_OF.get(part, part)
             if name in DEFAULTS:
-                found[index] = self.description.known(
+                result[index] = self.description.known(
                     name, self.rigs[throw], self.throws[throw].name
                 )
-        return {index: known for index, known in found.items() if known is not None}
+        return {index: known for index, known in result.items() if known is not None}
 
     def value(self, values: Floats, name: str, throw: int) -> float:
         """Return a value of a throw; the default if it is not fitted."""
         index = self.layout.indices.get(name, {}).get(throw)
         if index is not None:
             return float(values[index])
-        if name in TERMS:
+        if name in NUISANCE_PARAMETERS:
             return self.description.value(name, self.rigs[throw], self.throws[throw].name)
         return 0.0
 
@@ -254,7 +256,7 @@ class RigModel:
         """
         if wanted is None:
             wanted = [(throw, body, track.time) for throw, body, track in self.channels]
-        found = []
+        result = []
         motions = {throw: self.motion(values, throw) for throw in {each[0] for each in wanted}}
         if change is not None:
             motions = {throw: change(*motion) for throw, motion in motions.items()}
@@ -270,8 +272,8 @@ class RigModel:
                 path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
                 travel, velocity = path.position - rig.rest_height, path.velocity
             height = rest + scale * travel + self.drift(values, throw, body, time)
-            found.append(Trajectory(height, scale * velocity))
-        return found
+            result.append(Trajectory(height, scale * velocity))
+        return result
 
     def since(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Return times since the start of a throw at which a body is seen [s]."""
@@ -341,14 +343,14 @@ class RigModel:
             for throw, index in by_throw.items():
                 if name in PARAMETERS:
                     values[index] = values_of(self.rigs[throw], [name])[name]
-                elif name in TERMS:
+                elif name in NUISANCE_PARAMETERS:
                     values[index] = self.description.value(name, self.rig, self.throws[throw].name)
         for throw, plate in enumerate(self.plates):
             engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
-            found = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
+            result = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
             for (name, key), throws in self.layout.groups.items():
-                if key is not None and throw in throws and name in found:
-                    values[self.layout.indices[name][throw]] = found[name]
+                if key is not None and throw in throws and name in result:
+                    values[self.layout.indices[name][throw]] = result[name]
         if PROJECTILE_ZERO in self.layout:
             paths = self.paths(values)
             for (throw, body, track), path in zip(self.channels, paths, strict=True):
@@ -395,19 +397,19 @@ class RigModel:
             known={k: self.known[index] for k, index in enumerate(free) if index in self.known},
             speed=lambda values: self.speed(whole(values)),
         )
-        found = fit_tracks(
+        result = fit_tracks(
             model,
             start[free],
             self.tracks(),
             noise=noise,
             max_evaluations=max_evaluations,
         )
-        unseen = np.flatnonzero(~(found.errors < _UNSEEN))
+        unseen = np.flatnonzero(~(result.errors < _UNSEEN))
         if unseen.size:
             raise FitError(
-                f'these tracks say nothing of {", ".join(found.names[index] for index in unseen)}'
+                f'these tracks say nothing of {", ".join(result.names[index] for index in unseen)}'
             )
-        return found
+        return result
 
     def cut_after(self, after: float) -> RigModel:
         """Remove the samples of projectiles later than a time after the start [s]."""

@@ -110,7 +110,7 @@ class Spot:
     """Row and column in the first picture, for messages. [px]"""
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Description of the first position, for messages."""
         if self.start is None and not self.row.size:
             return 'the edge'
@@ -317,7 +317,7 @@ def tracks_of(
     if len(bodies) != len(spots):
         raise TrackError(
             f'{len(spots)} round spots are seen, at '
-            f'{", ".join(spot.place for spot in spots)}, and not {len(bodies)}, '
+            f'{", ".join(spot.location for spot in spots)}, and not {len(bodies)}, '
             f'{", ".join(bodies)}'
         )
     groups: dict[str, list[Spot]] = {}
@@ -331,8 +331,8 @@ def tracks_of(
         seen = reduce(np.intersect1d, [spot.picture for spot in some])
         if seen.size < FEWEST:
             raise TrackError(
-                f'the spot at {" and at ".join(spot.place for spot in some)}, on the {name}, is '
-                f'seen in {seen.size} pictures, where at least {FEWEST} are needed'
+                f'the spot at {" and at ".join(spot.location for spot in some)}, on the {name}, '
+                f'is seen in {seen.size} pictures, where at least {FEWEST} are needed'
             )
         row = np.mean([spot.row[np.isin(spot.picture, seen)] for spot in some], axis=0)
         tracks[name] = Track(

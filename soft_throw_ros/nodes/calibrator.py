@@ -43,7 +43,7 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import FitDescription, USUAL
+from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import msg_to_throw_result, status_to_msg
@@ -193,7 +193,7 @@ class Calibrator(RunnableNode):
             self.get_logger().warning(warning)
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
-        values = {name: rig_fit.estimate(name) for name in USUAL}
+        values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
         self._set_parameters(self._twin, {name: value.value for name, value in values.items()})
         words = (
             f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()

@@ -109,14 +109,14 @@ class Measurement:
         self._subscription.poll_losses()
         counts = self._session.sample_counts
         refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
-        found = Counter({f'refused.{why}': count for why, count in refused.items()})
-        found['samples'] = counts.taken
-        found['samples_out_of_order'] = counts.out_of_order
-        found['samples_jumped'] = counts.outliers
-        found['samples_refused'] = sum(refused.values())
-        found['messages'] = self._subscription.received
-        found['messages_lost'] = self._subscription.lost
-        return found
+        result = Counter({f'refused.{why}': count for why, count in refused.items()})
+        result['samples'] = counts.taken
+        result['samples_out_of_order'] = counts.out_of_order
+        result['samples_jumped'] = counts.outliers
+        result['samples_refused'] = sum(refused.values())
+        result['messages'] = self._subscription.received
+        result['messages_lost'] = self._subscription.lost
+        return result
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -225,7 +225,7 @@ class Recording:
             (item, find_topic(item.channel.topic, item.channel.type))
             for item in self.subscriptions
         )
-        return [item for item, found in known if found and found.topic == TWIN_TOPICS.joint_states]
+        return [item for item, row in known if row and row.topic == TWIN_TOPICS.joint_states]
 
     def _open_bag(self) -> BagWriter:
         settings = self._settings

@@ -94,7 +94,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
     try:
         text = _require_shallow(read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode())
         information = _values(_values(yaml.compose(text, yaml.SafeLoader))[_KEY])
-        found = {name: information[name].value for name in _WANTED if name in information}
+        result = {name: information[name].value for name in _WANTED if name in information}
         files = [node.value for node in information['relative_file_paths'].value]
     except FileNotFoundError:
         raise ValueError('the file is missing') from None
@@ -103,9 +103,9 @@ def read_metadata(path: Path) -> dict[str, Any]:
     except _ERRORS as error:
         reason = str(error).partition('\n')[0]
         raise ValueError(f'the file does not describe a bag, {reason:.200}') from None
-    if not all(isinstance(text, str) for text in (*files, *found.values())):
+    if not all(isinstance(text, str) for text in (*files, *result.values())):
         raise ValueError('the file does not describe a bag, it has lists in place of texts')
-    return {**found, 'relative_file_paths': files}
+    return {**result, 'relative_file_paths': files}
 
 
 def _values(node: Any) -> dict[str, Any]:

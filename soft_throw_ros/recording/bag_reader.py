@@ -53,7 +53,7 @@ class BagFolder:
         self.files = self._find_files(information) if self.path.is_dir() else [self.path]
 
     def _read_information(self) -> dict[str, Any]:
-        """Read `metadata.yaml`; without it the files tell all that is needed."""
+        """Read `metadata.yaml`; without it the files contain all required data."""
         path = self.path / METADATA_FILE
         try:
             return read_metadata(path)

@@ -74,9 +74,9 @@ class UnreadableRange(NamedTuple):
     messages: int = 0  # number of messages in the range, as far as is known
 
     def __str__(self) -> str:
-        place = f'{self.size} bytes at {self.offset}: ' if self.size else ''
+        location = f'{self.size} bytes at {self.offset}: ' if self.size else ''
         count = f' ({self.messages} messages)' if self.messages else ''
-        return f'{self.path}: {place}{self.reason}{count}'
+        return f'{self.path}: {location}{self.reason}{count}'
 
 
 class ScannedFile:

@@ -39,7 +39,7 @@ THROW_TIME = 'time since throw'
 Bytes = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
-# Okabe and Ito's colours, which everybody can tell apart
+# The colours of Okabe and Ito, which people with colour blindness can distinguish.
 GREY = (0xB0, 0xB0, 0xB0)
 WHITE = (0xFF, 0xFF, 0xFF)
 BLUE = (0x56, 0xB4, 0xE9)

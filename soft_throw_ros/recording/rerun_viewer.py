@@ -84,10 +84,10 @@ def find_viewer() -> Path:
         path = Path(package.origin).with_name('rerun')
         if path.exists():
             return path
-    found = shutil.which('rerun', path=f'{Path(sys.executable).parent}:{os.environ.get("PATH")}')
-    if found is None:
+    result = shutil.which('rerun', path=f'{Path(sys.executable).parent}:{os.environ.get("PATH")}')
+    if result is None:
         raise ViewerError("no program rerun is on the PATH; pip install 'soft_throw_ros[rerun]'")
-    return Path(found)
+    return Path(result)
 
 
 def has_display() -> bool:

@@ -98,12 +98,12 @@ def installed_prefixes() -> list[str]:
 
 def _dependencies(text: str, package: str) -> list[str]:
     """List the types that fields have, as `package/Type`, in the order that rosbag2 takes."""
-    found = set()
+    result = set()
     for name in _FIELD_TYPE.findall(text):
         if name not in _PRIMITIVES:
             first, _, rest = name.partition('/')
-            found.add(f'{first}/{rest.removeprefix("msg/")}' if rest else f'{package}/{name}')
-    return sorted(found)
+            result.add(f'{first}/{rest.removeprefix("msg/")}' if rest else f'{package}/{name}')
+    return sorted(result)
 
 
 def _split(type_name: str) -> tuple[str, str]:

@@ -180,8 +180,8 @@ def tells_throws(topic: str, type_name: str) -> bool:
 @functools.cache
 def identify(name: str, type_name: str) -> tuple[str, Topic | None]:
     """Return the node and the entry of a topic; the entry is None for topics of other packages."""
-    found = find_topic(name, type_name)
-    return found or ('', None)
+    result = find_topic(name, type_name)
+    return result or ('', None)
 
 
 class TwinReader:

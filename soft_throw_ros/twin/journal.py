@@ -32,8 +32,8 @@ checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps fro
               `step`, for about a second
 ============= ================================================================================
 
-All but the last two repeat a run; those tell if it is the same. Numbers are written with all their
-digits, so that the same line gives the same floats.
+All but the last two repeat a run; the last two show whether it is the same. Numbers are written
+with all their digits, so that the same line gives the same floats.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from soft_throw_ros.configuration import files, rig_of
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
-from soft_throw_ros.identification.fit_description import USUAL
+from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.recording.bag_writer import BagWriter
@@ -59,8 +59,8 @@ def value(found, name):
 
 def test_sample_gives_its_rig(found_in_sample):
     found, truth = found_in_sample, (58.0, 0.05, 1.8e-3, 6.9)
-    assert list(found['found'])[:4] == list(USUAL)
-    for name, expected in zip(USUAL, truth, strict=True):
+    assert list(found['found'])[:4] == list(DEFAULT_FREE)
+    for name, expected in zip(DEFAULT_FREE, truth, strict=True):
         best, error = value(found, name)
         assert best == pytest.approx(expected, abs=3.5 * error)
         assert error < 0.05 * expected
@@ -161,7 +161,7 @@ def test_outliers_of_3_mm_are_listed_and_excluded(command, write, found_in_sampl
         (outlier,) = residual['outliers']
         assert outlier['time'] == off[residual['track']]
         assert outlier['deviation'] == pytest.approx(3e-3, abs=1e-4)
-    for name in USUAL:
+    for name in DEFAULT_FREE:
         best, error = value(clean, name)
         assert value(found, name)[0] == pytest.approx(best, abs=error)
     assert found['warnings'] == []
@@ -186,7 +186,7 @@ def test_plate_alone_gives_the_engine(command, write, tmp_path):
     rows = [line.rpartition(',')[0] for line in SAMPLE.read_text().splitlines()[4:]]
     path, output = write('\n'.join(rows)), tmp_path / 'rig.yaml'
     found = command.json(path, '--unit', 'mm', '--output', output)
-    assert list(found['found']) == list(USUAL[:3])
+    assert list(found['found']) == list(DEFAULT_FREE[:3])
     assert value(found, 'engine.frequency')[0] == pytest.approx(58.0, rel=5e-3)
     assert found['ejection'] is None
     assert files.read(output)['engine.frequency'] == pytest.approx(58.0, rel=5e-3)
@@ -276,7 +276,7 @@ def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     assert command.err == ''
     last = command.json(next(folder.glob('*.mcap')), '--thickness', 12e-3, '--from', 1.2)
     assert last['sources'] == ['bag_0.mcap']
-    for name, expected in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
+    for name, expected in zip(DEFAULT_FREE, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
         found, error = value(last, name)
         # One throw hardly distinguishes wave speed, thickness and stiffening
         slack = 0.05 * error if name == 'layer.wave_speed' else 0.0
@@ -325,7 +325,7 @@ def test_samples_with_late_stamps_are_named_and_excluded(command, write, found_i
     path = write('\n'.join([*lines[:4], *map(','.join, rows)]))
     found = command.json(path, *OF_SAMPLE[1:])
     assert any(f'{len(late)} samples' in note and 'late' in note for note in found['notes'])
-    for name in USUAL:
+    for name in DEFAULT_FREE:
         best, error = value(found_in_sample, name)
         assert value(found, name)[0] == pytest.approx(best, abs=error)
 
@@ -356,7 +356,7 @@ def test_throw_that_resembles_several_is_one(command, write, start, noise):
     lines = [f'{t:.4f},{low:.7f},{high:.7f}' for t, low, high in zip(time, *seen, strict=True)]
     found = command.json(write('\n'.join(lines)), '--thickness', 12e-3)
     assert found['sources'] == ['file']
-    for name, truth in zip(USUAL, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
+    for name, truth in zip(DEFAULT_FREE, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
         best, error = value(found, name)
         assert best == pytest.approx(truth, abs=4.0 * error)
 

@@ -29,7 +29,12 @@ from soft_throw_ros.identification.ejection import (
     ejection_of,
     GOOD_ENOUGH,
 )
-from soft_throw_ros.identification.fit_description import FitDescription, HELD, USUAL, values_of
+from soft_throw_ros.identification.fit_description import (
+    DEFAULT_FREE,
+    FitDescription,
+    IDEAL_BENCH,
+    values_of,
+)
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig
 
@@ -53,7 +58,7 @@ def test_errors_of_the_ejection_are_correct(make_throw):
     pulls = []
     for seed in range(4):
         throw = make_throw(Rig(), rate=2000.0, duration=0.06, seed=seed)
-        ejection = ejection_of(fit_rig([throw], Rig(), FitDescription(HELD)))
+        ejection = ejection_of(fit_rig([throw], Rig(), FitDescription(IDEAL_BENCH)))
         pulls.append(pulls_of(ejection, truth))
         assert ejection.energy_transfer.error < 0.01
         assert ejection.alternatives == ()
@@ -66,9 +71,9 @@ def fitted(make_throw):
     """Return the fit of a rig with an error of its wave speed."""
 
     def fit(rig, *, error):
-        found = fit_rig([make_throw(Rig(), rate=1000.0)], rig, FitDescription(HELD))
+        found = fit_rig([make_throw(Rig(), rate=1000.0)], rig, FitDescription(IDEAL_BENCH))
         values = found.fit.values.copy()
-        values[:4] = list(values_of(rig, USUAL).values())
+        values[:4] = list(values_of(rig, DEFAULT_FREE).values())
         covariance = np.diag(np.full(values.size, 1e-20))
         covariance[3, 3] = error**2
         changed = replace(found.fit, values=values, covariance=covariance)

@@ -17,7 +17,7 @@ import re
 
 import pytest
 from soft_throw_ros.core.rig import Layer, Projectile, Rig
-from soft_throw_ros.identification.fit_description import FitDescription, USUAL
+from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 
 RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
@@ -46,7 +46,7 @@ def test_parameter_is_free_or_held_or_known_with_an_error(text, known, value):
     assert description.activate('layer.thickness').treatment('layer.thickness').is_varied is (
         treatment.is_varied or treatment.only_if_significant
     )
-    assert all(description.treatment(name).is_varied for name in USUAL)
+    assert all(description.treatment(name).is_varied for name in DEFAULT_FREE)
 
 
 def test_measured_quantities_have_the_errors_of_the_paper():

@@ -14,7 +14,7 @@
 """The order of the values of a fit."""
 
 import numpy as np
-from soft_throw_ros.identification.fit_description import FitDescription, HELD
+from soft_throw_ros.identification.fit_description import FitDescription, IDEAL_BENCH
 from soft_throw_ros.identification.parameter_layout import ParameterLayout
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
@@ -23,7 +23,7 @@ TRACK = Track(time=np.arange(20.0), position=np.sin(np.arange(20.0)))
 
 def layout_of(*names, **options):
     throws = [ThrowTracks(name=name, plate=TRACK, projectile=TRACK) for name in names]
-    description = FitDescription({**HELD, 'engine.amplitude': 'free per throw'}, **options)
+    description = FitDescription({**IDEAL_BENCH, 'engine.amplitude': 'free per throw'}, **options)
     return ParameterLayout.of(throws, description)
 
 
@@ -55,7 +55,7 @@ def test_throws_with_another_layer_have_their_own_wave_speed():
 def test_ringing_has_two_values_for_each_throw():
     throw = ThrowTracks(name='a', plate=TRACK)
     layout = ParameterLayout.of(
-        [throw], FitDescription({**HELD, 'plate.ringing': '+- 0.02 per throw'})
+        [throw], FitDescription({**IDEAL_BENCH, 'plate.ringing': '+- 0.02 per throw'})
     )
     assert [layout.names[index] for index in layout.waves_of(0)] == [
         'plate.ringing_cosine', 'plate.ringing_sine'

@@ -27,11 +27,16 @@ from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
-    HELD,
+    IDEAL_BENCH,
     LAYER,
 )
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.plan import Condition, Knowledge, Planner, Sight
+from soft_throw_ros.identification.plan import (
+    Condition,
+    MeasurementSetup,
+    ParameterInformation,
+    Planner,
+)
 from soft_throw_ros.identification.rig_fit import fit_rig
 
 RIG = Rig(
@@ -39,8 +44,8 @@ RIG = Rig(
     layer=Layer(thickness=16.8e-3, wave_speed=7.8),
     projectile=Projectile(mass=1.2e-3),
 )
-SIGHT = Sight(rate=5000.0, noise=2e-5, duration=0.03)
-FREE = FitDescription({**HELD, 'layer.thickness': 'free'})
+SETUP = MeasurementSetup(rate=5000.0, noise=2e-5, duration=0.03)
+FREE = FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free'})
 LIGHT, USUAL, HEAVY, SMALL = (
     Condition(mass, 16.8e-3, amplitude)
     for mass, amplitude in ((0.6e-3, 1.2e-3), (1.2e-3, 1.2e-3), (2.4e-3, 1.2e-3), (2.4e-3, 6e-4))
@@ -55,7 +60,7 @@ def heights_of(values, conditions, time):
         names = (*ENGINE[:2], *LAYER[:2], 'engine.amplitude', 'projectile.mass')
         numbers = (*values[:4], amplitude, condition.mass)
         rig = changed_rig(RIG, dict(zip(names, numbers, strict=True)))
-        path = simulate(rig, until=SIGHT.duration + 0.01).trajectory(np.maximum(time - start, 0.0))
+        path = simulate(rig, until=SETUP.duration + 0.01).trajectory(np.maximum(time - start, 0.0))
         heights += [
             low + Underdamped.of(rig.engine).position(time - start),
             high + path.projectile_position - path.projectile_position[0],
@@ -65,7 +70,7 @@ def heights_of(values, conditions, time):
 
 def scatter(conditions, *, repeats=20):
     """Fit repeated simulations of throws; return the scatter of c_s and L_s."""
-    time = np.arange(-0.25 / 63.2, SIGHT.duration, 1.0 / SIGHT.rate)
+    time = np.arange(-0.25 / 63.2, SETUP.duration, 1.0 / SETUP.rate)
     truth = np.array([63.2, 0.064, 7.8, 16.8e-3])
     for condition in conditions:
         truth = np.append(truth, [condition.amplitude, 0.0, 0.0, 0.0])
@@ -73,9 +78,9 @@ def scatter(conditions, *, repeats=20):
     clean = heights_of(truth, conditions, time)
     found = []
     for seed in range(repeats):
-        noise = SIGHT.noise * np.random.default_rng(seed).normal(size=clean.size)
+        noise = SETUP.noise * np.random.default_rng(seed).normal(size=clean.size)
         fit = least_squares(
-            lambda x, data: (heights_of(truth + sizes * x, conditions, time) - data) / SIGHT.noise,
+            lambda x, data: (heights_of(truth + sizes * x, conditions, time) - data) / SETUP.noise,
             np.zeros(truth.size),
             args=(clean + noise,),
             diff_step=1e-3,
@@ -87,7 +92,7 @@ def scatter(conditions, *, repeats=20):
 
 @pytest.mark.parametrize('conditions', [(HEAVY,), (HEAVY, LIGHT)], ids=['one', 'two'])
 def test_planned_errors_agree_with_the_scatter_of_fits_of_simulated_throws(conditions):
-    planner = Planner(RIG, conditions, SIGHT, FREE)
+    planner = Planner(RIG, conditions, SETUP, FREE)
     errors = planner.start().after(sum(planner.information)).errors()
     expected = scatter(conditions)
     # the spread of 20 fits is known to 16 %
@@ -96,10 +101,10 @@ def test_planned_errors_agree_with_the_scatter_of_fits_of_simulated_throws(condi
 
 
 def test_planned_errors_agree_with_a_fit(make_throw):
-    sight = Sight(rate=5000.0, noise=2e-5, duration=0.0475)
-    planner = Planner(RIG, (USUAL,), sight, FitDescription())
+    setup = MeasurementSetup(rate=5000.0, noise=2e-5, duration=0.0475)
+    planner = Planner(RIG, (USUAL,), setup, FitDescription())
     (planned,) = planner.rank(planner.start())
-    throw = make_throw(RIG, start=0.25 / 63.2, duration=sight.duration + 0.25 / 63.2)
+    throw = make_throw(RIG, start=0.25 / 63.2, duration=setup.duration + 0.25 / 63.2)
     fit = fit_rig([throw], RIG)
     alpha = ejection_of(fit).energy_transfer
     assert planned.energy_transfer_error == pytest.approx(alpha.error / alpha.value, rel=0.25)
@@ -111,14 +116,14 @@ def test_planned_errors_agree_with_a_fit(make_throw):
 
 def test_plan_after_a_throw_begins_with_the_errors_of_its_fit(make_throw):
     fit = fit_rig([make_throw(RIG, rate=2500.0, duration=0.06)], RIG)
-    planner = Planner(RIG, (USUAL,), SIGHT, FitDescription(), Knowledge.of_fit(fit))
+    planner = Planner(RIG, (USUAL,), SETUP, FitDescription(), ParameterInformation.of_fit(fit))
     errors = planner.start().errors()
     for name in ('layer.wave_speed', 'layer.thickness', 'layer.stiffening', 'engine.frequency'):
         assert errors[name] == pytest.approx(fit.fit[name].error, rel=1e-6)
 
 
 def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
-    planner = Planner(RIG, (SMALL, LIGHT, USUAL, HEAVY), SIGHT, FREE)
+    planner = Planner(RIG, (SMALL, LIGHT, USUAL, HEAVY), SETUP, FREE)
     chosen = list(itertools.islice(planner.choose(planner.start()), 6))
     assert chosen[0].condition == HEAVY == planner.rank(planner.start())[0].condition
     errors = [[each.errors['layer.wave_speed'], each.energy_transfer_error] for each in chosen]
@@ -127,10 +132,10 @@ def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
 
 
 def test_earlier_measurements_count_like_a_throw():
-    planner = Planner(RIG, (HEAVY,), SIGHT, FREE)
+    planner = Planner(RIG, (HEAVY,), SETUP, FREE)
     (first,) = planner.rank(planner.start())
     after = planner.start().after(planner.information[0])
-    again = Planner(RIG, (HEAVY,), SIGHT, FREE, after)
+    again = Planner(RIG, (HEAVY,), SETUP, FREE, after)
     assert again.start().errors()['layer.wave_speed'] == pytest.approx(
         first.errors['layer.wave_speed'], rel=0.01
     )
@@ -138,8 +143,8 @@ def test_earlier_measurements_count_like_a_throw():
 
 def test_mass_uncertainty_limits_wave_speed_and_thickness_of_many_throws():
     # Throws show t_s and tau alone, so that c_s and L_s are known no better than the mass
-    fit = FitDescription({**HELD, 'layer.thickness': 'free', 'projectile.mass': '+- 5 %'})
-    planner = Planner(RIG, (USUAL,), SIGHT, fit)
+    fit = FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free', 'projectile.mass': '+- 5 %'})
+    planner = Planner(RIG, (USUAL,), SETUP, fit)
     left = planner.start().after(1e6 * planner.information[0]).errors()
     assert left['layer.wave_speed'] / 7.8 == pytest.approx(0.05, rel=0.01)
     assert left['layer.thickness'] / 16.8e-3 == pytest.approx(0.05, rel=0.01)
@@ -147,7 +152,7 @@ def test_mass_uncertainty_limits_wave_speed_and_thickness_of_many_throws():
 
 def test_layers_of_one_material_share_its_wave_speed_but_not_their_thickness():
     thin = Condition(1.2e-3, 8e-3, 1.2e-3)
-    planner = Planner(RIG, (thin, USUAL), SIGHT, FREE)
+    planner = Planner(RIG, (thin, USUAL), SETUP, FREE)
     assert set(planner.names) >= {'layer.wave_speed', 'layer.thickness', 'layer.thickness[0.008]'}
     errors = {each.condition: each.errors for each in planner.rank(planner.start())}
     assert errors[thin]['layer.thickness'] == pytest.approx(16.8e-3, rel=0.01)  # as before
@@ -157,7 +162,8 @@ def test_layers_of_one_material_share_its_wave_speed_but_not_their_thickness():
 
 def test_bench_uncertainties_are_in_the_planned_errors():
     sure, doubtful = (
-        Planner(RIG, (USUAL,), SIGHT, fit) for fit in (FitDescription(HELD), FitDescription())
+        Planner(RIG, (USUAL,), SETUP, fit)
+        for fit in (FitDescription(IDEAL_BENCH), FitDescription())
     )
     errors = [next(each.choose(each.start())) for each in (sure, doubtful)]
     assert errors[1].errors['layer.wave_speed'] > 3.0 * errors[0].errors['layer.wave_speed']
@@ -166,10 +172,10 @@ def test_bench_uncertainties_are_in_the_planned_errors():
 
 def test_empty_plan_is_refused():
     with pytest.raises(FitError, match='no throw to choose'):
-        Planner(RIG, (), SIGHT, FREE)
+        Planner(RIG, (), SETUP, FREE)
     with pytest.raises(FitError, match=r'one of layer\.wave_speed, '):
-        Planner(RIG, (USUAL,), SIGHT, FitDescription({**HELD, 'layer.wave_speed': 'held'}))
+        Planner(RIG, (USUAL,), SETUP, FitDescription({**IDEAL_BENCH, 'layer.wave_speed': 'held'}))
     with pytest.raises(FitError, match=re.escape('-0.001')):
-        Planner(RIG, (Condition(-1e-3, 0.01, 1e-3),), SIGHT, FREE).start()
+        Planner(RIG, (Condition(-1e-3, 0.01, 1e-3),), SETUP, FREE).start()
     with pytest.raises(ValueError, match=r'rate must be .*, got 0'):
-        Sight(rate=0.0)
+        MeasurementSetup(rate=0.0)

@@ -23,12 +23,12 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.ejection import ejection_of
 from soft_throw_ros.identification.fit_description import (
+    DEFAULT_FREE,
     ENGINE,
     FitDescription,
-    HELD,
+    IDEAL_BENCH,
     LAYER,
     PARAMETERS,
-    USUAL,
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
@@ -44,7 +44,7 @@ KNOWN = Rig(
     layer=Layer(wave_speed=50.0),
 )
 
-EXACT = FitDescription(HELD)
+EXACT = FitDescription(IDEAL_BENCH)
 """Description of a fit for a bench without faults: only the usual parameters are free."""
 
 # Least squares of the reference tracks, and Cramer-Rao bounds, by another program
@@ -74,7 +74,7 @@ def test_rig_fit_gives_the_reference_values(reference_throw):
     found = fit_rig(
         [replace(reference_throw, **tracks)],
         replace(KNOWN, gravity=0.0),
-        FitDescription(HELD, 'absolute', 'centre'),
+        FitDescription(IDEAL_BENCH, 'absolute', 'centre'),
     ).fit
     assert set(found.names) == set(REFERENCE)
     for name, (value, error) in REFERENCE.items():
@@ -92,7 +92,7 @@ def test_errors_fall_with_the_root_of_the_number_of_throws(make_throw):
     ]
     one = fit_rig(throws[:1], KNOWN, EXACT).fit
     found = fit_rig(throws, KNOWN, EXACT)
-    for name in USUAL:
+    for name in DEFAULT_FREE:
         assert found.fit[name].error == pytest.approx(0.5 * one[name].error, rel=0.2)
     assert_true(found, Rig())
     for number in range(4):
@@ -139,7 +139,7 @@ def test_heights_from_a_common_zero_determine_the_thickness(make_throw, heights,
     up = 0.025 if reference == 'centre' else 0.0
     seen = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
     known = replace(KNOWN, projectile=rig.projectile, layer=Layer(thickness=0.03))
-    description = FitDescription({**HELD, 'layer.thickness': 'free'}, heights, reference)
+    description = FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free'}, heights, reference)
     found = fit_rig([seen], known, description)
     assert_true(found, rig)
     assert found.fit['layer.thickness'].error < 5e-5
@@ -156,7 +156,7 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     )
     seen = make_throw(rig, rate=1000.0, duration=0.1)
     known = replace(rig, layer=Layer(thickness=2.6e-3))
-    found = fit_rig([seen], known, FitDescription({**HELD, 'layer.thickness': 'free'}))
+    found = fit_rig([seen], known, FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free'}))
     fit = found.fit
     for name, truth in (('layer.wave_speed', 3.0), ('layer.thickness', 2e-3)):
         low, high = found.intervals[name]
@@ -208,7 +208,7 @@ def test_sensor_faults_are_within_the_errors(make_throw, see, fault):
     wrong = see(*wrong, noise=0.0)
     late = replace(wrong.projectile, time=wrong.projectile.time + delay)
     found = fit_rig([replace(wrong, projectile=late)], Rig(layer=Layer(wave_speed=20.0)))
-    assert_true(found, Rig(), (*USUAL, 'start_time'), errors=3.5)
+    assert_true(found, Rig(), (*DEFAULT_FREE, 'start_time'), errors=3.5)
     assert found.fit['engine.frequency'].error < 0.03
     assert found.fit.warnings() == []
 
@@ -219,7 +219,7 @@ def test_stamp_errors_increase_noise_where_bodies_are_fast(make_throw, see):
     wrong = time + 4e-5 * np.random.default_rng(2).uniform(-1.0, 1.0, time.size)
     jittering = see(wrong, seen.plate.position, seen.projectile.position, noise=0.0)
     found = fit_rig([jittering], Rig(layer=Layer(wave_speed=20.0)))
-    assert_true(found, Rig(), (*USUAL, 'start_time'), errors=3.5)
+    assert_true(found, Rig(), (*DEFAULT_FREE, 'start_time'), errors=3.5)
     assert found.fit.warnings() == []
     noise = found.fit.residuals[1].noise
     assert noise.min() == pytest.approx(1e-5, rel=0.2)
@@ -249,10 +249,10 @@ def test_second_mode_of_a_plate_is_within_the_errors(see, rig):
     mode = Mode(310.0, 0.02, sine=0.01)
     plate = PlateWithWaves(Underdamped.of(rig.engine), mode=mode)
     found = fit_rig([followed(see, rig, plate=plate, seed=3)], rig)
-    assert_true(found, rig, USUAL, errors=2.5)
+    assert_true(found, rig, DEFAULT_FREE, errors=2.5)
     held = {'plate.mode': 'held'}
     exact = fit_rig([followed(see, rig, seed=3)], rig, FitDescription(held))
-    for name in USUAL:
+    for name in DEFAULT_FREE:
         assert exact.estimate(name).error < found.estimate(name).error
 
 
@@ -306,7 +306,7 @@ def test_ringing_before_the_throw_leads_to_no_other_minimum(see, phase):
     found = fit_rig([tracks], replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0)))
     assert 'a plate that rings' in found.remarks[0]
     assert found.fit.warnings() == []
-    assert_true(found, rig, USUAL, errors=3.5)
+    assert_true(found, rig, DEFAULT_FREE, errors=3.5)
     ejection = ejection_of(found)
     peak, truth = ejection.peak_plate_speed, Underdamped.of(Rig().engine).peak_velocity
     assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
@@ -314,7 +314,8 @@ def test_ringing_before_the_throw_leads_to_no_other_minimum(see, phase):
 
 
 def test_free_loss_may_be_zero(see):
-    found = fit_rig([followed(see, Rig())], KNOWN, FitDescription({**HELD, LAYER[2]: 'free'}))
+    description = FitDescription({**IDEAL_BENCH, LAYER[2]: 'free'})
+    found = fit_rig([followed(see, Rig())], KNOWN, description)
     assert_true(found, Rig())
     assert found.fit['layer.loss_tangent'].error < 0.01
 
@@ -357,7 +358,7 @@ def test_throws_of_two_masses_determine_thickness_and_wave_speed(make_throw):
         replace(make_throw(rig, rate=2500.0, duration=0.07, seed=seed), name=name)
         for seed, (rig, name) in enumerate(((light, 'light'), (heavy, 'heavy')))
     ]
-    parameters = {**HELD, 'layer.thickness': 'free'}
+    parameters = {**IDEAL_BENCH, 'layer.thickness': 'free'}
     masses = {'light': '0.7e-3', 'heavy': '2.4e-3'}
     conditions = {name: {'projectile.mass': mass} for name, mass in masses.items()}
     both = fit_rig(throws, light, FitDescription(parameters, throws=conditions))

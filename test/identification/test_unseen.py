@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification.fit_description import FitDescription, HELD
+from soft_throw_ros.identification.fit_description import FitDescription, IDEAL_BENCH
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.unseen import UnseenEffect
 
@@ -36,8 +36,8 @@ def tracks(make_throw):
 
 def test_effect_changes_no_value_and_increases_errors(tracks):
     plain, stuck = (
-        fit_rig([tracks], RIG, FitDescription({**HELD, 'projectile.sticking': treatment})).fit
-        for treatment in ('held', '+- 5e-4')
+        fit_rig([tracks], RIG, FitDescription(IDEAL_BENCH | {'projectile.sticking': how})).fit
+        for how in ('held', '+- 5e-4')
     )
     assert np.array_equal(plain.values, stuck.values)
     assert set(stuck.unseen) == {'projectile.sticking'}
@@ -56,7 +56,7 @@ def test_rounding_increases_errors_beyond_the_scatter(make_throw):
         return replace(track, position=5e-5 * np.rint(track.position / 5e-5))
 
     smooth, rough = (
-        fit_rig([each], RIG, FitDescription(HELD)).fit
+        fit_rig([each], RIG, FitDescription(IDEAL_BENCH)).fit
         for each in (tracks, tracks.apply(rounded))
     )
     assert 'rounding' not in smooth.unseen
@@ -95,7 +95,7 @@ def test_effect_of_some_throws_only_is_refused():
 
 
 def test_effect_of_the_stress_law_excludes_a_change_of_wave_speed(tracks):
-    description = FitDescription({**HELD, 'layer.stiffening': '+- 0.4'})
+    description = FitDescription({**IDEAL_BENCH, 'layer.stiffening': '+- 0.4'})
     found = fit_rig([tracks], RIG, description)
     (effect,) = found.effects
     assert effect.name == 'layer.stress_strain_law'
