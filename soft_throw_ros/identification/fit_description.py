@@ -102,7 +102,7 @@ error.
 IDEAL_BENCH: Mapping[str, str] = {
     name: 'held' for name in DEFAULTS if name not in ENGINE and name != 'layer.wave_speed'
 } | {'engine.amplitude': 'free'}
-"""Treatments for a bench without faults: all parameters except `DEFAULT_FREE` are known exactly."""
+"""Treatments for a bench without faults, where all but `DEFAULT_FREE` are known exactly."""
 
 Heights = Literal['own', 'common', 'absolute']
 """
