@@ -236,7 +236,7 @@ class FitDescription:
 
     Examples
     --------
-    >>> fit = FitDescription({**HELD, 'layer.thickness': '12e-3 +- 1 %'})
+    >>> fit = FitDescription({**IDEAL_BENCH, 'layer.thickness': '12e-3 +- 1 %'})
     >>> [name for name in DEFAULTS if fit.treatment(name).is_varied]
     ['engine.frequency', 'engine.damping_ratio', 'engine.amplitude', 'layer.wave_speed', \
 'layer.thickness']
