@@ -232,10 +232,10 @@ class Planner:
         The assumed rig; alpha refers to its layer and projectile.
     conditions : sequence of Condition
         Possible throws.
-    sight : Sight
+    setup : MeasurementSetup
     description : FitDescription
         Free parameters and priors of the fit. The loss is sought unless it is held.
-    measured : Knowledge, optional
+    measured : ParameterInformation, optional
         Information from earlier throws, in the names of the rig, including all priors.
 
     Raises
