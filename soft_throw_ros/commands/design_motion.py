@@ -44,7 +44,7 @@ from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion
 from soft_throw_ros.design.motion_design import MotionDesign, MotionVary
 from soft_throw_ros.design.plate_motion import PlateLimits
-from soft_throw_ros.design.requests import motion_answer
+from soft_throw_ros.design.requests import solve_motion_request
 from soft_throw_ros.recording.rerun_output import new_stream, save_recording
 import yaml
 
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = read_settings(arguments)
     with slow_notice('design'):
         vary = vars(arguments).get('recommendation.vary', _VARY.default)
-        design = motion_answer(settings, vary=vary)
+        design = solve_motion_request(settings, vary=vary)
         for path in arguments.output:
             with naming(path), atomic_file(path) as unfinished:
                 _WRITERS[path.suffix](design, unfinished)

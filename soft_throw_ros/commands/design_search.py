@@ -43,7 +43,7 @@ from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.recommendation import Recommendation, Vary
-from soft_throw_ros.design.requests import Answer, answer
+from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.sensitivity import Sensitivity, TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
@@ -128,12 +128,12 @@ def run_aim(arguments: argparse.Namespace) -> int:
 def _print_answer(
     settings: Settings,
     name: str,
-    lines: Callable[[Settings, Answer], Iterator[str]],
+    lines: Callable[[Settings, RequestResult], Iterator[str]],
     as_json: bool,
-) -> Answer:
+) -> RequestResult:
     """Compute a recommendation or an aim, print the result, and return it."""
     with slow_notice('design'):
-        best = answer(settings)
+        best = solve_request(settings)
         summary = summary_of(best, rig_of(settings), settings)
         if as_json:
             parameters = {
@@ -154,7 +154,7 @@ def _print_answer(
     return best
 
 
-def _table(settings: Settings, best: Answer, columns: Columns) -> Iterator[str]:
+def _table(settings: Settings, best: RequestResult, columns: Columns) -> Iterator[str]:
     """Write predictions side by side, and the intervals of the proposed throw."""
     yield from write_columns(columns)
     beyond = [
@@ -168,7 +168,7 @@ def _table(settings: Settings, best: Answer, columns: Columns) -> Iterator[str]:
     yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
 
 
-def _aim_lines(settings: Settings, best: Answer) -> Iterator[str]:
+def _aim_lines(settings: Settings, best: RequestResult) -> Iterator[str]:
     """Compare the present throw, the aimed one, and the aimed one with the present layer."""
     assert isinstance(best, Aim)  # because the objective is 'aim'
     rig = rig_of(settings)
@@ -182,7 +182,7 @@ def _aim_lines(settings: Settings, best: Answer) -> Iterator[str]:
     columns['aimed' if best.is_reached else 'the_most'] = vars(best)
     if best.rig.layer != rig.layer:
         try:
-            with_present_layer = answer({**settings, 'recommendation.vary': 'amplitude'})
+            with_present_layer = solve_request({**settings, 'recommendation.vary': 'amplitude'})
             if isinstance(with_present_layer, Aim) and with_present_layer.is_reached:
                 columns['with_this_layer'] = vars(with_present_layer)
         except ThrowUnresolvedError:
@@ -190,7 +190,7 @@ def _aim_lines(settings: Settings, best: Answer) -> Iterator[str]:
     yield from _table(settings, best, columns)
 
 
-def _recommendation_lines(settings: Settings, best: Answer) -> Iterator[str]:
+def _recommendation_lines(settings: Settings, best: RequestResult) -> Iterator[str]:
     """Compare the present layer with the recommended ones; list the sensitivities."""
     assert isinstance(best, Recommendation)  # because the objective is not 'aim'
     columns: Columns = {'now': vars(best.now) if best.now else None, 'recommended': vars(best)}

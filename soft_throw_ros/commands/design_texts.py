@@ -23,7 +23,7 @@ from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.recommendation import Recommendation
-from soft_throw_ros.design.requests import Answer, limits_of, objective_of
+from soft_throw_ros.design.requests import limits_of, objective_of, RequestResult
 from soft_throw_ros.design.search_space import STRONG_GRAVITY
 from soft_throw_ros.design.sensitivity import TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import PredictionUncertainty
@@ -41,7 +41,7 @@ _VARIED = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}
 """Varied parameters for the values of `vary` that are not parameter names themselves."""
 
 
-def summary_of(best: Answer, rig: Rig, settings: Settings) -> str:
+def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
     """
     Describe an answer in a sentence.
 

@@ -128,7 +128,7 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
         for thickness, ringing in layers
     ]
     lines.append(f'loss tangent at {frequency:g} Hz: {loss.value}')
-    lines += [line for _, each in layers for line in fit_lines(each.fit) if 'outliers' in line]
+    lines += [line for _, item in layers for line in fit_lines(item.fit) if 'outliers' in line]
     return IdentificationReport(
         sources=tuple(paths),
         result=result,

@@ -62,7 +62,7 @@ def draw_throws(
         Name of a PNG, PDF or SVG file.
 
     """
-    residuals = {id(each.track): each for each in result.fit.residuals}
+    residuals = {id(item.track): item for item in result.fit.residuals}
     bodies = ['plate', 'projectile'][: 1 + any(throw.projectile for throw in result.throws)]
     figure = _figure(9.6, 3.6 + 1.5 * len(bodies))
     layout: list[Any] = [['near', 'whole'], *([body, body] for body in bodies)]
@@ -125,7 +125,7 @@ def draw_layers(
         track, rest = residual.track, ringing.fit['length'].value
         step -= 2.2 * _MILLI * float(np.abs(track.position - rest).max())
         since = _MILLI * (track.time - ringing.start_time)
-        data, model = (_MILLI * (each - rest) + step for each in (track.position, residual.fitted))
+        data, model = (_MILLI * (item - rest) + step for item in (track.position, residual.fitted))
         panels['ring'].plot(since, data, color='black', **_DATA)
         panels['ring'].plot(since, model, color=_COLOURS['layer'], lw=1.0)
         panels['ring'].annotate(

@@ -208,8 +208,8 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
     rows = sorted(heights[best[0]].items())
     time = 1e-9 * np.array([stamp - rows[0][0] for stamp, _ in rows])
     tracks = {}
-    for body, each in zip(JOINTS, np.array([row for _, row in rows]).T, strict=True):
-        is_seen = np.isfinite(each)
+    for body, item in zip(JOINTS, np.array([row for _, row in rows]).T, strict=True):
+        is_seen = np.isfinite(item)
         if is_seen.sum() >= FEWEST:
-            tracks[body] = Track(time=time[is_seen], position=each[is_seen])
+            tracks[body] = Track(time=time[is_seen], position=item[is_seen])
     return tracks

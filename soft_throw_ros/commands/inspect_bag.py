@@ -169,7 +169,7 @@ def _show_bag(arguments: argparse.Namespace) -> None:
 
 def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     """Return the throw to show; None if the bag contains none and none is requested."""
-    topics = [each.topic for each in reader.channels if tells_throws(each.topic, each.type)]
+    topics = [item.topic for item in reader.channels if tells_throws(item.topic, item.type)]
     result = find_throws(reader.messages(topics)) if topics else {}
     throws = next((throws for throws in result.values() if throws), [])  # of the view in front
     chosen = [throw for throw in throws if number in (None, throw.number)]

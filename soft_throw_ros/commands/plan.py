@@ -167,7 +167,7 @@ def _conditions(arguments: argparse.Namespace, rig: Rig) -> list[Condition]:
             f'{count} combinations of masses, layers and amplitudes, where {_MOST_CONDITIONS} at '
             'most can be judged'
         )
-    return [Condition(*each) for each in itertools.product(*choices)]
+    return [Condition(*item) for item in itertools.product(*choices)]
 
 
 def _setup(

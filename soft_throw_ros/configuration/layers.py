@@ -340,7 +340,7 @@ def _material(
         )
     modulus = values.pop('youngs_modulus', None)
     if modulus is not None:
-        speeds = (math.sqrt(each / values['density'].value) for each in modulus)
+        speeds = (math.sqrt(item / values['density'].value) for item in modulus)
         values['wave_speed'] = MaterialProperty(*speeds)
         _checked('wave_speed', values['wave_speed'].value, parts['youngs_modulus'].where)
     return Material(name=name, **values)
@@ -379,7 +379,7 @@ def _value(key: str, node: Located) -> Any:
         )
     value = _checked(key, parts['value'].value, parts['value'].where)
     given, where = parts['range'].value, parts['range'].where
-    ends = [_checked(key, each, where) for each in given] if isinstance(given, list) else []
+    ends = [_checked(key, item, where) for item in given] if isinstance(given, list) else []
     if len(ends) != 2 or not ends[0] <= value <= ends[1]:
         raise ParameterError(
             f'{where}: the range of {key} must be two numbers around {value:g}, got {given}'

@@ -160,17 +160,17 @@ def throw_many(
     found = np.full((len(Throws._fields), math.prod(shape)), math.nan)
     rows = found.reshape(len(found), *shape)
     if rig.engine.motion:
-        cases = {name: np.broadcast_to(each, shape).ravel() for name, each in changes.items()}
+        cases = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
         for batch in _batches(np.ones(found.shape[1], np.bool_), _SAMPLED_BATCH, cancelled):
-            part = {name: each[batch].tolist() for name, each in cases.items()}
+            part = {name: item[batch].tolist() for name, item in cases.items()}
             found[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
         return Throws(*rows)
-    cases = {name: _row(each, shape) for name, each in ratios_of(rig, values).items()}
+    cases = {name: _row(item, shape) for name, item in ratios_of(rig, values).items()}
     for name, chosen in _methods(rig, cases, method).items():
         is_fast = name in ('closed_form', 'spring') and not loads
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
         for batch in _batches(chosen, size, cancelled):
-            part = {ratio: each[batch] for ratio, each in cases.items()}
+            part = {ratio: item[batch] for ratio, item in cases.items()}
             if name == 'cells':
                 found[:, batch] = _throw_with_cells(rig, part, method, cells, threads)
             elif name == 'spring':
@@ -225,7 +225,7 @@ def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
 
 def _of(part: type[Engine] | type[Layer], changes: Mapping[str, float]) -> dict[str, Any]:
     """Return the changes of an engine or of a layer."""
-    return {each.name: changes[each.name] for each in fields(part) if each.name in changes}
+    return {item.name: changes[item.name] for item in fields(part) if item.name in changes}
 
 
 def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
@@ -333,7 +333,7 @@ def _throw_with_steppers(
     def run(first: int, parts: int) -> None:
         for n in range(first, count, parts):
             try:
-                there = rig_with(rig, {name: each[n] for name, each in changes.items()})
+                there = rig_with(rig, {name: item[n] for name, item in changes.items()})
                 found[:, n] = _throw_with_stepper(there, model, cells)
             except (ValueError, EventLimitError):  # the model cannot follow this throw
                 continue

@@ -348,7 +348,7 @@ def compute_landscape(
     shape = (first.size, second.size)
     along = dict(zip(checked, (first[:, None], second), strict=True))
     changes = _changes(rig, along, density_ratio)
-    cases = np.stack([np.broadcast_to(each, shape).ravel() for each in changes.values()])
+    cases = np.stack([np.broadcast_to(item, shape).ravel() for item in changes.values()])
     threads = None if executor is None else 1
     compute = functools.partial(_compute, rig, model, release, threads, tuple(changes))
     is_fast = rig.engine.motion is None and MODELS[model].batch != 'cells'
@@ -441,7 +441,7 @@ def _compute(
         frequency = changes.get('frequency', rig.engine.frequency)
         return np.stack([throws.ejection_time * frequency, throws.energy_transfer])
     rigs = (rig_with(rig, dict(zip(names, case, strict=True))) for case in cases.T.tolist())
-    releases = [_last(each, model) for each in rigs]
+    releases = [_last(item, model) for item in rigs]
     return np.array(list(zip(*releases, strict=True)))
 
 

@@ -541,7 +541,7 @@ class _Programme:
                 between.append((matrix * (limits.speed / (limit * step)), -bound, bound))
         both = [sign * matrix for matrix, _, _ in between for sign in (1.0, -1.0)]
         rows = np.concatenate(both)
-        bounds = np.concatenate([each for _, low, high in between for each in (high, -low)])
+        bounds = np.concatenate([item for _, low, high in between for item in (high, -low)])
         is_limit = bounds < math.inf
         goal = np.zeros(size)
         goal[:felt] = -self._velocity[release - np.arange(felt)]

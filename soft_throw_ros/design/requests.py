@@ -29,12 +29,12 @@ from soft_throw_ros.design.objective import Limits, Objective
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
 
-Answer: TypeAlias = Recommendation | Aim | MotionDesign
+RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
 
 
-def answer(
+def solve_request(
     settings: Settings, *, rig: Rig | None = None, cancelled: Cancelled | None = None
-) -> Answer:
+) -> RequestResult:
     """
     Recommend a layer, or aim, by the settings of the request.
 
@@ -57,7 +57,7 @@ def answer(
     """
     rig, request = rig or rig_of(settings), _request(settings)
     if request['vary'] == 'motion':
-        return motion_answer(settings, rig=rig, cancelled=cancelled)
+        return solve_motion_request(settings, rig=rig, cancelled=cancelled)
     search: dict[str, Any] = {
         'vary': request['vary'],
         'limits': limits_of(settings),
@@ -82,14 +82,14 @@ def answer(
     return recommend(rig, objective=objective_of(settings), **search)
 
 
-def motion_answer(
+def solve_motion_request(
     settings: Settings,
     *,
     vary: MotionVary = 'motion',
     rig: Rig | None = None,
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
-    """Design the motion of the plate by the settings; arguments and errors as for `answer`."""
+    """Design the motion of the plate by the settings; arguments and errors as for `solve_request`."""
     request = _request(settings)
     if request['objective'] != 'peak':
         raise ValueError(

@@ -104,7 +104,7 @@ def search_spaces(
         if not is_within_limits or loss_tangent > limits.max_loss_tangent:
             continue
         smallest, largest = limits.thickness
-        sheets = [(each, each) for each in material.thicknesses if smallest <= each <= largest]
+        sheets = [(item, item) for item in material.thicknesses if smallest <= item <= largest]
         for low, high in sheets if material.thicknesses else [limits.thickness]:
             sheet = replace(
                 layer,

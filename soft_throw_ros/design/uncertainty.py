@@ -128,7 +128,7 @@ class Uncertainties:
     @classmethod
     def from_settings(cls, settings: Settings) -> Uncertainties:
         """Return the uncertainties that the settings of the twin describe."""
-        return cls(**{each.name: settings[f'uncertainty.{each.name}'] for each in fields(cls)})
+        return cls(**{item.name: settings[f'uncertainty.{item.name}'] for item in fields(cls)})
 
     def variants(self, rig: Rig, offsets: Floats) -> Variants:
         """

@@ -128,7 +128,7 @@ def ejection_of(result: RigFit) -> Ejection:
         speed=estimate(releases.speed),
         peak_plate_speed=estimate(releases.peak_plate_speed),
         energy_transfer=estimate(releases.energy_transfer),
-        alternatives=tuple(sorted(alternatives, key=lambda each: -each.probability)),
+        alternatives=tuple(sorted(alternatives, key=lambda item: -item.probability)),
         time_budget=result.release_time_budget(),
     )
 
@@ -175,7 +175,7 @@ def answer_of(result: RigFit, ejection: Ejection) -> Answer | None:
     main = max(squares, key=squares.__getitem__)
     alpha = ejection.energy_transfer
     limit = GOOD_ENOUGH * alpha.value
-    others = [each.energy_transfer.value for each in ejection.alternatives]
+    others = [item.energy_transfer.value for item in ejection.alternatives]
     return Answer(
         effective_wave_speed=result.effective_wave_speed(),
         rest_wave_speed=result.rest_wave_speed(),

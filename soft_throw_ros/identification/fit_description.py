@@ -252,8 +252,8 @@ class FitDescription:
         parameters = {name: _parse(name, text) for name, text in self.parameters.items()}
         throws = {
             throw: {
-                name: each if name in _PARTS else _parse_condition(name, each)
-                for name, each in conditions.items()
+                name: item if name in _PARTS else _parse_condition(name, item)
+                for name, item in conditions.items()
             }
             for throw, conditions in self.throws.items()
         }
@@ -286,13 +286,13 @@ class FitDescription:
         for name, node in _items(root):
             if name == 'throws':
                 for throw, conditions in _items(node):
-                    for key, each in _items(conditions):
-                        with _located(each):
-                            description = description.set_condition(throw, key, str(each.value))
+                    for key, item in _items(conditions):
+                        with _located(item):
+                            description = description.set_condition(throw, key, str(item.value))
             elif name == 'parameters':
-                for key, each in _items(node):
-                    with _located(each):
-                        description = description.change({key: str(each.value)})
+                for key, item in _items(node):
+                    with _located(item):
+                        description = description.change({key: str(item.value)})
             elif name in ('heights', 'reference'):
                 with _located(node):
                     description = description.change({name: str(node.value)})

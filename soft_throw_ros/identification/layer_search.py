@@ -156,7 +156,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
         is_near = other.chi2 - best.chi2 < NEAR
         if is_near and all(_is_apart(minimum, other) for minimum in minima):
             minima.append(other)
-    alternatives = [Alternative(each.values, each.chi2 - best.chi2) for each in minima[1:]]
+    alternatives = [Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]]
     if best is not fit:
         best = model.fit(best.values)  # with its own noise
     return best.spanning(alternatives)
@@ -182,7 +182,7 @@ def _search_grid(
     candidates = []
     for thickness in _thicknesses(model, free):
         row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
-        candidates += _minima(model, searched, [changed_rig(rig, each) for each in row])
+        candidates += _minima(model, searched, [changed_rig(rig, item) for item in row])
     if not candidates:
         raise FitError('the models can follow no throw of such a projectile on any layer')
     return candidates

@@ -237,7 +237,7 @@ class Fit:
     @property
     def variance_scale(self) -> float:
         """By how much variances are larger than the noise that was taken [-]."""
-        if self.is_mismatch or not all(each.track.known_noise for each in self.residuals):
+        if self.is_mismatch or not all(item.track.known_noise for item in self.residuals):
             return self.reduced_chi2
         return 1.0
 
@@ -276,35 +276,35 @@ class Fit:
         No error becomes larger than that of the prior.
         """
         added = np.zeros_like(self.values)
-        for each in shifts.values():
-            added += np.sum(each**2, axis=0)
+        for item in shifts.values():
+            added += np.sum(item**2, axis=0)
         scales = np.ones_like(self.values)
         for index, known in self.known.items():
             room = max(known.error**2 - float(self.covariance[index, index]), 0.0)
             if added[index] > room:
                 scales[index] = math.sqrt(room / added[index])
-        scaled = {name: each * scales for name, each in shifts.items()}
-        covariance = self.covariance + sum(each.T @ each for each in scaled.values())
+        scaled = {name: item * scales for name, item in shifts.items()}
+        covariance = self.covariance + sum(item.T @ item for item in scaled.values())
         return replace(self, covariance=covariance, unseen={**self.unseen, **scaled})
 
     def spanning(self, alternatives: Sequence[Alternative]) -> Fit:
         """Extend the intervals of 95 % to other minima."""
         covariance = self.covariance.copy()
-        for each in alternatives:
-            covariance += np.outer(*2 * [0.5 * (each.values - self.values)])
+        for item in alternatives:
+            covariance += np.outer(*2 * [0.5 * (item.values - self.values)])
         return replace(self, covariance=covariance, alternatives=tuple(alternatives))
 
     def warnings(self) -> list[str]:
         """Return warnings about the fit, each a sentence."""
         result = []
-        for each in self.alternatives:
-            apart = np.abs(each.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
+        for item in self.alternatives:
+            apart = np.abs(item.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
             index = next(
                 (k for k, n in enumerate(self.names) if 'wave_speed' in n), int(apart.argmax())
             )
             result.append(
-                f'{self.names[index]} may as well be {each.values[index]:.5g} '
-                f'(chi squared is larger by {each.excess:.1f} there); the errors span both'
+                f'{self.names[index]} may as well be {item.values[index]:.5g} '
+                f'(chi squared is larger by {item.excess:.1f} there); the errors span both'
             )
         correlation = self.correlation
         # Parameters of a single one of several throws have its number in brackets
@@ -400,8 +400,8 @@ def fit_best(
     """Fit a model to a track from several starts, and return the fit of least chi squared."""
     noise = np.full(track[1].time.size, track[1].noise)
     tried = [
-        fit_tracks(model, each, [track], noise=noise, max_evaluations=max_evaluations)
-        for each in starts
+        fit_tracks(model, item, [track], noise=noise, max_evaluations=max_evaluations)
+        for item in starts
     ]
     best = min(tried, key=lambda result: result.chi2)
     return fit_tracks(model, best.values, [track], max_evaluations=max_evaluations)
@@ -594,12 +594,12 @@ class _LeastSquares:
         noises = []
         for (_, track), *parts in zip(
             self._tracks,
-            *(np.split(each, self._ends) for each in (left, speed, self._kept, self._noise)),
+            *(np.split(item, self._ends) for item in (left, speed, self._kept, self._noise)),
             strict=True,
         ):
-            each, moving, kept, noise = parts
+            item, moving, kept, noise = parts
             if not track.known_noise:
-                height, stamp = estimate_noise(each[kept], moving[kept])
+                height, stamp = estimate_noise(item[kept], moving[kept])
                 noise = np.hypot(max(height, track.least_noise, 1e-15), stamp * moving)
             noises.append(noise)
         result = np.concatenate(noises)
@@ -629,7 +629,7 @@ class _LeastSquares:
             self._residual_of(name, track, *parts)
             for (name, track), *parts in zip(
                 self._tracks,
-                *(np.split(each, self._ends) for each in (fitted, self._noise, self._kept)),
+                *(np.split(item, self._ends) for item in (fitted, self._noise, self._kept)),
                 strict=True,
             )
         )

@@ -140,7 +140,7 @@ def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float
     indices = {name: fit.names.index(name) for name in LAYER if name in fit.names}
     result = {}
     for name, index in indices.items():
-        others = [each for each in indices.values() if each != index]
+        others = [item for item in indices.values() if item != index]
         if correlation[index, others].max(initial=0.0) > INSEPARABLE:
             with contextlib.suppress(FitError):
                 system = LinearFit(model, fit, [index])

@@ -150,7 +150,7 @@ def _try_term(linear: LinearFit, name: str) -> _Candidate:
 def _remark(name: str, before: Fit, fit: Fit) -> str:
     """Return a sentence about an added term, and how much better the fit is."""
     parts = WAVES[name]
-    size = ', '.join(str(fit[each]) for each in fit.names if each.partition('[')[0] in parts)
+    size = ', '.join(str(fit[item]) for item in fit.names if item.partition('[')[0] in parts)
     return (
         f'{_EXPLANATIONS[name]} (chi squared {fit.reduced_chi2:.2f} per degree of freedom); '
         f'without it they are not explained ({before.reduced_chi2:.2f}). {name}: {size}'
@@ -186,13 +186,13 @@ def compare_layers(
         return [], None  # the throws cannot be followed
     if strained:
         fits[_LARGE_STRAIN] = strained[1]
-    scale = max(1.0, min(each.chi2 for each in fits.values()) / plain.dof)
-    criteria = {name: each.chi2 / scale + _penalty(plain, plain.dof - each.dof)
-                for name, each in fits.items()}
+    scale = max(1.0, min(item.chi2 for item in fits.values()) / plain.dof)
+    criteria = {name: item.chi2 / scale + _penalty(plain, plain.dof - item.dof)
+                for name, item in fits.items()}
     least = min(criteria.values())
     layers = [
-        LayerModel(name, each.chi2, each.dof, criteria[name] - least)
-        for name, each in fits.items()
+        LayerModel(name, item.chi2, item.dof, criteria[name] - least)
+        for name, item in fits.items()
     ]
     layers.sort(key=attrgetter('criterion'))
     # A held stiffening says that the layer is linear

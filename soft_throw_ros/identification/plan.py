@@ -283,8 +283,8 @@ class Planner:
         if flying.size < FEWEST:
             raise FitError(f'{flying.size} samples of a throw, where {FEWEST} are needed')
         plate, projectile = (
-            Track(time=each, position=np.zeros_like(each), known_noise=self.setup.noise)
-            for each in (time, flying)
+            Track(time=item, position=np.zeros_like(item), known_noise=self.setup.noise)
+            for item in (time, flying)
         )
         return ThrowTracks(name=name, plate=plate, projectile=projectile)
 
@@ -377,7 +377,7 @@ class Planner:
     def _ranked(self, known: ParameterInformation) -> list[tuple[int, ParameterInformation]]:
         """Add the information of each throw, the best one first."""
         after = [known.after(information) for information in self.information]
-        return sorted(enumerate(after), key=lambda each: each[1].log_det_covariance)
+        return sorted(enumerate(after), key=lambda item: item[1].log_det_covariance)
 
     def energy_transfer(self, known: ParameterInformation) -> tuple[float, float]:
         """Return alpha of the rig and its standard error over alpha, over drawn rigs as a fit."""
@@ -398,7 +398,7 @@ class Planner:
         # Neither loss nor damping becomes negative
         signed = [self._shared[name] for name in _WEAK_ERRORS if name in self._shared]
         values[:, signed] = np.maximum(values[:, signed], 0.0)
-        result = first_releases([self._model.rig_of(each, _TARGET) for each in values])
+        result = first_releases([self._model.rig_of(item, _TARGET) for item in values])
         alpha = ((result.speed + slower) / result.peak_plate_speed) ** 2
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')

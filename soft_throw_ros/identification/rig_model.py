@@ -172,8 +172,8 @@ class RigModel:
     @cached_property
     def rows(self) -> Integers:
         """Return the throw of each sample of all tracks."""
-        sizes = [each.track.time.size for each in self.channels]
-        return np.repeat([each.throw for each in self.channels], sizes)
+        sizes = [item.track.time.size for item in self.channels]
+        return np.repeat([item.throw for item in self.channels], sizes)
 
     @cached_property
     def layout(self) -> ParameterLayout:
@@ -257,7 +257,7 @@ class RigModel:
         if wanted is None:
             wanted = [(throw, body, track.time) for throw, body, track in self.channels]
         result = []
-        motions = {throw: self.motion(values, throw) for throw in {each[0] for each in wanted}}
+        motions = {throw: self.motion(values, throw) for throw in {item[0] for item in wanted}}
         if change is not None:
             motions = {throw: change(*motion) for throw, motion in motions.items()}
         for throw, body, time in wanted:
@@ -306,8 +306,8 @@ class RigModel:
     def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
         """Return the derivatives of `predict` by all or some parameters."""
         rows = self.rows
-        sizes = [each.track.time.size for each in self.channels]
-        is_plate = np.repeat([each.body == 'plate' for each in self.channels], sizes)
+        sizes = [item.track.time.size for item in self.channels]
+        is_plate = np.repeat([item.body == 'plate' for item in self.channels], sizes)
         velocity = np.concatenate([path.velocity for path in self.paths(values)])
         jacobian = np.zeros((rows.size, values.size))
         for name, by_throw in self.layout.indices.items():

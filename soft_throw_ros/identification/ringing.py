@@ -189,8 +189,8 @@ def fit_wave_speed(
             f'there must be a period for each thickness, got {len(periods)} for {len(thicknesses)}'
         )
     thickness = checks.require_positive_array('thicknesses', list(thicknesses))
-    period = checks.require_positive_array('periods', [each.value for each in periods])
-    error = checks.require_not_negative_array('periods', [each.error for each in periods])
+    period = checks.require_positive_array('periods', [item.value for item in periods])
+    error = checks.require_not_negative_array('periods', [item.error for item in periods])
     spread = checks.require_not_negative('thickness_error', thickness_error)
     result = _common_value(period, thickness, np.ones_like(period))  # T_0 / L_s = 2 / c_s
     for _ in range(20):

@@ -177,14 +177,14 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
                 f'pictures must be of one size, got {picture.shape} after {exposure.shape}'
             )
         levels = exposure.normalise(picture)
-        acceleration = max(each.acceleration for each in trackers)
+        acceleration = max(item.acceleration for item in trackers)
         taken: list[_Circle] = []
         for spot in sorted(trackers, key=attrgetter('uncertainty')):
             # In a shared search region, a candidate cannot be assigned to one of two spots
             hidden = [
-                each.search_region
-                for each in trackers
-                if each is not spot and each.uncertainty and spot.uncertainty
+                item.search_region
+                for item in trackers
+                if item is not spot and item.uncertainty and spot.uncertainty
             ]
             spot.update(number, levels, acceleration, taken + hidden)
             if not spot.uncertainty:
@@ -246,11 +246,11 @@ class _LateSearch:
 
     def update(self, number: int, levels: Floats, trackers: Sequence[_SpotTracker]) -> None:
         """Search some pictures, more and more seldom; two in a row must show the spot."""
-        if self.found or any(each.is_lost for each in trackers) or number < self._next:
+        if self.found or any(item.is_lost for item in trackers) or number < self._next:
             return
-        known = [each.search_region for each in trackers]
-        largest = _MAX_CHANGE * max(each.diameter for each in trackers)
-        smallest = min(each.diameter for each in trackers) / _MAX_CHANGE
+        known = [item.search_region for item in trackers]
+        largest = _MAX_CHANGE * max(item.diameter for item in trackers)
+        smallest = min(item.diameter for item in trackers) / _MAX_CHANGE
         new = [
             spot
             for spot in find_spots(levels)
@@ -517,8 +517,8 @@ class _SpotTracker:
             kept.pop()
         kept_indices = np.concatenate(kept) if kept else np.zeros(0, dtype=np.intp)
         seen = [self._seen[index][1] for index in kept_indices]
-        row, column = np.array([each.position for each in seen]).reshape(-1, 2).T
-        error = float(np.sqrt(np.mean(np.square([each.error for each in seen] or [0.0]))))
+        row, column = np.array([item.position for item in seen]).reshape(-1, 2).T
+        error = float(np.sqrt(np.mean(np.square([item.error for item in seen] or [0.0]))))
         return Spot(
             picture=numbers[kept_indices],
             row=row,
@@ -565,13 +565,13 @@ class _SpotTracker:
             and not any(other.has(corner + region.centroid) for other in others)
         ]
         sightings = [self._measure(region, part, smooth, smear) for region in candidates]
-        whole = [each for each in sightings if each is not None and self._is_like(each)]
+        whole = [item for item in sightings if item is not None and self._is_like(item)]
         if len(whole) > 1 and self.uncertainty > 0.0:
             return None
         middle = self._expected - corner
         far = 0.5 * self.diameter + _MARGIN + self.uncertainty + smear
-        whole = [each for each in whole if math.dist(each.position, middle) < far]
-        near = min(whole, key=lambda each: math.dist(each.position, middle), default=None)
+        whole = [item for item in whole if math.dist(item.position, middle) < far]
+        near = min(whole, key=lambda item: math.dist(item.position, middle), default=None)
         return near and near._replace(position=near.position + corner)
 
     def _is_like(self, found: SpotMeasurement) -> bool:

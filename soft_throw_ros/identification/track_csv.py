@@ -126,7 +126,7 @@ def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:
         for track in tracks.values()
     ]
     for time in sorted(set().union(*heights)):
-        cells = [f'{each[time]:.9g}' if time in each else '' for each in heights]
+        cells = [f'{item[time]:.9g}' if time in item else '' for item in heights]
         yield ','.join([f'{time:.9g}', *cells])
 
 

@@ -304,12 +304,12 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
     inner = np.arange(2, time.size - 2)
     apart[inner] = position[inner]
     beside = [inner + offset for offset in (-2, -1, 1, 2)]
-    for each in beside:  # Lagrange's polynomials
+    for item in beside:  # Lagrange's polynomials
         weight = np.ones(inner.size)
         for other in beside:
-            if other is not each:
-                weight *= (time[inner] - time[other]) / (time[each] - time[other])
-        apart[inner] -= weight * position[each]
+            if other is not item:
+                weight *= (time[inner] - time[other]) / (time[item] - time[other])
+        apart[inner] -= weight * position[item]
         variance[inner] += weight**2
     return apart, np.sqrt(variance)
 
@@ -331,7 +331,7 @@ def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
     time = record.plate.time
     longest = max(_LONGEST_BREAK, _LONGEST_BREAK_SAMPLES * record.plate.interval)
     breaks = np.flatnonzero(np.diff(time) > longest) + 1
-    pieces = [each for each in np.split(time, breaks) if each.size >= FEWEST]
+    pieces = [item for item in np.split(time, breaks) if item.size >= FEWEST]
     if not breaks.size or not pieces:
         return [record]
     parts = [record.between(float(piece[0]), float(piece[-1])) for piece in pieces]

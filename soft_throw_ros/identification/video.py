@@ -114,7 +114,7 @@ def _pictures(path: str) -> Iterator[Picture]:
     from imageio import v3 as imageio
 
     if Path(path).is_dir():
-        files = [each for each in Path(path).iterdir() if _kind(str(each)) == 'image']
+        files = [item for item in Path(path).iterdir() if _kind(str(item)) == 'image']
         if not files:
             raise TrackError('there is no picture in this folder')
         for file in sorted(files, key=_by_number):
@@ -175,8 +175,8 @@ def _grey(levels: Picture) -> Iterator[Picture]:
     elif levels.ndim == 3 and levels.shape[-1] <= _MAX_CHANNELS:
         yield levels[..., :3].mean(axis=-1)
     else:
-        for each in levels:
-            yield from _grey(each)
+        for item in levels:
+            yield from _grey(item)
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:

@@ -91,7 +91,7 @@ class Measurement:
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
         self._read = JointStateReader().read
 
-    def take(self) -> None:
+    def read_messages(self) -> None:
         """
         Pass the samples that have arrived to the session, within the budget of a tick.
 

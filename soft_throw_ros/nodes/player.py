@@ -115,8 +115,8 @@ class Player(RunnableNode):
         self._clock_period = round(SECOND / clock) if clock else 0
         self._clock_due = 0
         if clock:
-            told = REPLAY_TOPICS.clock
-            self._clock_publisher = self.create_publisher(Clock, told.name, qos_profile(told))
+            row = REPLAY_TOPICS.clock
+            self._clock_publisher = self.create_publisher(Clock, row.name, qos_profile(row))
         self._publishers_by_channel = self._make_publishers(topics, without_clock=bool(clock))
         self._begin = reader.start_time + round(start * SECOND)
         self._end = min(reader.end_time, self._begin + round(min(duration, _LONG) * SECOND))

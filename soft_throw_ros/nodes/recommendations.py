@@ -34,7 +34,7 @@ from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.recommendation import Recommendation
-from soft_throw_ros.design.requests import Answer, answer
+from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.twin.other_models import predict_by_other_models
@@ -48,7 +48,7 @@ class RecommendationState:
     """A recommendation or an aim with its configuration, or the reason why there is none."""
 
     config: TwinConfig
-    best: Answer | None = None
+    best: RequestResult | None = None
     reason: str = ''
 
     @property
@@ -145,7 +145,7 @@ def recommend_for(
         if set(error.names) <= set(names):
             return RecommendationState(config=config, reason=str(error))
     try:
-        best = answer(settings, rig=config.rig, cancelled=cancelled)
+        best = solve_request(settings, rig=config.rig, cancelled=cancelled)
     except (SearchCancelledError, ValueError) as error:
         return RecommendationState(config=config, reason=str(error))
     return RecommendationState(config=config, best=best)

@@ -150,7 +150,7 @@ class Twin(RealTimeNode):
 
     def on_tick(self, due: int) -> None:
         """Read the samples that have arrived, and advance by one step."""
-        self.measurement.take()
+        self.measurement.read_messages()
         super().on_tick(due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:

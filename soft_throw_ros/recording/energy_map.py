@@ -80,9 +80,10 @@ def compute_energy_map(
         layers['recommended'] = best, ''
     marks = []
     for name, (layer, source) in layers.items():
-        told = _layer_of(recommendation, source)
+        stated = _layer_of(recommendation, source)
         alpha = recommendation.get(f'{source}energy_transfer')
-        if told is None or not np.allclose(layer, told, rtol=1e-6) or not isinstance(alpha, float):
+        is_known = stated is not None and np.allclose(layer, stated, rtol=1e-6)
+        if not (is_known and isinstance(alpha, float)):
             alpha = float(energy_transfer(rig, *np.array(layer)))
         text = f'{name}: α {alpha:.3f}' if alpha > 0.0 else f'{name}: no release'
         marks.append((*layer, text))

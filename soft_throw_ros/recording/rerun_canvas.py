@@ -78,7 +78,7 @@ class Canvas:
 
     def log_latched(self, path: str, stamp: int, *content: rr.AsComponents) -> None:
         """Draw content that holds until an entity gets other content."""
-        batches = [batch for each in content for batch in each.as_component_batches()]
+        batches = [batch for item in content for batch in item.as_component_batches()]
         columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
         self._keep('content', path, partial(self.log_columns, path, np.array([stamp]), columns))
 

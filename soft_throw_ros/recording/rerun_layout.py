@@ -151,7 +151,7 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     window = rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end))
     shares, columns = [], []
     for share, panels in COLUMNS:
-        shown = [each for each in panels if not each.is_optional or each.name in twin.present]
+        shown = [item for item in panels if not item.is_optional or item.name in twin.present]
         views = [_view(panel, twin, window) for panel in shown]
         shares.append(share)
         columns.append(rrb.Vertical(*views, row_shares=[panel.share for panel in shown]))

@@ -255,7 +255,7 @@ def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> No
         client = ViewerClient.connect(url_of(port))
         _ask(
             client.get_state,
-            lambda state: any(each.store_id == recording for each in state.recordings),
+            lambda state: any(item.store_id == recording for item in state.recordings),
         )
         client.set_time(timeline, duration=seconds, play_state='paused', recording=recording)
 

@@ -33,7 +33,7 @@ from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.requests import answer
+from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.twin import engine_fit, outlier_filter
 from soft_throw_ros.twin.other_models import predict_by_other_models
@@ -63,7 +63,7 @@ def _measure() -> None:
 
 PARTS: dict[str, Callable[[], object]] = {
     'travelling_wave': lambda: _prepare(wave_stepper, 'travelling_wave'),
-    'design': lambda: answer(TWIN.defaults()),
+    'design': lambda: solve_request(TWIN.defaults()),
     'measured': _measure,
     'cells': lambda: _prepare(cell_stepper, 'cells'),
     'other_models': lambda: predict_by_other_models(Rig(), ''),

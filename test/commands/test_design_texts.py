@@ -17,7 +17,7 @@ from soft_throw_ros.commands.design_texts import remarks_of, summary_of
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.design.recommendation import recommend
-from soft_throw_ros.design.requests import answer
+from soft_throw_ros.design.requests import solve_request
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_summary_has_changes_and_gain(vary, changes, parts):
         **TWIN.defaults(), 'recommendation.vary': vary,
         **{f'recommendation.{name}': value for name, value in changes.items()},
     }
-    summary = summary_of(answer(settings), Rig(), settings)
+    summary = summary_of(solve_request(settings), Rig(), settings)
     assert [part for part in parts if part not in summary] == []
 
 
@@ -69,5 +69,5 @@ def test_summary_of_an_aim_has_the_height_and_its_limit(request_, parts):
         **TWIN.defaults(), 'recommendation.objective': 'aim',
         **{f'recommendation.{name}': value for name, value in request_.items()},
     }
-    summary = summary_of(answer(settings), rig_of(settings), settings)
+    summary = summary_of(solve_request(settings), rig_of(settings), settings)
     assert [part for part in parts if part not in summary] == []

@@ -30,7 +30,7 @@ from soft_throw_ros.design.objectives.peak import Peak
 from soft_throw_ros.design.objectives.robust import Robust
 from soft_throw_ros.design.objectives.versatile import Versatile
 from soft_throw_ros.design.recommendation import recommend
-from soft_throw_ros.design.requests import answer, limits_of, objective_of
+from soft_throw_ros.design.requests import limits_of, objective_of, solve_request
 from soft_throw_ros.design.uncertainty import Uncertainties, Variants
 
 
@@ -46,7 +46,7 @@ def test_defaults_request_the_peak_without_limits():
     assert objective_of(settings) == Peak()
     assert limits_of(settings) == Limits()
     assert Uncertainties.from_settings(settings) == Uncertainties()
-    assert answer(settings) == recommend(Rig())
+    assert solve_request(settings) == recommend(Rig())
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_defaults_request_the_peak_without_limits():
 def test_every_objective_can_be_requested(changes, objective):
     settings = changed(**changes, recommendation__vary='thickness')
     assert objective_of(settings) == objective
-    assert answer(settings) == recommend(Rig(), vary='thickness', objective=objective)
+    assert solve_request(settings) == recommend(Rig(), vary='thickness', objective=objective)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_aim_can_be_requested(changes, target, vary):
         **changes, recommendation__objective='aim', recommendation__vary=vary,
         recommendation__max_amplitude=2.5e-3,
     )
-    assert answer(settings) == aim(Rig(), target, vary=vary, max_amplitude=2.5e-3)
+    assert solve_request(settings) == aim(Rig(), target, vary=vary, max_amplitude=2.5e-3)
 
 
 def test_layer_is_chosen_from_the_set_library(tmp_path):
@@ -92,7 +92,7 @@ def test_layer_is_chosen_from_the_set_library(tmp_path):
         layer__library=str(path), recommendation__vary='library',
         recommendation__max_loss_tangent=0.001,
     )
-    best = answer(settings)
+    best = solve_request(settings)
     assert best.layer == best.candidates[0].layer == 'jelly'
     assert best == recommend(
         Rig(), vary='library', limits=limits_of(settings), materials=library(path).materials
@@ -110,7 +110,7 @@ def test_layer_is_chosen_from_the_set_library(tmp_path):
 def test_impossible_requests_are_refused(changes, message):
     request = {f'recommendation__{name}': value for name, value in changes.items()}
     with pytest.raises(ValueError, match=message):
-        answer(changed(**request))
+        solve_request(changed(**request))
 
 
 @pytest.mark.parametrize('objective', ['peak', 'robust', 'versatile', 'aim'])
@@ -123,7 +123,7 @@ def test_search_ends_when_cancelled_between_batches(objective, batches):
         return len(asked) > batches
 
     with pytest.raises(SearchCancelledError):
-        answer(changed(recommendation__objective=objective), cancelled=cancelled)
+        solve_request(changed(recommendation__objective=objective), cancelled=cancelled)
     assert len(asked) == batches + 1
 
 
@@ -155,7 +155,7 @@ def test_objective_is_added_by_one_file(monkeypatch):
     name = 'soft_throw_ros.design.objectives.heavy'
     monkeypatch.setitem(sys.modules, name, types.SimpleNamespace(Heavy=Heavy))
     settings = changed(recommendation__vary='thickness')
-    best = answer({**settings, 'recommendation.objective': 'heavy'})
+    best = solve_request({**settings, 'recommendation.objective': 'heavy'})
     rig = replace(Rig(), projectile=replace(Rig().projectile, mass=2.0 * Rig().projectile.mass))
     assert best.score == pytest.approx(recommend(rig, vary='thickness').score, rel=1e-6)
 

@@ -58,7 +58,7 @@ class Sensors(Node):
         """Wait until the twin has taken all that was sent."""
 
         def is_taken() -> bool:
-            self._twin.measurement.take()
+            self._twin.measurement.read_messages()
             counts = self._twin.session.sample_counts
             return counts.taken + sum(counts.refused.values()) >= self._sent
 
@@ -192,7 +192,7 @@ def test_tick_takes_no_more_than_its_budget(ros, twin, sensors) -> None:
 
     def is_taken() -> bool:
         before = refused['too large']
-        twin.measurement.take()
+        twin.measurement.read_messages()
         assert refused['too large'] <= before + 1
         return refused['too large'] == 5
 

@@ -101,7 +101,7 @@ def test_participant_that_is_lost_and_comes_back_is_heard_again(ros, start_twin)
 
         def is_taken() -> bool:
             sender.publish(message)  # the twin may not know of the sender yet
-            twin.measurement.take()
+            twin.measurement.read_messages()
             return bool(twin.session.sample_counts.taken > before)
 
         ros.spin_until(is_taken, 'the sample')
