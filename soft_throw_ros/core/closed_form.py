@@ -254,7 +254,7 @@ def first_releases(
             raise _unresolved(status[first], phase[first], ratios[:, first])
         phase[failed] = np.nan
     energy_transfer = (speed / peak_velocity_ratios(ratios[2])) ** 2
-    return FirstRelease(*(found.reshape(shape) for found in (phase, speed, energy_transfer)))
+    return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
 
 
 def _unresolved(status: int, crossings: float, ratios: Iterable[float]) -> ThrowUnresolvedError:

@@ -126,15 +126,15 @@ class FirstThrows(NamedTuple):
 
     @classmethod
     def collect(
-        cls, found: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str
+        cls, results: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str
     ) -> FirstThrows:
         """Take rows of all but the energy transfer, NaN for throws that end in no release."""
-        failed = np.flatnonzero(np.isnan(found[0]))
+        failed = np.flatnonzero(np.isnan(results[0]))
         if failed.size and unresolved == 'raise':
             case = describe_ratios(ratios[:, failed[0]])
             raise ThrowUnresolvedError(f'no release within {MAX_PERIODS:g} periods for {case}')
-        transfer = (found[1] / peak_velocity_ratios(ratios[2])) ** 2
-        rows = (*found[:2], transfer, *found[2:])
+        transfer = (results[1] / peak_velocity_ratios(ratios[2])) ** 2
+        rows = (*results[:2], transfer, *results[2:])
         return cls(*(np.reshape(row, shape)[()] for row in rows))
 
 

@@ -91,13 +91,13 @@ class Fields(NamedTuple):
 
 def ejections(events: Iterable[Event]) -> tuple[Event, ...]:
     """Return the ejections: the releases before the projectile has come down on the layer."""
-    found = []
+    selected = []
     for event in events:
         if event.kind == 'landing':
             break
         if event.kind == 'release':
-            found.append(event)
-    return tuple(found)
+            selected.append(event)
+    return tuple(selected)
 
 
 def apex_height(ejection: Event, gravity: float) -> float:

@@ -157,13 +157,13 @@ def throw_many(
         rig = rig[0]
     values: dict[str, Floats | float] = {**values_of(rig), **changes}
     shape = np.broadcast_shapes(*map(np.shape, values.values()))
-    found = np.full((len(Throws._fields), math.prod(shape)), math.nan)
-    rows = found.reshape(len(found), *shape)
+    results = np.full((len(Throws._fields), math.prod(shape)), math.nan)
+    rows = results.reshape(len(results), *shape)
     if rig.engine.motion:
         cases = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
-        for batch in _batches(np.ones(found.shape[1], np.bool_), _SAMPLED_BATCH, cancelled):
+        for batch in _batches(np.ones(results.shape[1], np.bool_), _SAMPLED_BATCH, cancelled):
             part = {name: item[batch].tolist() for name, item in cases.items()}
-            found[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
+            results[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
         return Throws(*rows)
     cases = {name: _row(item, shape) for name, item in ratios_of(rig, values).items()}
     for name, chosen in _methods(rig, cases, method).items():
@@ -172,15 +172,15 @@ def throw_many(
         for batch in _batches(chosen, size, cancelled):
             part = {ratio: item[batch] for ratio, item in cases.items()}
             if name == 'cells':
-                found[:, batch] = _throw_with_cells(rig, part, method, cells, threads)
+                results[:, batch] = _throw_with_cells(rig, part, method, cells, threads)
             elif name == 'spring':
-                found[:3, batch] = spring_mass.first_release(
+                results[:3, batch] = spring_mass.first_release(
                     frequency_ratio=part['speed_ratio']
                     / (2.0 * math.pi * np.sqrt(part['mass_ratio']))
                 )
             else:
-                found[:, batch] = _throw_with_waves(part, name, loads, threads)
-    found[1:, np.isnan(found[0])] = math.nan  # a method may have loads without a release
+                results[:, batch] = _throw_with_waves(part, name, loads, threads)
+    results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
     # The methods return ratios; these are their units.
     omega = 2.0 * math.pi * values['frequency']
     speed = values['amplitude'] * omega
@@ -292,12 +292,12 @@ def _throw_with_waves(
     """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
     names = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
     ratios = {name: part[name] for name in names}
-    found = np.full((len(Throws._fields), part['mass_ratio'].size), math.nan)
+    results = np.full((len(Throws._fields), part['mass_ratio'].size), math.nan)
     if loads or method == 'waves':
-        found[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
+        results[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
     if method == 'closed_form':
-        found[:3] = closed_form.first_releases(**ratios, unresolved='nan', threads=threads)
-    return found
+        results[:3] = closed_form.first_releases(**ratios, unresolved='nan', threads=threads)
+    return results
 
 
 def _throw_with_cells(
@@ -328,18 +328,18 @@ def _throw_with_steppers(
     threads: int | None,
 ) -> Floats:
     """Compute the rows of `Throws` for a sampled motion, throw by throw."""
-    found = np.full((len(Throws._fields), count), math.nan)
+    results = np.full((len(Throws._fields), count), math.nan)
 
     def run(first: int, parts: int) -> None:
         for n in range(first, count, parts):
             try:
                 there = rig_with(rig, {name: item[n] for name, item in changes.items()})
-                found[:, n] = _throw_with_stepper(there, model, cells)
+                results[:, n] = _throw_with_stepper(there, model, cells)
             except (ValueError, EventLimitError):  # the model cannot follow this throw
                 continue
 
     in_threads(run, count=count, per_thread=16, threads=threads)
-    return found
+    return results
 
 
 def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float, ...]:

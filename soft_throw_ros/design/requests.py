@@ -89,7 +89,7 @@ def solve_motion_request(
     rig: Rig | None = None,
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
-    """Design the motion of the plate by the settings; arguments and errors as for `solve_request`."""
+    """Design the motion of the plate by the settings; errors as for `solve_request`."""
     request = _request(settings)
     if request['objective'] != 'peak':
         raise ValueError(

@@ -279,17 +279,17 @@ def _starts(length: Track) -> list[tuple[float, float]]:
     every = -(-length.time.size // _MAX_SAMPLES)
     time = length.time[::every] - length.time[0]
     position = length.position[::every]
-    found = []
+    minima = []
     for loss_tangent in _LOSSES:
         frequency = _MIN_CYCLES / length.duration
         while frequency < 0.4 / length.interval:
             columns = _modes(time, 1.0 / frequency, loss_tangent, 1)
             linear, *_ = np.linalg.lstsq(columns, position, rcond=None)
             mismatch = float(np.sum((position - columns @ linear) ** 2))
-            found.append((mismatch, 1.0 / frequency, loss_tangent))
+            minima.append((mismatch, 1.0 / frequency, loss_tangent))
             frequency += max(0.25 / length.duration, 0.1 * loss_tangent * frequency)
-    if not found:
+    if not minima:
         raise FitError(
             f'the layer is seen for {length.duration:.3g} s only, every {length.interval:.3g} s'
         )
-    return [(period, loss) for _, period, loss in sorted(found)[:_REFINED]]
+    return [(period, loss) for _, period, loss in sorted(minima)[:_REFINED]]

@@ -167,11 +167,11 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
             exposure = _Exposure(picture, light=light)
             levels = exposure.normalise(picture)
             noise = _noise(levels)
-            found = find_spots(levels)
-            if not found:
+            detected = find_spots(levels)
+            if not detected:
                 raise _no_spots(levels, light)
-            exposure.set_spots(found)
-            trackers = [_SpotTracker(spot, noise) for spot in found]
+            exposure.set_spots(detected)
+            trackers = [_SpotTracker(spot, noise) for spot in detected]
         if picture.shape != exposure.shape:
             raise TrackError(
                 f'pictures must be of one size, got {picture.shape} after {exposure.shape}'
@@ -192,7 +192,7 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
         search.update(number, levels, trackers)
     if exposure is None:
         raise TrackError('contains no picture')
-    return FollowedSpots([spot.result() for spot in trackers], number + 1, search.found)
+    return FollowedSpots([spot.result() for spot in trackers], number + 1, search.detected)
 
 
 class _Exposure:
@@ -239,14 +239,14 @@ class _LateSearch:
     """A search for round spots that the first picture does not show, as behind a wire."""
 
     def __init__(self) -> None:
-        self.found: tuple[int, DetectedSpot] | None = None
+        self.detected: tuple[int, DetectedSpot] | None = None
         """Picture and place of the first such spot."""
         self._next = _FIRST_SEARCH
         self._last: list[DetectedSpot] = []
 
     def update(self, number: int, levels: Floats, trackers: Sequence[_SpotTracker]) -> None:
         """Search some pictures, more and more seldom; two in a row must show the spot."""
-        if self.found or any(item.is_lost for item in trackers) or number < self._next:
+        if self.detected or any(item.is_lost for item in trackers) or number < self._next:
             return
         known = [item.search_region for item in trackers]
         largest = _MAX_CHANGE * max(item.diameter for item in trackers)
@@ -259,7 +259,7 @@ class _LateSearch:
         ]
         for spot in new:
             if any(math.dist(spot[:2], old[:2]) < spot.diameter for old in self._last):
-                self.found = number, spot
+                self.detected = number, spot
         is_second = bool(self._last)
         self._last = [] if is_second else new
         if not self._last:
@@ -362,7 +362,7 @@ def find_spots(picture: Picture) -> list[DetectedSpot]:
     closed = close_by_area(levels, max((min(picture.shape) // _MAX_WIDTH) ** 2, _MIN_AREA))
     darkness = scale * (closed.astype(np.float64) - levels)
     faintest = max(_MIN_DARKNESS * float(darkness.max()), _MIN_CONTRAST * _noise(picture))
-    found = []
+    detected = []
     for region in regionprops(label(darkness > faintest), intensity_image=darkness):
         half = 0.5 * region.intensity_max
         core = np.where(region.image, region.image_intensity, 0.0) > half
@@ -370,8 +370,9 @@ def find_spots(picture: Picture) -> list[DetectedSpot]:
         if spot.area >= _MIN_AREA and _is_round(spot):
             row, column = np.add(spot.centroid, region.bbox[:2])
             around = float(smooth.min()) + scale * float(closed[region.slice][core].mean())
-            found.append(DetectedSpot(row, column, spot.equivalent_diameter_area, around - half))
-    return sorted(found, reverse=True)
+            diameter = spot.equivalent_diameter_area
+            detected.append(DetectedSpot(row, column, diameter, around - half))
+    return sorted(detected, reverse=True)
 
 
 def close_by_area(levels: NDArray[np.uint8], area: int) -> NDArray[np.uint8]:
@@ -436,18 +437,18 @@ class _Circle(NamedTuple):
 class _SpotTracker:
     """A spot with its measurements so far."""
 
-    def __init__(self, found: DetectedSpot, noise: float) -> None:
+    def __init__(self, detected: DetectedSpot, noise: float) -> None:
         self.uncertainty = 0.0
         """Uncertainty of the expected position; 0 while the spot is seen. [px]"""
         self.acceleration = 0.0
         """Largest acceleration so far. [px per picture squared]"""
-        self._start = (float(found.row), float(found.column))
+        self._start = (float(detected.row), float(detected.column))
         self._expected = np.array(self._start)
         self._velocity = np.zeros(2)
         self._velocity_uncertainty = 0.0
-        self.diameter = found.diameter
+        self.diameter = detected.diameter
         self._noise = noise
-        self._level = found.level
+        self._level = detected.level
         self._seen: list[tuple[int, SpotMeasurement]] = []
         self._usual_mass = 0.0
         self.is_lost = False
@@ -466,9 +467,9 @@ class _SpotTracker:
         """Search the spot in the next picture, except at the positions of other spots."""
         if self.is_lost:
             return
-        found = self._find(picture, others)
+        detected = self._find(picture, others)
         least = max(acceleration, _MIN_ACCELERATION)
-        if found is None:
+        if detected is None:
             self._velocity_uncertainty += least
             self.uncertainty += self._velocity_uncertainty
             self._expected = self._expected + self._velocity
@@ -484,15 +485,15 @@ class _SpotTracker:
         self._velocity_uncertainty = 0.0
         if self._seen:
             before, last = self._seen[-1]
-            velocity = (found.position - last.position) / (number - before)
+            velocity = (detected.position - last.position) / (number - before)
             self._velocity_uncertainty = (number - before - 1) * least
             self._velocity = velocity
         self.uncertainty = 0.0
-        self._expected = found.position + self._velocity
-        self._level = found.level
+        self._expected = detected.position + self._velocity
+        self._level = detected.level
         memory = min(_MASS_MEMORY, len(self._seen) + 1.0)
-        self._usual_mass += (found.mass - self._usual_mass) / memory
-        self._seen.append((number, found))
+        self._usual_mass += (detected.mass - self._usual_mass) / memory
+        self._seen.append((number, detected))
         self._see_acceleration()
 
     def _see_acceleration(self) -> None:
@@ -574,19 +575,19 @@ class _SpotTracker:
         near = min(whole, key=lambda item: math.dist(item.position, middle), default=None)
         return near and near._replace(position=near.position + corner)
 
-    def _is_like(self, found: SpotMeasurement) -> bool:
+    def _is_like(self, detected: SpotMeasurement) -> bool:
         """Return whether a candidate is as dark and symmetric as the spot before."""
-        if found.depth < _MIN_CONTRAST * self._noise:
+        if detected.depth < _MIN_CONTRAST * self._noise:
             return False
         if not self._seen:
             return True
         (_, first), (_, latest) = self._seen[0], self._seen[-1]
-        off = abs(found.mass - self._usual_mass)
-        if off > _MAX_MASS_CHANGE * self._usual_mass + _MASS_NOISE * found.mass_error:
+        off = abs(detected.mass - self._usual_mass)
+        if off > _MAX_MASS_CHANGE * self._usual_mass + _MASS_NOISE * detected.mass_error:
             return False
-        change = max(found.depth / latest.depth, latest.depth / found.depth)
-        noise = _ASYMMETRY_NOISE * self._noise / found.depth
-        unlike = float(np.sqrt(np.mean((found.asymmetry - first.asymmetry) ** 2)))
+        change = max(detected.depth / latest.depth, latest.depth / detected.depth)
+        noise = _ASYMMETRY_NOISE * self._noise / detected.depth
+        unlike = float(np.sqrt(np.mean((detected.asymmetry - first.asymmetry) ** 2)))
         return change < _MAX_CHANGE and unlike < _MAX_ASYMMETRY + noise
 
     def _measure(

@@ -183,8 +183,8 @@ class Twin(RealTimeNode):
         """Schedule the publication of a line of the journal."""
         self._run_in_executor(lambda: self.outgoing.send(TWIN_TOPICS.journal, line))
 
-    def _on_recommendation(self, found: RecommendationState) -> None:
-        self._run_in_executor(lambda: self._publish_recommendation(found))
+    def _on_recommendation(self, recommended: RecommendationState) -> None:
+        self._run_in_executor(lambda: self._publish_recommendation(recommended))
 
     # Worker thread
 
@@ -302,20 +302,20 @@ class Twin(RealTimeNode):
             f'stopped after {throws} {noun} in {self.duration:.1f} s, {skipped} ticks skipped'
         )
 
-    def _publish_recommendation(self, found: RecommendationState) -> None:
+    def _publish_recommendation(self, recommended: RecommendationState) -> None:
         """Publish a recommendation, unless the rig has changed since its request."""
-        if not found.is_for(self.parameters.settings):
+        if not recommended.is_for(self.parameters.settings):
             return
-        self.recommendation = found
-        self.parameters.set_results(found.results())
-        if found.best is None:
-            self.get_logger().warning(found.describe())
+        self.recommendation = recommended
+        self.parameters.set_results(recommended.results())
+        if recommended.best is None:
+            self.get_logger().warning(recommended.describe())
         else:
-            self.get_logger().info(found.describe())
-        values = found.values()
+            self.get_logger().info(recommended.describe())
+        values = recommended.values()
         for number, topic in RECOMMENDED_TOPICS:
             self.outgoing.send(topic, float(values.get(number.name, math.nan)))
-        status = found.to_status(self.get_fully_qualified_name())
+        status = recommended.to_status(self.get_fully_qualified_name())
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
 
@@ -352,12 +352,12 @@ class Twin(RealTimeNode):
         return 'resetting the rig'
 
     def _on_apply_recommendation(self) -> str:
-        found = self.recommendation
-        if found is None:
+        recommended = self.recommendation
+        if recommended is None:
             raise RequestRejected('the recommendation is being computed; ask again')
-        if found.best is None:
-            raise RequestRejected(found.describe())
-        changes = found.changes()
+        if recommended.best is None:
+            raise RequestRejected(recommended.describe())
+        changes = recommended.changes()
         self.parameters.apply(changes)
         values = ', '.join(f'{name} {shown(value)}' for name, value in changes.items())
         return f'{values}, from the next throw or ~/reset on'

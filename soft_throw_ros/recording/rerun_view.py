@@ -300,10 +300,10 @@ class _TwinView:
         self._side.draw_positions(stamps, states.position)
 
     def draw_positions(self, messages: Sequence[Message], topic: Topic) -> None:
-        found = self._reader.read_positions(topic, messages)
-        if found is None:
+        positions = self._reader.read_positions(topic, messages)
+        if positions is None:
             return
-        stamps, position = found
+        stamps, position = positions
         self._draw_lines(layout.POSITIONS[topic], stamps, position)
         if topic == TWIN_TOPICS.residual:
             self._has_residuals = True
