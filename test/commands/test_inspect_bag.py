@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from pathlib import Path
 import signal
+import socket
 import subprocess
 import sys
 from test.recording.conftest import wait_until
@@ -30,7 +31,6 @@ from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.rerun_viewer import (
     find_viewer,
     free_port,
-    Viewer,
 )
 from twin_messages import TwinMessages
 
@@ -202,7 +202,8 @@ def test_arguments_are_refused_with_their_value(capsys, bag, args, words) -> Non
 
 
 def test_occupied_port_is_named(capsys, bag) -> None:
-    with Viewer(free_port(), '--headless') as viewer:
-        code, (line,) = run(capsys, bag, '--sink', 'serve', '--port', viewer.port)
+    with socket.create_server(('127.0.0.1', 0)) as other:
+        port = other.getsockname()[1]
+        code, (line,) = run(capsys, bag, '--sink', 'serve', '--port', port)
     assert code == 2
-    assert f'port {viewer.port} of 127.0.0.1' in line
+    assert f'port {port} of 127.0.0.1' in line
