@@ -46,7 +46,7 @@ from test.recording.recordings import viewer_at  # noqa: E402, I100
 
 @pytest.fixture
 def headless() -> Iterator[Any]:
-    with Viewer(free_port(), '--headless') as process:
+    with viewer_at(free_port()) as process:  # one without graphics would end by itself
         yield process
 
 
