@@ -46,6 +46,7 @@ def system(request, start, tmp_path, monkeypatch):
 
 def kill(system, name):
     (pid,) = system.pids(name)
+    stop(pid)  # at a time at which it holds no lock of the middleware
     os.kill(pid, signal.SIGKILL)
     if name == 'viewer':  # which the recorder starts again
         system.wait_for_viewer(not_pid=pid)
