@@ -74,6 +74,7 @@ def test_states_of_another_host_arrive_or_are_counted(hosts, start, tmp_path):
     assert 1000 < states.lost < 12_000
     # Hosts that are gone do not hold up the twin.
     assert outcome.ticks_skipped < 1000
-    assert outcome.ticks_missing <= outcome.ticks_skipped + states.lost
+    # The subscriber may start, and lose states, before the recorder joins.
+    assert outcome.ticks_missing <= outcome.ticks_skipped + outcome.missing
     for stamps in (states.stamps, outcome.heard):
         assert stamps[-1] > mended + SECOND
