@@ -250,6 +250,7 @@ class CalibratorTopics(NamedTuple):
 
     measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
     throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
+    plate_trajectory: Topic = replace(TwinTopics().plate_trajectory.at('twin'), is_input=True)
     diagnostics: Topic = Topic(
         '/diagnostics', ARRAY, 'Result of the last identification, at 1 Hz', depth=_SEVERAL)
 

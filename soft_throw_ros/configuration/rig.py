@@ -109,6 +109,10 @@ CALIBRATOR = Table(
         row('throws', 3,
             'Number of throws in a row beyond `measured.residual_threshold` of the twin after '
             'which the rig is identified from them', low=1, high=100),
+        row('motion_after', 0,
+            'Number of throws in a row within `measured.residual_threshold` after which the twin '
+            'commands the best motion of the plate, and the gain is measured; 0 for never',
+            low=1, high=10_000, or_zero=True),
     ),
 )
 """The parameters of the calibrator."""

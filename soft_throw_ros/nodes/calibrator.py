@@ -17,13 +17,18 @@ The node `calibrator`: identifies the rig again when the twin's predictions are 
 The node collects the tracks of consecutive throws that the twin predicted wrongly. When it has
 enough tracks, a worker thread identifies the rig and sets the parameters of the twin. This takes
 seconds, including the wait for the twin's answers.
+
+After `motion_after` throws in a row that the twin predicted well, the calibrator makes the twin
+command the best motion of the plate, and measures the gain in ejection speed.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+import math
 import threading
 from typing import Any
 
@@ -44,9 +49,10 @@ from soft_throw_ros.configuration.interface import (
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription
+from soft_throw_ros.identification.flight import flight_speed
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes.conversions import msg_to_throw_result, status_to_msg
+from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time, status_to_msg
 from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
@@ -56,6 +62,7 @@ from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.recording.cdr import JointStateReader, MessageError
 from soft_throw_ros.twin.results import ThrowResult
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 Floats = NDArray[np.float64]
 
@@ -66,16 +73,42 @@ _AFTER = 6.0  # length of the track after the release [plate periods]
 _ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
+_KEPT_COMMANDS = 4  # number of the last commands whose starts are kept
+_MIN_SPEED_RATIO = 0.5  # smallest measured speed of a throw that was played, by the predicted one
 _STOP_TIMEOUT = 0.3  # longest wait for the thread to end [s]
 # The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
 # linear layer.
-_HELD = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
-_DESCRIPTION = FitDescription(dict.fromkeys(_HELD, 'held'))
+_FIXED = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
+_DESCRIPTION = FitDescription(dict.fromkeys(_FIXED, 'held'))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 
-class _Unanswered(Exception):
+_MOTION: Settings = {'recommendation.vary': 'motion', 'engine.command': True}
+"""Parameters of a twin that recommends motions of the plate and commands them."""
+
+
+class _RequestFailed(Exception):
     """Another node rejected a request or did not answer; the message names node and reason."""
+
+
+@dataclass
+class _MeasuredThrows:
+    """Ejection speeds of some throws, measured in flight, and their energy transfers."""
+
+    speeds: list[float] = field(default_factory=list)  # [m/s]
+    energy_transfers: list[float] = field(default_factory=list)  # [-]
+
+    def add(self, speed: float, peak_plate_speed: float) -> None:
+        self.speeds.append(speed)
+        self.energy_transfers.append((speed / peak_plate_speed) ** 2)
+
+    def values(self, prefix: str) -> dict[str, str]:
+        """Return the means with their standard errors."""
+        return {
+            f'{prefix}.ejection_speed': _mean(self.speeds),
+            f'{prefix}.energy_transfer': _mean(self.energy_transfers),
+            f'{prefix}.throws': str(len(self.speeds)),
+        }
 
 
 class Calibrator(RunnableNode):
@@ -90,6 +123,7 @@ class Calibrator(RunnableNode):
         self._measured = _Measured(self, self._twin)
         self.add_cleanup(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(self._twin), self._on_results)
+        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(self._twin), self._on_command)
         self._get = self.create_client(GetParameters, f'{self._twin}/get_parameters')
         self._set = {
             node: self.create_client(SetParametersAtomically, f'{node}/set_parameters_atomically')
@@ -106,12 +140,16 @@ class Calibrator(RunnableNode):
         )
         self.create_steady_timer(1.0, self._publish_status)
         self._mispredicted: list[ThrowTracks] = []
-        self._rig_of_mispredicted: Rig | None = None
+        self._rig_of_throws: Rig | None = None  # of the collected throws
+        self._predicted = _MeasuredThrows()  # in a row that the twin predicted well
+        self._before = _MeasuredThrows()  # those before the motion was commanded
+        self._commanded: _MeasuredThrows | None = None  # None before the motion is commanded
+        self._starts_ns: deque[int] = deque(maxlen=_KEPT_COMMANDS)
         self._is_busy = False
         self._closing = threading.Event()
         self._worker = LatestOnlyWorker(
-            self._identify,
-            self._on_identified,
+            self._run_task,
+            self._on_finished,
             on_failure=lambda _task, error: self._report_failure(repr(error)),
             log=self.get_logger().error,
         )
@@ -124,25 +162,32 @@ class Calibrator(RunnableNode):
 
     # Executor thread
 
+    def _on_command(self, msg: JointTrajectory) -> None:
+        self._starts_ns.append(msg_to_time(msg.header.stamp))
+
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             result = msg_to_throw_result(status)
-            if result.stage == 'final':
-                self._on_final(result)
+            if result.stage == 'final' and result.is_valid and not self._is_busy:
+                self._measured.read_messages()
+                if self._commanded is None:
+                    self._on_measured_throw(result)
+                elif result.accuracy is None:
+                    self._on_commanded_throw(result, msg_to_time(msg.header.stamp))
 
-    def _on_final(self, result: ThrowResult) -> None:
-        """Collect a throw that the twin predicted wrongly."""
+    def _on_measured_throw(self, result: ThrowResult) -> None:
+        """Collect a throw that the twin predicted wrongly, or count one that it predicted well."""
         release, accuracy, comparison = result.first, result.accuracy, result.comparison
         if release is None or accuracy is None or comparison is None:
             return
-        if self._is_busy or not result.is_valid:
-            return
-        if comparison.is_within_threshold or result.rig != self._rig_of_mispredicted:
-            self._mispredicted.clear()  # one fit needs throws of one rig
-            self._rig_of_mispredicted = result.rig
+        if result.rig != self._rig_of_throws:  # one fit needs throws of one rig
+            self._mispredicted, self._predicted = [], _MeasuredThrows()
+            self._rig_of_throws = result.rig
         if comparison.is_within_threshold:
+            self._mispredicted.clear()
+            self._on_well_predicted(result, accuracy.release_ns)
             return
-        self._measured.read_messages()
+        self._predicted = _MeasuredThrows()
         period_ns = 1e9 / result.rig.engine.frequency
         begin_ns = accuracy.release_ns - round(1e9 * release.ejection_time + _BEFORE * period_ns)
         end_ns = accuracy.release_ns + round(_AFTER * period_ns)
@@ -157,9 +202,73 @@ class Calibrator(RunnableNode):
                 f'the last {len(self._mispredicted)} throws deviated from the prediction, the '
                 f'last one by {1e3 * comparison.position_rms:.3g} mm rms; identifying the rig'
             )
-            self._is_busy = True
-            self._worker.submit((self._mispredicted, result.rig))
+            self._submit(partial(self._identify, self._mispredicted, result.rig))
             self._mispredicted = []
+
+    def _on_well_predicted(self, result: ThrowResult, release_ns: int) -> None:
+        """Measure a throw; command the best motion after enough of them."""
+        required = self.parameters.settings['motion_after']
+        if required:
+            self._add_measured(self._predicted, result, release_ns)
+            if len(self._predicted.speeds) >= required:
+                self.get_logger().info(
+                    f'the last {required} throws followed the prediction; designing the motion '
+                    'of the plate'
+                )
+                self._before, self._predicted = self._predicted, _MeasuredThrows()
+                self._submit(self._command_motion)
+
+    def _on_commanded_throw(self, result: ThrowResult, end_ns: int) -> None:
+        """Measure a throw whose motion the twin commanded, and report the gain after some."""
+        starts_ns = [start_ns for start_ns in self._starts_ns if start_ns < end_ns]
+        if result.first is None or not starts_ns or self._commanded is None:
+            return
+        release_ns = starts_ns[-1] + round(1e9 * result.first.ejection_time)
+        self._add_measured(self._commanded, result, release_ns)
+        if len(self._commanded.speeds) == self.parameters.settings['throws']:
+            self._report_gain(self._commanded)
+            self._commanded = None
+
+    def _add_measured(
+        self, throws: _MeasuredThrows, result: ThrowResult, release_ns: int
+    ) -> None:
+        """Measure the ejection speed of a throw, until the apex or one plate period later."""
+        rig, release = result.rig, result.first
+        assert release is not None
+        duration = 1.0 / rig.engine.frequency
+        if rig.gravity:
+            duration = min(duration, release.ejection_speed / rig.gravity)
+        end_ns = release_ns + round(1e9 * duration)
+        try:
+            tracks = self._measured.between(release_ns, end_ns, name=f'throw {result.throw}')
+        except TrackError as error:
+            self.get_logger().warning(f'throw {result.throw} cannot be measured: {error}')
+            return
+        assert tracks.projectile is not None
+        speed = flight_speed(tracks.projectile, gravity=rig.gravity)
+        if speed < _MIN_SPEED_RATIO * release.ejection_speed:
+            self.get_logger().warning(
+                f'throw {result.throw} is not counted: the projectile moved at {speed:.3g} m/s '
+                f'instead of {release.ejection_speed:.3g} m/s; the rig was not ready'
+            )
+            return
+        throws.add(speed, result.peak_plate_speed)
+
+    def _report_gain(self, commanded: _MeasuredThrows) -> None:
+        """Log and publish the gain of the commanded motion."""
+        values = self._before.values('engine') | commanded.values('commanded')
+        message = (
+            f'measured gain by the commanded motion: ejection speed '
+            f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
+            f'energy transfer {values["engine.energy_transfer"]} -> '
+            f'{values["commanded.energy_transfer"]}'
+        )
+        self.get_logger().info(message)
+        self._set_status(message, values)
+
+    def _submit(self, task: Callable[[], None]) -> None:
+        self._is_busy = True
+        self._worker.submit(task)
 
     def _publish_status(self) -> None:
         now = self.get_clock().now().nanoseconds
@@ -167,16 +276,22 @@ class Calibrator(RunnableNode):
 
     # Worker thread
 
-    def _identify(
-        self, task: tuple[list[ThrowTracks], Rig], _cancelled: Callable[[], bool]
-    ) -> None:
-        """Identify the rig and apply the result."""
-        tracks, rig = task
+    def _run_task(self, task: Callable[[], None], _cancelled: Callable[[], bool]) -> None:
         try:
-            self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
-        except (_Unanswered, ValueError) as error:
+            task()
+        except (_RequestFailed, ValueError) as error:
             if not self._closing.is_set():
                 self._report_failure(str(error))
+
+    def _identify(self, tracks: list[ThrowTracks], rig: Rig) -> None:
+        """Identify the rig and apply the result."""
+        self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
+
+    def _command_motion(self) -> None:
+        """Make the twin command the best motion of the plate."""
+        self._set_parameters(self._twin, _MOTION)
+        self.get_logger().info(f'commanded: {self._apply_recommendation()}')
+        self._commanded = _MeasuredThrows()
 
     def _report_failure(self, reason: str) -> None:
         """Log and publish the reason why an identification has changed nothing."""
@@ -184,7 +299,7 @@ class Calibrator(RunnableNode):
         self.get_logger().warning(message)
         self._set_status(message, warn=True)
 
-    def _on_identified(self, _answer: None) -> None:
+    def _on_finished(self, _result: None) -> None:
         self._is_busy = False
 
     def _apply_fit(self, rig_fit: RigFit) -> None:
@@ -200,7 +315,12 @@ class Calibrator(RunnableNode):
         )
         message = f'identified: {", ".join(words)}'
         self.get_logger().info(message)
-        self._set_status(message, rig_fit)
+        estimates = {name: str(value) for name, value in rig_fit.estimates().items()}
+        outliers = sum(len(residual.outliers) for residual in rig_fit.fit.residuals)
+        warnings = {f'warning {n}': text for n, text in enumerate(rig_fit.fit.warnings(), 1)}
+        self._set_status(
+            message, estimates | {'outliers': str(outliers)} | warnings, warn=bool(warnings)
+        )
         if self._rig:
             before = self._layer()
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
@@ -210,18 +330,11 @@ class Calibrator(RunnableNode):
                 self._set_parameters(self._rig, changes)
 
     def _set_status(
-        self, message: str, rig_fit: RigFit | None = None, *, warn: bool = False
+        self, message: str, values: dict[str, str] | None = None, *, warn: bool = False
     ) -> None:
-        """Set the diagnostic status: the message, all fitted parameters, and the warnings."""
-        values: dict[str, object] = {}
-        if rig_fit is not None:
-            values = {name: str(value) for name, value in rig_fit.estimates().items()}
-            values['outliers'] = sum(len(residual.outliers) for residual in rig_fit.fit.residuals)
-            warnings = rig_fit.fit.warnings()
-            values |= {f'warning {number}': text for number, text in enumerate(warnings, 1)}
-            warn = bool(warnings)
+        """Set the diagnostic status."""
         name = self.get_fully_qualified_name()
-        self._status = status_to_msg(name, 'identification', message, values, warn=warn)
+        self._status = status_to_msg(name, 'identification', message, values or {}, warn=warn)
 
     def _layer(self) -> Settings:
         """Return the layer parameters of the twin, including pending changes."""
@@ -237,7 +350,7 @@ class Calibrator(RunnableNode):
                 return str(response.message)
             if self._closing.wait(_PAUSE):
                 break
-        raise _Unanswered(f'{self._apply.srv_name}: {response.message}')
+        raise _RequestFailed(f'{self._apply.srv_name}: {response.message}')
 
     def _set_parameters(self, node: str, values: Settings) -> None:
         request = SetParametersAtomically.Request(
@@ -247,18 +360,18 @@ class Calibrator(RunnableNode):
         )
         result = self._call(self._set[node], request).result
         if not result.successful:
-            raise _Unanswered(f'{node} rejects {values}: {result.reason}')
+            raise _RequestFailed(f'{node} rejects {values}: {result.reason}')
 
     def _call(self, client: Client, request: object) -> Any:
         """Call a service and wait until the executor has received the answer."""
         if not client.wait_for_service(_ANSWER_TIMEOUT):
-            raise _Unanswered(f'{client.srv_name} is not available')
+            raise _RequestFailed(f'{client.srv_name} is not available')
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
         if not answered.wait(_ANSWER_TIMEOUT):
             client.remove_pending_request(future)
-            raise _Unanswered(f'{client.srv_name} does not answer')
+            raise _RequestFailed(f'{client.srv_name} does not answer')
         return future.result()
 
 
@@ -310,6 +423,14 @@ class _Measured:
     def close(self) -> None:
         """Unsubscribe."""
         self._subscription.close()
+
+
+def _mean(values: Sequence[float]) -> str:
+    """Return a mean with its standard error by the scatter, which one value does not have."""
+    mean = float(np.mean(values))
+    if len(values) < 2:
+        return f'{mean:.4g}'
+    return f'{mean:.4g} +- {np.std(values, ddof=1) / math.sqrt(len(values)):.1g}'
 
 
 main = partial(run, 'calibrator', Calibrator)

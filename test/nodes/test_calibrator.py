@@ -24,9 +24,10 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.node import Node
-from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
 from soft_throw_ros.configuration.rig import RIG, to_twin
+from soft_throw_ros.design.motion_design import design_motion
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
@@ -65,7 +66,7 @@ def test_calibration_finds_the_rig_improves_its_throw_and_stops(
     results: list[ThrowResult] = listen(
         ros, CALIBRATOR_TOPICS.throw_result, msg_to_throw_result
     )
-    said = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
     twin = start_node(
         'twin', 'engine.motion:=measured', 'layer.name:=gelatin_29.1mm',
         'recommendation.vary:=thickness',
@@ -87,15 +88,15 @@ def test_calibration_finds_the_rig_improves_its_throw_and_stops(
         return [item for item in final if abs(item.rig.layer.thickness - thickness) < 1e-9]
 
     def identified() -> DiagnosticStatus | None:
-        found = [item for item in said if item.name == '/calibrator: identification']
-        return found[-1] if found and 'wave_speed 7.' in found[-1].message else None
+        identifications = [item for item in statuses if 'wave_speed 7.' in item.message]
+        return identifications[-1] if identifications else None
 
     # The measured plate's noise makes speeds scatter by 0.5 %: five throws are within 0.3 %.
     ros.spin_until(lambda: len(with_new_layer()) > 4, 'throws with the new layer')
     ros.spin_until(identified, 'diagnostics')
-    found = {item.key: item.value for item in identified().values}
-    assert float(found['layer.wave_speed'].split()[0]) == pytest.approx(7.3, rel=0.01)
-    assert int(found['outliers']) >= 0
+    values = {item.key: item.value for item in identified().values}
+    assert float(values['layer.wave_speed'].split()[0]) == pytest.approx(7.3, rel=0.01)
+    assert int(values['outliers']) >= 0
     for process in (rig, calibrator, twin):
         assert process.end(signal.SIGINT) == 0
         assert not any('Traceback' in line for line in process.lines)
@@ -121,8 +122,37 @@ def test_calibration_finds_the_rig_improves_its_throw_and_stops(
     assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
 
 
+@pytest.mark.slow
+@pytest.mark.once
+def test_best_motion_is_commanded_and_its_gain_is_measured(
+    start_node, ros, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))  # the twin writes the motion below it
+    reported = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    twin = start_node('twin', 'engine.motion:=measured')
+    calibrator = start_node('calibrator', 'throws:=2', 'motion_after:=2')
+    for process in (twin, calibrator):
+        process.wait_for('ready')
+    rig = start_node('rig', 'rate:=2500.0', 'throw.period:=0.6', 'faults.outlier_rate:=0.003')
+
+    def gain() -> DiagnosticStatus | None:
+        gains = [item for item in reported if item.message.startswith('measured gain')]
+        return gains[-1] if gains else None
+
+    ros.spin_until(gain, 'the gain')
+    values = {item.key: float(item.value.split()[0]) for item in gain().values}
+    assert values['engine.throws'] == values['commanded.throws'] == 2
+    rig_by_engine = rig_of(TWIN.defaults())
+    best = design_motion(rig_by_engine)
+    for name, throw in (('engine', predict(rig_by_engine)), ('commanded', best)):
+        assert values[f'{name}.ejection_speed'] == pytest.approx(throw.ejection_speed, rel=5e-3)
+        assert values[f'{name}.energy_transfer'] == pytest.approx(throw.energy_transfer, rel=2e-2)
+    for process in (rig, calibrator, twin):
+        assert process.end(signal.SIGINT) == 0
+
+
 def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> None:
     ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
-    said = listen(ros, CALIBRATOR_TOPICS.diagnostics)
-    ros.spin_until(lambda: len(said) > 0, 'the status')
-    assert said[0].name == '/calibrator: identification'
+    statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    ros.spin_until(lambda: len(statuses) > 0, 'the status')
+    assert statuses[0].name == '/calibrator: identification'
