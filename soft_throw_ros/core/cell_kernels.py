@@ -43,7 +43,7 @@ The nodes meet again when the gap is closed at the end of a step; from there on 
 momentum puts them, at the common velocity. That is how two waves meet half a cell later, so that
 events after a landing are of second order, too, though a landing is a jump.
 
-The grid is up to one step ahead of the time that is asked for, and the state is interpolated
+The grid is up to one step ahead of the requested time, and the state is interpolated
 between its last two steps (third order). So with a measured plate it can go as far as the last
 whole step before the horizon.
 
@@ -62,7 +62,7 @@ import numba as nb
 import numpy as np
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.cell_grid import POINT
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, Record, reduction
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.plate_kernels import (
     BLOCK,
@@ -88,7 +88,7 @@ _SHOCK = 1.0
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
 
-_static_stretch = part(static_stretch)
+_static_stretch = subroutine(static_stretch)
 
 
 class Row(NamedTuple):
@@ -124,9 +124,9 @@ class Row(NamedTuple):
     static_strain: int = 34  # compression of a cell at rest [-]
     peak_strain: int = 35  # largest magnitude of the strain of a cell [-]
     implicit_stiffness: int = 36  # of a cell that is too fast for the step [kg]
-    position: int = 37  # displacement at the time asked for [m]
-    speed: int = 38  # velocity at the time asked for [m/s]
-    force: int = 39  # force through a cell at the time asked for, positive in compression [N]
+    position: int = 37  # displacement at the requested time [m]
+    speed: int = 38  # velocity at the requested time [m/s]
+    force: int = 39  # force through a cell at the requested time, positive in compression [N]
 
 
 ROW = Row()
@@ -213,7 +213,7 @@ RECORD = np.dtype(
 """State of a throw by cells."""
 
 
-@part
+@subroutine
 def cut(s: Record, nodes: Any, bodies: Any) -> None:
     """Cut bodies into cells; without cells of its own the projectile is a point."""
     top = s.first_node + s.cells
@@ -251,7 +251,7 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
         nodes[ROW.mass, face] += s.mass
 
 
-@part
+@subroutine
 def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
     """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
     step, rigid = s.step, s.contact_link if case == 1 else -1
@@ -282,14 +282,14 @@ def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
         _eliminate(nodes, case, first, middle, end, rigid)
 
 
-@part
+@subroutine
 def _eliminate(nodes, case, first, merge, end, rigid):
     """Eliminate nodes from both ends towards one that they merge in."""
     mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
     factor, pivots = nodes[ROW.elimination_factor + case], nodes[ROW.inverse_pivot + case]
     total = mass[merge]
     for side in range(2):
-        j, way = (first, 1) if side == 0 else (end, -1)
+        j, direction = (first, 1) if side == 0 else (end, -1)
         added = coupling[first - 1] if side == 0 else coupling[end]
         while j != merge:
             link = j if side == 0 else j - 1
@@ -300,7 +300,7 @@ def _eliminate(nodes, case, first, merge, end, rigid):
                 pivots[j] = 1.0 / (pivot + coupling[link])
                 factor[link] = coupling[link] * pivots[j]
                 added = factor[link] * pivot
-            j += way
+            j += direction
         total += added
     pivots[merge] = 1.0 / total
 
@@ -384,7 +384,7 @@ def solve(s: Record, nodes: Any) -> None:
     _substitute(nodes, w, case, first, s.middle[case], end)
 
 
-@part
+@subroutine
 def _prepare_links(s, nodes, omega):
     """Find out which materials there are, and prepare the Maxwell elements."""
     for j in range(nodes.shape[1] - 1):
@@ -398,7 +398,7 @@ def _prepare_links(s, nodes, omega):
         s.maxwell_gain[element] = 1.0 / (1.0 + half)
 
 
-@part
+@subroutine
 def _prepare_contact(s, nodes):
     """Prepare free ends, the equations of flight and contact, and the nodes that land as one."""
     last, link = nodes.shape[1] - 1, s.contact_link
@@ -435,7 +435,7 @@ def _neo_hookean_stress(ratio, least):
     return ratio - inverse * inverse * (3.0 - (share + share))
 
 
-@part
+@subroutine
 def _prepare_rest(s, nodes):
     """Compute loads, strains and heights at rest: each cell carries the weight above it."""
     top = s.first_node + s.cells
@@ -578,7 +578,7 @@ def _move_first_node(s, nodes, height, speed, acceleration):
         _creep(s, nodes, now, s.below_before - before)
 
 
-@part
+@subroutine
 def _creep(s, nodes, now, stretch):
     """Move the free end of a layer without mass towards its length without load."""
     free = s.carried_mass * s.gravity / nodes[ROW.stiffness, 0]
@@ -589,7 +589,7 @@ def _creep(s, nodes, now, stretch):
     nodes[ROW.mean_velocity + now, 1] = nodes[ROW.mean_velocity + now, 0] - rate
 
 
-@part
+@subroutine
 def _carried_speed(s, nodes):
     """Compute the speed of the common centre of mass above the contact, at the half step."""
     momentum = 0.0
@@ -598,7 +598,7 @@ def _carried_speed(s, nodes):
     return momentum / s.carried_mass
 
 
-@part
+@subroutine
 def _record_event(s, events, kind, fraction, height, velocity):
     """Write down an event in the last step."""
     s.event_time, s.event_velocity = (s.index - 1 + fraction) * s.step, velocity
@@ -634,7 +634,7 @@ def _contact_forces(s, nodes):
         s.on_plate_now = tension - inertia - weight
 
 
-@part
+@subroutine
 def _first_root(a, b, c, d):
     """Find the root of a + b x + c x^2 + d x^3 in a step, to the last bit."""
     low, high = 0.0, 1.0
@@ -648,7 +648,7 @@ def _first_root(a, b, c, d):
             low = x
 
 
-@part
+@subroutine
 def _handle_release(s, nodes, events):
     """Release the projectile at the root of the force, which is below zero now."""
     after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
@@ -669,7 +669,7 @@ def _handle_release(s, nodes, events):
     _record_event(s, events, stepper.RELEASE, t, height, velocity)
 
 
-@part
+@subroutine
 def _handle_landing(s, nodes, events):
     """Land the projectile at the root of the gap, which is negative now."""
     j = s.contact_link
@@ -701,11 +701,11 @@ def _handle_landing(s, nodes, events):
 @inlined
 def _march(s, nodes, path, events, goal):
     """Advance to step `goal`, or into one with more events than there is room for."""
-    step, joint = s.step, s.contact_link
+    step, link = s.step, s.contact_link
     while s.index < goal and s.events <= events.shape[0]:
         before, now = s.index & 1, 1 - (s.index & 1)
-        s.below_before = nodes[ROW.displacement, joint]
-        s.above_before = nodes[ROW.displacement, joint + 1]
+        s.below_before = nodes[ROW.displacement, link]
+        s.above_before = nodes[ROW.displacement, link + 1]
         for j in range(nodes.shape[1]):
             velocity = 2.0 * nodes[ROW.mean_velocity + before, j] - nodes[ROW.velocity, j]
             nodes[ROW.velocity, j] = velocity  # v^{n+1/2} = v^{n-1/2} + h a^n
@@ -719,7 +719,7 @@ def _march(s, nodes, path, events, goal):
         else:
             height, speed, acceleration = motion_at(s, path, s.index * step)
         _move_first_node(s, nodes, height, speed, acceleration)
-        gap = nodes[ROW.displacement, joint + 1] - nodes[ROW.displacement, joint]
+        gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
         lands = not s.contact and gap < 0.0
         if lands:
             _handle_landing(s, nodes, events)
@@ -727,7 +727,7 @@ def _march(s, nodes, path, events, goal):
         leaves = False
         while True:
             if not s.contact:  # both sides of the contact are free of the weight
-                nodes[ROW.tension + now, joint] = s.carried_mass * s.gravity
+                nodes[ROW.tension + now, link] = s.carried_mass * s.gravity
             solve(s, nodes)
             _contact_forces(s, nodes)
             if leaves:
@@ -771,7 +771,7 @@ def _compare_loads(s, nodes):
     s.plate_force = max(s.plate_force, abs(s.on_plate_now))
 
 
-@part
+@subroutine
 def _motion(s, nodes, j, fraction):
     """Interpolate displacement and velocity of a node between the last two steps."""
     u, v, step = nodes[ROW.displacement, j], nodes[ROW.velocity, j], s.step
@@ -836,7 +836,7 @@ def _advance(core, nodes, path, events, time):
     return s.events
 
 
-@part
+@subroutine
 def _move_nodes(s, nodes):
     """Interpolate all nodes, and the forces through all cells, at the requested time."""
     now, fraction = s.index & 1, s.fraction if s.index > 0 else 1.0
@@ -872,7 +872,7 @@ def _read_layer(core, nodes, points, out):
             out[3, n] = strain + weight * (neighbour_strain - strain)
 
 
-@part
+@subroutine
 def _elastic_energy(ratio, least):
     """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
     x = max(ratio, least)
