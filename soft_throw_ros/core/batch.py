@@ -89,7 +89,7 @@ def in_threads(
     Parameters
     ----------
     run : callable
-        Runs one part, given its number and the number of parts.
+        Computes throws, given the number of the first one and the stride to the next.
     count, per_thread : int
         Number of throws, and the fewest that are worth a thread.
     threads : int, optional
@@ -103,11 +103,11 @@ def in_threads(
     """
     if threads is not None and not (type(threads) is int and threads > 0):
         raise ValueError(f'threads must be a positive whole number or None, got {threads!r}')
-    parts = max(1, min(threads or usable_processors(), count // per_thread))
-    if parts == 1:
+    stride = max(1, min(threads or usable_processors(), count // per_thread))
+    if stride == 1:
         run(0, 1)
         return
-    with ThreadPoolExecutor(parts - 1) as pool:
-        others = pool.map(lambda part: run(part, parts), range(1, parts))
-        run(0, parts)
+    with ThreadPoolExecutor(stride - 1) as pool:
+        others = pool.map(lambda first: run(first, stride), range(1, stride))
+        run(0, stride)
         list(others)  # raises the exceptions of the threads

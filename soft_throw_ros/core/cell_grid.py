@@ -47,15 +47,15 @@ BODY = np.dtype(
 )
 """A sheet or an elastic projectile, to be cut into cells of one kind."""
 
-PLACE = np.dtype(
+POINT = np.dtype(
     [
         ('cell', 'i8'),  # at the height
-        ('beside', 'i8'),  # its neighbour, or the cell itself if it has none
+        ('neighbour', 'i8'),  # of this cell in its sheet, or the cell itself if it has none
         ('weight', 'f8'),  # of the neighbour for quantities in the middle of cells [-]
-        ('part', 'f8'),  # share of the cell below the height [-]
+        ('fraction', 'f8'),  # of the cell below the height [-]
     ]
 )
-"""From where to read the layer at a height."""
+"""A height at which the layer is read."""
 
 MAX_PROJECTILE_CELLS = 1 << 15
 """Most cells of an elastic projectile."""
@@ -86,28 +86,25 @@ class Grid(NamedTuple):
         sheets = self.bodies.size - (self.projectile_cells > 0)
         return self.bodies['count'][:sheets].astype(np.int64)
 
-    def places(self, points: int) -> NDArray[np.void]:
-        """
-        Return a `PLACE` for each of some even heights from plate to top.
-
-        The neighbour is in the same sheet; at the end of a sheet it serves to extrapolate.
-        """
+    def points(self, count: int) -> NDArray[np.void]:
+        """Return a `POINT` for each of some even heights from plate to top."""
         counts = self.counts
         sheets = np.repeat(np.arange(counts.size), counts)
         lengths = (self.bodies['thickness'][: counts.size] / counts)[sheets]
         bounds = np.append(0.0, np.cumsum(lengths))
-        heights = np.linspace(0.0, bounds[-1], points)
+        heights = np.linspace(0.0, bounds[-1], count)
         cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
-        part = (heights - bounds[cell]) / lengths[cell]
-        ahead = np.where(part > 0.5, 1, -1)
-        neighbours = np.pad(sheets, 1, constant_values=-1)
-        beside = cell
-        for other in (cell - ahead, cell + ahead):
-            beside = np.where(neighbours[other + 1] == sheets[cell], other, beside)
-        places = np.empty(points, PLACE)
-        places['cell'], places['beside'] = cell, beside
-        places['weight'], places['part'] = (part - 0.5) * (beside - cell), part
-        return places
+        fraction = (heights - bounds[cell]) / lengths[cell]
+        # The nearer neighbour, or at the end of a sheet the other one, which extrapolates
+        nearer = np.where(fraction > 0.5, 1, -1)
+        sheets_around = np.pad(sheets, 1, constant_values=-1)
+        neighbour = cell
+        for other in (cell - nearer, cell + nearer):
+            neighbour = np.where(sheets_around[other + 1] == sheets[cell], other, neighbour)
+        points = np.empty(count, POINT)
+        points['cell'], points['neighbour'] = cell, neighbour
+        points['weight'], points['fraction'] = (fraction - 0.5) * (neighbour - cell), fraction
+        return points
 
 
 def _fastest_waves(bodies: NDArray[np.void]) -> Floats:
@@ -118,14 +115,17 @@ def _fastest_waves(bodies: NDArray[np.void]) -> Floats:
     return np.asarray(np.sqrt(tangent) * np.where(bound > 0.0, _SHOCK_SPEED, 1.0))
 
 
-def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[NDArray[np.void], Floats]:
+def make_bodies(
+    *, speed_ratio: Floats, loss_tangent: Floats, strain_ratio: Floats, constant_loss: Floats,
+    stack: Stack | None,
+) -> tuple[NDArray[np.void], Floats]:
     """
     Make the sheets of layers in units of layer mass, crossing time and amplitude.
 
     Parameters
     ----------
-    ratios : ndarray, shape (n, 8)
-        Arguments of `cell_stepper.first_throws`, in the same order. [-]
+    speed_ratio, loss_tangent, strain_ratio, constant_loss : ndarray, shape (n,)
+        As for `cell_stepper.first_throws`.
     stack : Stack, optional
         The layers, if they are no single sheets.
 
@@ -138,26 +138,26 @@ def make_bodies(ratios: Floats, stack: Stack | None) -> tuple[NDArray[np.void], 
         Crossing times of the fastest wave. [-]
 
     """
-    sheets = stack.sheets if stack else (Layer(),)
-    whole = stack or sheets[0]
-    kappa, loss, strain, is_constant = (ratios[:, k, None] for k in (1, 4, 6, 7))
+    layer = stack or Layer()
     values = np.array([
-        (sheet.thickness, sheet.mass, sheet.crossing_time, sheet.loss_tangent) for sheet in sheets
-    ]).T
-    sums = np.array([whole.thickness, whole.mass, whole.crossing_time, whole.loss_tangent or 1.0])
-    thickness, mass, crossing, share = values / sums[:, None]
-    omega = 2.0 * math.pi / kappa
-    losses = loss * (share if whole.loss_tangent > 0.0 else 1.0)
-    losses = np.broadcast_to(losses, (len(ratios), len(sheets)))
+        (sheet.thickness, sheet.mass, sheet.crossing_time, sheet.loss_tangent)
+        for sheet in layer.sheets
+    ])
+    sums = layer.thickness, layer.mass, layer.crossing_time, layer.loss_tangent or 1.0
+    thickness, mass, crossing, loss_share = (values / sums).T
+    if layer.loss_tangent == 0.0:
+        loss_share = np.ones(len(values))
+    losses = loss_tangent[:, None] * loss_share
+    omega, strain = 2.0 * math.pi / speed_ratio[:, None], strain_ratio[:, None]
     is_curved = strain > 0.0
     bodies = np.zeros(losses.shape, BODY)
     scale = np.where(is_curved, omega / np.where(is_curved, strain, 1.0), 1.0)
     bodies['thickness'] = thickness * scale
     bodies['mass'], bodies['stiffness'] = mass, mass / crossing**2
-    bodies['lag'] = np.where(is_constant > 0.0, 0.0, losses / omega)
+    bodies['lag'] = np.where(constant_loss[:, None] > 0.0, 0.0, losses / omega)
     bodies['max_compression'] = np.where(is_curved, LARGEST_STRAIN, 0.0)
     bodies['relaxed'] = 1.0
-    for throw in np.flatnonzero(is_constant):
+    for throw in np.flatnonzero(constant_loss):
         fits = [relaxation(tangent) for tangent in losses[throw].tolist()]
         bodies['relaxed'][throw] = [fit.relaxed for fit in fits]
         bodies['maxwell'][throw] = [fit.strengths for fit in fits]
@@ -172,16 +172,20 @@ def make_projectile(cells: int, mass: float, stiffness: float) -> NDArray[np.voi
 def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
     """Return a `BODY` for each sheet, and the crossing times of its fastest wave [s]."""
     layer, time, ratios = rig.layer, rig.crossing_time, rig.cell_ratios
-    stack = ratios.pop('stack')
-    row = [*ratios.values()]
-    row.insert(5, 0.0)  # the projectile is cut by itself
-    bodies, crossings = make_bodies(np.array([row], dtype=np.float64), stack)
+    names = ('speed_ratio', 'loss_tangent', 'strain_ratio', 'constant_loss')
+    series = {name: np.array([ratios[name]], dtype=np.float64) for name in names}
+    bodies, crossings = make_bodies(**series, stack=ratios['stack'])
     sheets = bodies[0]
     sheets['thickness'] = [sheet.thickness for sheet in layer.sheets]
     sheets['mass'] *= layer.mass
     sheets['stiffness'] *= layer.mass / time**2
     sheets['lag'] *= time
     return sheets, crossings[0] * time
+
+
+def count_cells(crossings: Floats, step: Floats | float) -> NDArray[np.int64]:
+    """Count the cells of sheets that their fastest wave crosses in a step or a little more."""
+    return np.maximum(1, (crossings / step * (1.0 + _ROUNDING)).astype(np.int64))
 
 
 def crossing_time(rig: Rig) -> float:
@@ -210,7 +214,7 @@ def make_grid(rig: Rig, *, cells: int, is_elastic: bool = False) -> Grid:
     """
     bodies, crossings = _make_sheets(rig)
     step = float(crossings.sum()) / cells
-    bodies['count'] = np.maximum(1, (crossings / step * (1.0 + _ROUNDING)).astype(np.int64))
+    bodies['count'] = count_cells(crossings, step)
     if not is_elastic:
         return Grid(step, bodies, 0)
     projectile, count = rig.projectile, _count_projectile_cells(rig, step)

@@ -43,7 +43,7 @@ The nodes meet again when the gap is closed at the end of a step; from there on 
 momentum puts them, at the common velocity. That is how two waves meet half a cell later, so that
 events after a landing are of second order, too, though a landing is a jump.
 
-The grid is up to one step ahead of the time that is asked for, and the state is interpolated
+The grid is up to one step ahead of the requested time, and the state is interpolated
 between its last two steps (third order). So with a measured plate it can go as far as the last
 whole step before the horizon.
 
@@ -61,8 +61,8 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 from soft_throw_ros.core import stepper
-from soft_throw_ros.core.cell_grid import PLACE
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, part, Record, reduction
+from soft_throw_ros.core.cell_grid import POINT
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.plate_kernels import (
     BLOCK,
@@ -88,7 +88,7 @@ _SHOCK = 1.0
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
 
-_static_stretch = part(static_stretch)
+_static_stretch = subroutine(static_stretch)
 
 
 class Row(NamedTuple):
@@ -124,16 +124,16 @@ class Row(NamedTuple):
     static_strain: int = 34  # compression of a cell at rest [-]
     peak_strain: int = 35  # largest magnitude of the strain of a cell [-]
     implicit_stiffness: int = 36  # of a cell that is too fast for the step [kg]
-    position: int = 37  # displacement at the time asked for [m]
-    speed: int = 38  # velocity at the time asked for [m/s]
-    force: int = 39  # force through a cell at the time asked for, positive in compression [N]
+    position: int = 37  # displacement at the requested time [m]
+    speed: int = 38  # velocity at the requested time [m/s]
+    force: int = 39  # force through a cell at the requested time, positive in compression [N]
 
 
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-ROWS = 40
-"""Number of rows."""
+ROWS, STATE_ROWS = 40, 10
+"""Number of rows, and of the first ones, which are the state and 0 at rest."""
 
 # A stepper has three records. The first is the state at a step of the grid, the second is the
 # state at the requested time, and the third is the initial state for a reset. A pair of values is
@@ -163,12 +163,11 @@ RECORD = np.dtype(
         ('edge_weights', 'f8', (2,)),
         ('collision_nodes', 'i8', (2,)),  # outermost nodes that meet as one in a landing
         ('collision_masses', 'f8', (2,)),  # [kg]
-        # the linear system of the mean velocities
-        ('systems', 'i8', (2, 4)),  # the next four fields, in flight and in contact
-        ('known', 'i8'),  # highest node whose motion is given
-        ('first', 'i8'),  # first and last of the nodes that are coupled
-        ('end', 'i8'),
-        ('middle', 'i8'),  # node at which the eliminations from both ends meet
+        # the linear system of the mean velocities, see `factorise`
+        ('known', 'i8', (2,)),  # highest node whose motion is given, in flight and in contact
+        ('first', 'i8', (2,)),  # first and last of the nodes that are coupled
+        ('end', 'i8', (2,)),
+        ('middle', 'i8', (2,)),  # node at which the eliminations from both ends meet
         ('first_stiff', 'i8'),  # first and last link that is too fast for the step
         ('last_stiff', 'i8'),
         # the plate
@@ -214,7 +213,7 @@ RECORD = np.dtype(
 """State of a throw by cells."""
 
 
-@part
+@subroutine
 def cut(s: Record, nodes: Any, bodies: Any) -> None:
     """Cut bodies into cells; without cells of its own the projectile is a point."""
     top = s.first_node + s.cells
@@ -252,7 +251,7 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
         nodes[ROW.mass, face] += s.mass
 
 
-@part
+@subroutine
 def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
     """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
     step, rigid = s.step, s.contact_link if case == 1 else -1
@@ -278,20 +277,19 @@ def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
         if not is_coupled:
             nodes[ROW.impulse_factor + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
     middle = first + 2 * ((end - first) // 4)
-    system = s.systems[case]
-    system[0], system[1], system[2], system[3] = known, first, end, middle
+    s.known[case], s.first[case], s.end[case], s.middle[case] = known, first, end, middle
     if first <= end:
         _eliminate(nodes, case, first, middle, end, rigid)
 
 
-@part
+@subroutine
 def _eliminate(nodes, case, first, merge, end, rigid):
     """Eliminate nodes from both ends towards one that they merge in."""
     mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
     factor, pivots = nodes[ROW.elimination_factor + case], nodes[ROW.inverse_pivot + case]
     total = mass[merge]
     for side in range(2):
-        j, way = (first, 1) if side == 0 else (end, -1)
+        j, direction = (first, 1) if side == 0 else (end, -1)
         added = coupling[first - 1] if side == 0 else coupling[end]
         while j != merge:
             link = j if side == 0 else j - 1
@@ -302,9 +300,15 @@ def _eliminate(nodes, case, first, merge, end, rigid):
                 pivots[j] = 1.0 / (pivot + coupling[link])
                 factor[link] = coupling[link] * pivots[j]
                 added = factor[link] * pivot
-            j += way
+            j += direction
         total += added
     pivots[merge] = 1.0 / total
+
+
+@inlined
+def _across(nodes, row, j):
+    """Return the difference of a row between the ends of link j."""
+    return nodes[row, j + 1] - nodes[row, j]
 
 
 @inlined
@@ -352,42 +356,35 @@ def _substitute(nodes, x, case, first, middle, end):
 
 
 @inlined
-def solve(s: Record, nodes: Any, now: int, case: int) -> None:
+def solve(s: Record, nodes: Any) -> None:
     """
     Compute the mean velocities w of all nodes with unknown motion.
 
     They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the tensions, with the
     matrix B of implicit cells.
     """
+    now, case = s.index & 1, 1 if s.contact else 0
     w, tension = ROW.mean_velocity + now, ROW.tension + now
     momentum_factor, impulse_factor = ROW.momentum_factor + case, ROW.impulse_factor + case
-    known, first, end = s.known, s.first, s.end
-    given = nodes[w, known]
+    known, first, end = s.known[case], s.first[case], s.end[case]
+    known_velocity = nodes[w, known]
     for j in range(1, nodes.shape[1]):
         force = nodes[tension, j] - nodes[tension, j - 1]
         start = nodes[momentum_factor, j] * nodes[ROW.velocity, j]
         nodes[w, j] = start + nodes[impulse_factor, j] * force
-    nodes[w, known] = given
+    nodes[w, known] = known_velocity
     if end < first:
         return
     for j in range(s.first_stiff, s.last_stiff + 1):
-        change = nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j]
-        momentum = nodes[ROW.implicit_stiffness, j] * change
+        momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
         nodes[w, j + 1] += momentum
         if j > known:
             nodes[w, j] -= momentum
     nodes[w, first] += nodes[ROW.coupling + case, first - 1] * nodes[w, first - 1]
-    _substitute(nodes, w, case, first, s.middle, end)
+    _substitute(nodes, w, case, first, s.middle[case], end)
 
 
-@part
-def _choose_system(s):
-    """Choose the equations of contact or of flight."""
-    system = s.systems[1 if s.contact else 0]
-    s.known, s.first, s.end, s.middle = system[0], system[1], system[2], system[3]
-
-
-@part
+@subroutine
 def _prepare_links(s, nodes, omega):
     """Find out which materials there are, and prepare the Maxwell elements."""
     for j in range(nodes.shape[1] - 1):
@@ -401,7 +398,7 @@ def _prepare_links(s, nodes, omega):
         s.maxwell_gain[element] = 1.0 / (1.0 + half)
 
 
-@part
+@subroutine
 def _prepare_contact(s, nodes):
     """Prepare free ends, the equations of flight and contact, and the nodes that land as one."""
     last, link = nodes.shape[1] - 1, s.contact_link
@@ -416,7 +413,6 @@ def _prepare_contact(s, nodes):
     factorise(s, nodes, 1 if is_massless else 0, 0)
     factorise(s, nodes, 1 if link == 0 else 0, 1)
     s.contact = True
-    _choose_system(s)
     # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
     # such cells part meet as one.
     below, above = link, link + 1
@@ -439,7 +435,7 @@ def _neo_hookean_stress(ratio, least):
     return ratio - inverse * inverse * (3.0 - (share + share))
 
 
-@part
+@subroutine
 def _prepare_rest(s, nodes):
     """Compute loads, strains and heights at rest: each cell carries the weight above it."""
     top = s.first_node + s.cells
@@ -502,7 +498,7 @@ def _elastic_tension(s, nodes):
         _neo_hookean_tension(s, nodes)
     else:
         for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
-            stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
+            stretch = _across(nodes, ROW.displacement, j)
             nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch  # E u_y, Eq. (2)
     if s.has_maxwell:
         _update_maxwell(s, nodes)
@@ -513,11 +509,11 @@ def _neo_hookean_tension(s, nodes):
     """Compute the tension of linear and neo-Hookean links, and of their artificial viscosity."""
     now, fastest = s.index & 1, -s.fastest_shock
     for j in range(nodes.shape[1] - 1):
-        stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
+        stretch = _across(nodes, ROW.displacement, j)
         ratio = 1.0 - nodes[ROW.static_strain, j] + nodes[ROW.inverse_length, j] * stretch
         stress = _neo_hookean_stress(ratio, nodes[ROW.min_stretch, j])
         pull = nodes[ROW.constant_tension, j] + nodes[ROW.third_modulus, j] * stress
-        closing = min(nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j], 0.0)
+        closing = min(_across(nodes, ROW.velocity, j), 0.0)
         shock = nodes[ROW.shock_viscosity, j] * closing * max(closing, fastest)
         nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch + pull - shock
 
@@ -530,7 +526,7 @@ def _update_maxwell(s, nodes):
     gain_0, gain_1, gain_2 = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
     row, stiffness = ROW.maxwell_stretch, ROW.maxwell_stiffness
     for j in range(nodes.shape[1] - 1):
-        stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
+        stretch = _across(nodes, ROW.displacement, j)
         change = stretch - nodes[ROW.previous_stretch, j]
         nodes[ROW.previous_stretch, j] = stretch
         first = decay_0 * nodes[row, j] + gain_0 * change
@@ -543,42 +539,29 @@ def _update_maxwell(s, nodes):
 
 
 @inlined
-def _accelerate(s, nodes):
-    """Compute the velocities of all nodes at the whole step."""
-    if not s.contact:  # both sides of the contact are free of the weight
-        nodes[ROW.tension + (s.index & 1), s.contact_link] = s.carried_mass * s.gravity
-    solve(s, nodes, s.index & 1, 1 if s.contact else 0)
+def _link_tension(nodes, j, parity, case, rate):
+    """
+    Compute the tension of a link, viscous part included, at one of the last two steps.
+
+    `rate` is 2 / h at the last step, and -2 / h at the step before.
+    """
+    opening = _across(nodes, ROW.mean_velocity + parity, j)
+    change = opening - nodes[ROW.velocity, j + 1] + nodes[ROW.velocity, j]
+    viscous = nodes[ROW.viscosity + case, j] * opening  # eta u_ty, added to Eq. (2)
+    implicit = nodes[ROW.implicit_stiffness, j] * change * rate
+    return nodes[ROW.tension + parity, j] + viscous + implicit
 
 
 @inlined
-def _link_tension(s, nodes, j):
-    """Compute the tension of a link with its viscous part, and that of a stiff cell."""
-    now, case = s.index & 1, 1 if s.contact else 0
-    rate = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
-    change = rate - nodes[ROW.velocity, j + 1] + nodes[ROW.velocity, j]
-    viscous = nodes[ROW.viscosity + case, j] * rate  # eta u_ty, added to Eq. (2)
-    implicit = nodes[ROW.implicit_stiffness, j] * change * s.rate
-    return nodes[ROW.tension + now, j] + viscous + implicit
-
-
-@inlined
-def _apply_plate_motion(s, nodes, path):
-    """Move an underdamped plate by rotations of a phasor, evaluated anew for every block."""
+def _underdamped_motion(s, path):
+    """Rotate the phasor of an underdamped plate, evaluated anew for every block."""
     k = s.index & (BLOCK - 1)
     if k == 0:
         start_block(s, s.index)
     real = s.cosine * path[0, k] - s.sine * path[1, k]
     imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
     height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
-    acceleration = s.factor * (s.turn * real + s.growth * imaginary)
-    _move_first_node(s, nodes, height, s.factor * imaginary, acceleration)
-
-
-@part
-def _apply_sampled_motion(s, nodes, path):
-    """Move a plate whose motion is given in pieces."""
-    height, speed, acceleration = motion_at(s, path, s.index * s.step)
-    _move_first_node(s, nodes, height, speed, acceleration)
+    return height, s.factor * imaginary, s.factor * (s.turn * real + s.growth * imaginary)
 
 
 @inlined
@@ -595,7 +578,7 @@ def _move_first_node(s, nodes, height, speed, acceleration):
         _creep(s, nodes, now, s.below_before - before)
 
 
-@part
+@subroutine
 def _creep(s, nodes, now, stretch):
     """Move the free end of a layer without mass towards its length without load."""
     free = s.carried_mass * s.gravity / nodes[ROW.stiffness, 0]
@@ -606,7 +589,7 @@ def _creep(s, nodes, now, stretch):
     nodes[ROW.mean_velocity + now, 1] = nodes[ROW.mean_velocity + now, 0] - rate
 
 
-@part
+@subroutine
 def _carried_speed(s, nodes):
     """Compute the speed of the common centre of mass above the contact, at the half step."""
     momentum = 0.0
@@ -615,7 +598,7 @@ def _carried_speed(s, nodes):
     return momentum / s.carried_mass
 
 
-@part
+@subroutine
 def _record_event(s, events, kind, fraction, height, velocity):
     """Write down an event in the last step."""
     s.event_time, s.event_velocity = (s.index - 1 + fraction) * s.step, velocity
@@ -626,12 +609,12 @@ def _record_event(s, events, kind, fraction, height, velocity):
 def _contact_forces(s, nodes):
     """Compute the forces of the layer on plate and projectile, and that in the contact."""
     now, last = s.index & 1, nodes.shape[1] - 1
-    j, face = s.contact_link + 1, s.cells + 1
+    j, face, case = s.contact_link + 1, s.cells + 1, 1 if s.contact else 0
     weight = s.mass * s.gravity
     change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
     force = s.carried_mass * s.gravity + nodes[ROW.mass, j] * s.rate * change
     if j < last:
-        force -= _link_tension(s, nodes, j)
+        force -= _link_tension(nodes, j, now, case, s.rate)
     if s.contact:
         s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
         s.force = force
@@ -641,16 +624,17 @@ def _contact_forces(s, nodes):
         change = nodes[ROW.mean_velocity + now, face] - nodes[ROW.velocity, face]
         pushed = weight + s.face_node_mass * s.rate * change
         if face < last:
-            pushed -= _link_tension(s, nodes, face)
+            pushed -= _link_tension(nodes, face, now, case, s.rate)
     s.on_projectile_now = pushed
     if s.contact_link == 0:
         s.on_plate_now = -force if s.contact else 0.0
     else:
         inertia = nodes[ROW.mass, 0] * s.plate_acceleration
-        s.on_plate_now = _link_tension(s, nodes, s.first_node) - inertia - weight
+        tension = _link_tension(nodes, s.first_node, now, case, s.rate)
+        s.on_plate_now = tension - inertia - weight
 
 
-@part
+@subroutine
 def _first_root(a, b, c, d):
     """Find the root of a + b x + c x^2 + d x^3 in a step, to the last bit."""
     low, high = 0.0, 1.0
@@ -664,7 +648,7 @@ def _first_root(a, b, c, d):
             low = x
 
 
-@part
+@subroutine
 def _handle_release(s, nodes, events):
     """Release the projectile at the root of the force, which is below zero now."""
     after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
@@ -673,20 +657,19 @@ def _handle_release(s, nodes, events):
     third = (after - first + 3.0 * (earlier - before)) / 6.0
     second = 0.5 * (earlier + after) - before
     slope = after - before - second - third
-    part = _first_root(before, slope, second, third)
+    t = _first_root(before, slope, second, third)
     # Impulse of the force less the weight from half of the step on; the mean velocity of the step
     # is that at its middle and a 24th of its curvature
-    impulse = (before - s.carried_mass * s.gravity) * (part - 0.5) + slope * (part**2 - 0.25) / 2.0
-    impulse += second * (part**3 - 0.125) / 3.0 + third * (part**4 - 0.0625) / 4.0
+    impulse = (before - s.carried_mass * s.gravity) * (t - 0.5) + slope * (t**2 - 0.25) / 2.0
+    impulse += second * (t**3 - 0.125) / 3.0 + third * (t**4 - 0.0625) / 4.0
     impulse -= (after - before) / 24.0
     velocity = _carried_speed(s, nodes) + s.step * impulse / s.carried_mass
     s.contact = False
-    _choose_system(s)
-    height, _ = _motion(s, nodes, s.cells + 1, part)
-    _record_event(s, events, stepper.RELEASE, part, height, velocity)
+    height, _ = _motion(s, nodes, s.cells + 1, t)
+    _record_event(s, events, stepper.RELEASE, t, height, velocity)
 
 
-@part
+@subroutine
 def _handle_landing(s, nodes, events):
     """Land the projectile at the root of the gap, which is negative now."""
     j = s.contact_link
@@ -694,38 +677,37 @@ def _handle_landing(s, nodes, events):
     before = nodes[ROW.mean_velocity + 1 - (s.index & 1)]
     gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
-    part = _first_root(gap, closed - gap - bend, bend, 0.0)
+    t = _first_root(gap, closed - gap - bend, bend, 0.0)
     face = s.cells + 1
-    height = u[face] - s.step * (1.0 - part) * (v[face] + part * (v[face] - before[face]))
-    velocity = _carried_speed(s, nodes) - s.gravity * s.step * (part - 0.5)
+    height = u[face] - s.step * (1.0 - t) * (v[face] + t * (v[face] - before[face]))
+    velocity = _carried_speed(s, nodes) - s.gravity * s.step * (t - 0.5)
     overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
-    part_above = 1.0
+    below_share = 1.0  # of the mass; a plate does not give way
     if j > 0:
-        part_above = s.collision_masses[0] / (s.collision_masses[0] + s.collision_masses[1])
+        below_share = s.collision_masses[0] / (s.collision_masses[0] + s.collision_masses[1])
         for k in range(s.collision_nodes[0], j + 1):
-            u[k] -= (1.0 - part_above) * overlap
-            v[k] -= (1.0 - part_above) * approach
+            u[k] -= (1.0 - below_share) * overlap
+            v[k] -= (1.0 - below_share) * approach
     for k in range(j + 1, s.collision_nodes[1] + 1):
-        u[k] += part_above * overlap
-        v[k] += part_above * approach
+        u[k] += below_share * overlap
+        v[k] += below_share * approach
     s.contact = True
-    _choose_system(s)
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
     kind = stepper.LANDING if s.landed else stepper.RECONTACT
-    _record_event(s, events, kind, part, height, velocity)
+    _record_event(s, events, kind, t, height, velocity)
 
 
 @inlined
 def _march(s, nodes, path, events, goal):
     """Advance to step `goal`, or into one with more events than there is room for."""
-    step, joint = s.step, s.contact_link
+    step, link = s.step, s.contact_link
     while s.index < goal and s.events <= events.shape[0]:
-        now = s.index & 1
-        s.below_before = nodes[ROW.displacement, joint]
-        s.above_before = nodes[ROW.displacement, joint + 1]
+        before, now = s.index & 1, 1 - (s.index & 1)
+        s.below_before = nodes[ROW.displacement, link]
+        s.above_before = nodes[ROW.displacement, link + 1]
         for j in range(nodes.shape[1]):
-            velocity = 2.0 * nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
+            velocity = 2.0 * nodes[ROW.mean_velocity + before, j] - nodes[ROW.velocity, j]
             nodes[ROW.velocity, j] = velocity  # v^{n+1/2} = v^{n-1/2} + h a^n
             nodes[ROW.displacement, j] += step * velocity  # u^{n+1} = u^n + h v^{n+1/2}
         s.index += 1
@@ -733,17 +715,20 @@ def _march(s, nodes, path, events, goal):
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
         s.work_before = s.work
         if s.plate_kind == DAMPED:
-            _apply_plate_motion(s, nodes, path)
+            height, speed, acceleration = _underdamped_motion(s, path)
         else:
-            _apply_sampled_motion(s, nodes, path)
-        gap = nodes[ROW.displacement, joint + 1] - nodes[ROW.displacement, joint]
+            height, speed, acceleration = motion_at(s, path, s.index * step)
+        _move_first_node(s, nodes, height, speed, acceleration)
+        gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
         lands = not s.contact and gap < 0.0
         if lands:
             _handle_landing(s, nodes, events)
         _elastic_tension(s, nodes)
         leaves = False
         while True:
-            _accelerate(s, nodes)
+            if not s.contact:  # both sides of the contact are free of the weight
+                nodes[ROW.tension + now, link] = s.carried_mass * s.gravity
+            solve(s, nodes)
             _contact_forces(s, nodes)
             if leaves:
                 break
@@ -763,46 +748,44 @@ def _march(s, nodes, path, events, goal):
         s.power = power
 
 
-@part
-def _strain_of(nodes, positions, j):
-    """Compute the strain of a cell from displacements or positions."""
-    stretch = positions[j + 1] - positions[j]
-    return stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j]
+@inlined
+def _strain_of(nodes, row, j):
+    """Compute the strain of a cell from the row of displacements or of positions."""
+    return _across(nodes, row, j) * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j]
 
 
 @inlined
 def _compare_loads(s, nodes):
     """Update the running maxima."""
     for j in range(nodes.shape[1] - 1):
-        stretch = nodes[ROW.displacement, j + 1] - nodes[ROW.displacement, j]
-        strain = abs(stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j])
+        strain = abs(_strain_of(nodes, ROW.displacement, j))
         if strain > nodes[ROW.peak_strain, j]:  # noqa: PLR1730 - numba makes vectors of this
             nodes[ROW.peak_strain, j] = strain
     for end in range(2):
-        strain = _strain_of(nodes, nodes[ROW.displacement], s.edge_cells[end, 0])
-        other = _strain_of(nodes, nodes[ROW.displacement], s.edge_cells[end, 1])
-        strain += s.edge_weights[end] * (other - strain)
+        strain = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 0])
+        inner = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 1])
+        strain += s.edge_weights[end] * (inner - strain)
         s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
     acceleration = s.on_projectile_now / s.mass - s.gravity
     s.acceleration = max(s.acceleration, abs(acceleration))
     s.plate_force = max(s.plate_force, abs(s.on_plate_now))
 
 
-@part
-def _motion(s, nodes, j, part):
+@subroutine
+def _motion(s, nodes, j, fraction):
     """Interpolate displacement and velocity of a node between the last two steps."""
     u, v, step = nodes[ROW.displacement, j], nodes[ROW.velocity, j], s.step
     if s.index == 0:
         return u, v
-    now = s.index & 1
+    now, t = s.index & 1, fraction
     # Changes of velocity in half a step, of an acceleration that is linear in time
     old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
     before = u - step * v
     if j == s.contact_link or j == s.contact_link + 1:  # which a landing may have moved
         before = s.below_before if j == s.contact_link else s.above_before
-    bend = old * (2.0 - part) + new * (1.0 + part)
-    height = before + part * (u - before) - step * part * (1.0 - part) * bend / 3.0
-    turn = old * (2.0 * part - part * part - 2.0 / 3.0) + new * (part * part - 1.0 / 3.0)
+    bend = old * (2.0 - t) + new * (1.0 + t)
+    height = before + t * (u - before) - step * t * (1.0 - t) * bend / 3.0
+    turn = old * (2.0 * t - t * t - 2.0 / 3.0) + new * (t * t - 1.0 / 3.0)
     return height, v + turn
 
 
@@ -853,56 +836,48 @@ def _advance(core, nodes, path, events, time):
     return s.events
 
 
-@part
+@subroutine
 def _move_nodes(s, nodes):
     """Interpolate all nodes, and the forces through all cells, at the requested time."""
-    now, part = s.index & 1, s.fraction if s.index > 0 else 1.0
-    before = 1 - now
+    now, fraction = s.index & 1, s.fraction if s.index > 0 else 1.0
     for j in range(nodes.shape[1]):
-        nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, part)
+        nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, fraction)
     nodes[ROW.position, 0] = s.state[stepper.PLATE_POSITION]
     nodes[ROW.speed, 0] = s.state[stepper.PLATE_VELOCITY]
     case = 1 if s.contact else 0
-    for j in range(nodes.shape[1] - 1):  # as `_link_tension`
-        middle = nodes[ROW.velocity, j + 1] - nodes[ROW.velocity, j]
-        first = nodes[ROW.mean_velocity + before, j + 1] - nodes[ROW.mean_velocity + before, j]
-        second = nodes[ROW.mean_velocity + now, j + 1] - nodes[ROW.mean_velocity + now, j]
-        viscosity = nodes[ROW.viscosity + case, j]
-        implicit = nodes[ROW.implicit_stiffness, j] * s.rate
-        earlier = viscosity * first + implicit * (middle - first)
-        later = viscosity * second + implicit * (second - middle)
-        earlier += nodes[ROW.tension + before, j]
-        later += nodes[ROW.tension + now, j]
-        nodes[ROW.force, j] = nodes[ROW.static_load, j] - earlier - part * (later - earlier)
+    for j in range(nodes.shape[1] - 1):
+        earlier = _link_tension(nodes, j, 1 - now, case, -s.rate)
+        later = _link_tension(nodes, j, now, case, s.rate)
+        nodes[ROW.force, j] = nodes[ROW.static_load, j] - earlier - fraction * (later - earlier)
 
 
 @kernel
-def _read_layer(core, nodes, places, out):
+def _read_layer(core, nodes, points, out):
     """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
     s = core[1]
     _move_nodes(s, nodes)
     one = np.uintp(1)  # any other index is looked at whether it counts from the end
-    for n in range(places.size):
-        j, k = np.uintp(places[n].cell), np.uintp(places[n].beside)
-        part, weight = places[n].part, places[n].weight
+    for n in range(points.size):
+        j, k = np.uintp(points[n].cell), np.uintp(points[n].neighbour)
+        fraction, weight = points[n].fraction, points[n].weight
         below = nodes[ROW.rest_height, j] + nodes[ROW.position, j]
         above = nodes[ROW.rest_height, j + one] + nodes[ROW.position, j + one]
-        out[0, n] = below + part * (above - below)
-        out[1, n] = nodes[ROW.speed, j] + part * (nodes[ROW.speed, j + one] - nodes[ROW.speed, j])
+        below_speed, above_speed = nodes[ROW.speed, j], nodes[ROW.speed, j + one]
+        out[0, n] = below + fraction * (above - below)
+        out[1, n] = below_speed + fraction * (above_speed - below_speed)
         out[2, n] = nodes[ROW.force, j] + weight * (nodes[ROW.force, k] - nodes[ROW.force, j])
         if out.shape[0] > 3:
-            here = _strain_of(nodes, nodes[ROW.position], places[n].cell)
-            there = _strain_of(nodes, nodes[ROW.position], places[n].beside)
-            out[3, n] = here + weight * (there - here)
+            strain = _strain_of(nodes, ROW.position, points[n].cell)
+            neighbour_strain = _strain_of(nodes, ROW.position, points[n].neighbour)
+            out[3, n] = strain + weight * (neighbour_strain - strain)
 
 
-@part
+@subroutine
 def _elastic_energy(ratio, least):
     """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
-    held = max(ratio, least)
-    slope = 1.0 + 2.0 / held**3
-    beyond = ratio - held
-    return 0.5 * held**2 + 1.0 / held + beyond * (held - 1.0 / held**2 + 0.5 * beyond * slope)
+    x = max(ratio, least)
+    beyond, slope = ratio - x, 1.0 + 2.0 / x**3
+    return 0.5 * x**2 + 1.0 / x + beyond * (x - 1.0 / x**2 + 0.5 * beyond * slope)
 
 
 @kernel
@@ -914,7 +889,7 @@ def stored_energy(core: Any, nodes: Any) -> float:
     weight = s.carried_mass * s.gravity
     total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
     total += weight * (position[0] + position[s.contact_link + 1] - position[s.contact_link])
-    rest = 1.0 - s.fraction if s.index > 0 else 0.0
+    remainder = (1.0 - s.fraction) * s.step if s.index > 0 else 0.0
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
         total += 0.5 * nodes[ROW.stiffness, j] * stretch**2
@@ -925,10 +900,10 @@ def stored_energy(core: Any, nodes: Any) -> float:
             total += nodes[ROW.third_modulus, j] / nodes[ROW.inverse_length, j] * elastic
             total += nodes[ROW.constant_tension, j] * stretch
         for element in range(3):  # which go on by their last rate
-            memory = nodes[ROW.maxwell_stretch + element, j]
+            maxwell = nodes[ROW.maxwell_stretch + element, j]
             change = nodes[ROW.previous_stretch, j] - stretch
-            memory -= change - rest * s.step * s.maxwell_rates[element] * memory
-            total += 0.5 * nodes[ROW.maxwell_stiffness + element, j] * memory**2
+            maxwell -= change - remainder * s.maxwell_rates[element] * maxwell
+            total += 0.5 * nodes[ROW.maxwell_stiffness + element, j] * maxwell**2
         total += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
     return total  # type: ignore[no-any-return]
 
@@ -937,13 +912,8 @@ def stored_energy(core: Any, nodes: Any) -> float:
 def reset(core: Any, nodes: Any) -> None:
     """Reset the record and the nodes to rest."""
     s = core[0]
-    for j in range(nodes.shape[1]):
-        nodes[ROW.displacement, j] = nodes[ROW.velocity, j] = nodes[ROW.previous_stretch, j] = 0.0
-        for case in range(2):
-            nodes[ROW.mean_velocity + case, j] = nodes[ROW.tension + case, j] = 0.0
-        for element in range(3):
-            nodes[ROW.maxwell_stretch + element, j] = 0.0
-        nodes[ROW.peak_strain, j] = nodes[ROW.static_strain, j]
+    nodes[:STATE_ROWS] = 0.0
+    nodes[ROW.peak_strain] = nodes[ROW.static_strain]
     s.cosine = 1.0
     weight = s.mass * s.gravity
     s.force = s.carried_mass * s.gravity
@@ -973,5 +943,5 @@ _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
 advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
 """Returns the compiled `_advance`."""
 
-read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, nb.from_dtype(PLACE)[::1], _ROWS)
+read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, nb.from_dtype(POINT)[::1], _ROWS)
 """Returns the compiled `_read_layer`."""

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
 from soft_throw_ros.core.cell_grid import (
+    count_cells,
     crossing_time,
     make_bodies,
     make_grid,
@@ -258,68 +259,68 @@ def first_throws(
     slowest = ratios[5].max(initial=0.0)
     if slowest > MAX_CROSSING_RATIO:
         raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
-    rows = np.ascontiguousarray(ratios.T)
-    results = _throw_all(rows, stack, cells, glued_to == 'projectile', threads)
-    return FirstThrows.collect(results.T, ratios, shape, unresolved)
+    results = _throw_all(ratios, stack, cells, glued_to == 'projectile', threads)
+    return FirstThrows.collect(results, ratios, shape, unresolved)
 
 
 def _throw_all(
-    rows: Floats,
+    ratios: Floats,
     stack: Stack | None,
     cells: int | None,
     is_on_projectile: bool,
     threads: int | None,
 ) -> Floats:
-    """Compute a row of `FirstThrows` for each row of ratios."""
-    results = np.full((rows.shape[0], 6), math.nan)
-    wanted = np.full(rows.shape[0], cells or _CELLS)
+    """Compute the rows of `FirstThrows` from rows of ratios."""
+    mu, kappa, _, _, loss, crossing_ratio, strain_ratio, constant_loss = ratios
+    results = np.full((6, mu.size), math.nan)
+    wanted = np.full(mu.size, cells or _CELLS)
     if cells is None:
-        finer = np.where(rows[:, 6] > 0.0, _NEO_HOOKEAN_CELLS, 1.0)
+        finer = np.where(strain_ratio > 0.0, _NEO_HOOKEAN_CELLS, 1.0)
         wanted = (finer * wanted).astype(np.int64)
-        least = np.maximum(_CELLS_PER_RELAXATION / rows[:, 0], _STEPS_PER_PERIOD / rows[:, 1])
-        least *= finer
-        while (too_few := (wanted < least) & (wanted < _MAX_BATCH_CELLS)).any():
+        needed = finer * np.maximum(_CELLS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
+        while (too_few := (wanted < needed) & (wanted < _MAX_BATCH_CELLS)).any():
             wanted[too_few] *= 2
-    bodies, crossings = make_bodies(rows, stack)
+    bodies, crossings = make_bodies(
+        speed_ratio=kappa, loss_tangent=loss, strain_ratio=strain_ratio,
+        constant_loss=constant_loss, stack=stack,
+    )
     steps = crossings.sum(axis=1) / wanted
-    counts = np.maximum(1, (crossings / steps[:, None] * (1.0 + 1e-9)).astype(np.int64))
-    bodies['count'] = counts
-    projectile_cells = np.maximum(MIN_PROJECTILE_CELLS, (rows[:, 5] / steps).astype(np.int64))
-    projectile_cells[rows[:, 5] == 0.0] = 0
-    latest = longest_wait(rows[:, 0], rows[:, 1])
+    bodies['count'] = count_cells(crossings, steps[:, None])
+    projectile_cells = np.maximum(MIN_PROJECTILE_CELLS, (crossing_ratio / steps).astype(np.int64))
+    projectile_cells[crossing_ratio == 0.0] = 0
+    latest = longest_wait(mu, kappa)
 
-    def run(part: int, parts: int) -> None:
+    def run(first: int, stride: int) -> None:
         core, path, no_events = np.zeros(3, RECORD), np.empty((2, BLOCK)), np.empty((0, 4))
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
-        for n in range(part, rows.shape[0], parts):
-            count, bar = int(counts[n].sum()), int(projectile_cells[n])
-            nodes = np.zeros((ROWS, count + bar + 2))
+        for n in range(first, mu.size, stride):
+            sheets, in_projectile = bodies[n], int(projectile_cells[n])
+            nodes = np.zeros((ROWS, int(sheets['count'].sum()) + in_projectile + 2))
+            if in_projectile:
+                elastic = make_projectile(in_projectile, mu[n], mu[n] / crossing_ratio[n] ** 2)
+                sheets = np.concatenate([sheets, elastic])
             numbers[:] = 0.0
-            ratios, own = tuple(rows[n].tolist()), bodies[n]
-            if bar:
-                spring = ratios[0] / ratios[5] ** 2
-                own = np.concatenate([own, make_projectile(bar, ratios[0], spring)])
             prepare_ratios(
-                core, nodes, path, own, ratios[:4], steps[n], bar > 0, is_on_projectile
+                core, nodes, path, sheets, tuple(ratios[:4, n].tolist()), steps[n],
+                in_projectile > 0, is_on_projectile,
             )
             numbers[:2] = numbers[2]
             reset(core, nodes)
             advance(core, nodes, path, no_events, latest[n])
             grid = core[0]
             if grid['events']:
-                omega = 2.0 * math.pi / ratios[1]
+                omega = 2.0 * math.pi / kappa[n]
                 strain = max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max())
-                if ratios[6] > 0.0:
-                    strain *= omega / ratios[6]
-                work = grid['work'] / (ratios[0] * omega**2)
-                results[n] = (
-                    grid['event_time'] / ratios[1], grid['event_velocity'] / omega,
+                if strain_ratio[n] > 0.0:
+                    strain *= omega / strain_ratio[n]
+                results[:, n] = (
+                    grid['event_time'] / kappa[n], grid['event_velocity'] / omega,
                     strain / omega, grid['acceleration'] / omega**2,
-                    grid['plate_force'] / omega, work,
+                    grid['plate_force'] / omega, grid['work'] / (mu[n] * omega**2),
                 )
 
-    in_threads(run, count=rows.shape[0], per_thread=_THROWS_PER_THREAD, threads=threads)
+    in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
     return results
 
 
@@ -383,9 +384,9 @@ class CellStepper(Stepper):
         self.cells = int(grid.counts.sum())
         self.step = grid.step
         self._nodes = np.zeros((ROWS, self.cells + grid.projectile_cells + 2))
-        self._places = grid.places(field_points)
-        for name in ('cell', 'beside'):
-            self._places[name] += model == 'cells_glued'
+        self._points = grid.points(field_points)
+        for name in ('cell', 'neighbour'):
+            self._points[name] += model == 'cells_glued'
         self._make_records(RECORD, motion, grid.step)
         prepare(
             self._core, self._nodes, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
@@ -398,7 +399,7 @@ class CellStepper(Stepper):
     def _bind(self) -> None:
         arrays = (self._core, self._nodes)
         self._advance = partial(advance_compiled(), *arrays, self._path, self._events)
-        self._read_layer = partial(read_layer_compiled(), *arrays, self._places)
+        self._read_layer = partial(read_layer_compiled(), *arrays, self._points)
 
     def _clear(self) -> None:
         reset(self._core, self._nodes)

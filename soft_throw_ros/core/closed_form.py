@@ -61,7 +61,7 @@ from soft_throw_ros.core.batch import (
     in_threads,
     ThrowUnresolvedError,
 )
-from soft_throw_ros.core.kernels import inlined, kernel, part
+from soft_throw_ros.core.kernels import inlined, kernel, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
 
 MAX_INTERVALS = 2048
@@ -242,7 +242,7 @@ def first_releases(
     phase, speed = np.empty((2, ratios.shape[1]))
     status = np.empty(ratios.shape[1], dtype=np.int64)
     in_threads(
-        lambda part, parts: _release_part(ratios, phase, speed, status, part, parts),
+        lambda first, stride: _release_series(ratios, phase, speed, status, first, stride),
         count=ratios.shape[1],
         per_thread=_THROWS_PER_THREAD,
         threads=threads,
@@ -289,10 +289,10 @@ def first_release_kernel(
 
 
 @kernel
-def _release_part(ratios, phase, speed, status, part, parts):
-    """Compute every throw of `parts`, from number `part` on; `ratios` has a row for each ratio."""
+def _release_series(ratios, phase, speed, status, first, stride):
+    """Compute every `stride`-th throw from number `first` on; `ratios` has a row for each."""
     work = np.empty((2, MAX_INTERVALS))
-    for n in range(part, phase.size, parts):
+    for n in range(first, phase.size, stride):
         phase[n], speed[n], status[n] = first_release_kernel(
             ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], work
         )
@@ -437,7 +437,7 @@ def _first_guess(wave):
     return (0.5 * math.pi + angle) / wave.lam.imag
 
 
-@part
+@subroutine
 def _attached(k, sigma, wave, steady, c):
     """Compute G, its derivative, and v_+ in interval k, while the projectile is attached."""
     phasor = steady * _phasor(wave.lam, sigma)
@@ -464,7 +464,7 @@ def _attached(k, sigma, wave, steady, c):
     )
 
 
-@part
+@subroutine
 def _polish(k, low, high, sigma, wave, steady, c):
     """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w), status)."""
     tolerance = max(1e-7 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
@@ -502,27 +502,27 @@ def _rounding_error(k, sigma, wave, steady, c):
     return _ROUNDING * (k + 1.0) * (wave_size + math.sqrt(square)) + _ACCURACY * _LEAST_SPEED
 
 
-@part
+@subroutine
 def _force(k, sigma, wave, steady, c):
     """Compute G + weight and G' in interval k."""
     force, slope, _ = _attached(k, sigma, wave, steady, c)
     return force + wave.weight, slope
 
 
-@part
+@subroutine
 def _search(k, start, stop, wave, steady, c):
     """Bracket the first root of G + weight between two points of interval k; (0, -1) if none."""
     layer = min(stop - start, (4 * k + 8) * wave.mu)  # the Laguerre functions live here
-    rest = stop - start - layer
+    beyond = stop - start - layer
     fine = 16 + 8 * k
-    coarse = 4 + int(8.0 * wave.lam.imag * rest / math.pi) if rest > 0.0 else 0
+    coarse = 4 + int(8.0 * wave.lam.imag * beyond / math.pi) if beyond > 0.0 else 0
     low = start
     low_force = 0.0
     low_slope = 0.0
     for i in range(fine + coarse + 1):
         high = start + layer * min(1.0, i / fine) ** 2
         if i > fine:
-            high += rest * ((i - fine) / coarse)
+            high += beyond * ((i - fine) / coarse)
         force, slope = _force(k, high, wave, steady, c)
         if force <= 0.0 and i > 0:
             return low, high
@@ -530,16 +530,16 @@ def _search(k, start, stop, wave, steady, c):
         # a minimum in between, and not above where the tangents are at the other end
         lowest = min(low_force + low_slope * width, force - slope * width)
         if low_slope < 0.0 < slope and lowest <= 0.0:
-            left, right = low, high
-            while right - left > 1e-12 * right:
-                middle = 0.5 * (left + right)
-                force_there, slope_there = _force(k, middle, wave, steady, c)
-                if force_there <= 0.0:
+            before, after = low, high
+            while after - before > 1e-12 * after:
+                middle = 0.5 * (before + after)
+                middle_force, middle_slope = _force(k, middle, wave, steady, c)
+                if middle_force <= 0.0:
                     return low, middle
-                if slope_there < 0.0:
-                    left = middle
+                if middle_slope < 0.0:
+                    before = middle
                 else:
-                    right = middle
+                    after = middle
         low = high
         low_force = force
         low_slope = slope

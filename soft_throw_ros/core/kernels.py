@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Decorators that compile functions: kernels that Python calls, and their parts."""
+"""Decorators that compile functions: kernels that Python calls, and their subroutines."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ import numba as nb
 Record: TypeAlias = Any
 """A record of numpy, whose fields numba knows and type checkers do not."""
 
-# Without fused multiply-add: which ones LLVM would fuse depends on where a part is compiled, and a
-# kernel from numba's cache would then differ in the last bits from the same kernel just compiled.
+# Without fused multiply-add: which ones LLVM would fuse depends on where a subroutine is compiled,
+# and a kernel from numba's cache would then differ in the last bits from one just compiled.
 _OPTIONS: dict[str, Any] = {'error_model': 'numpy'}
 
 kernel = nb.njit(cache=True, nogil=True, **_OPTIONS)
 """Compile a function that Python calls, from any thread."""
 
-_PART: dict[str, Any] = {**_OPTIONS, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
-part = nb.njit(**_PART)
+_SUBROUTINE: dict[str, Any] = {**_OPTIONS, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
+subroutine = nb.njit(**_SUBROUTINE)
 """Compile a function that only kernels call, which takes half as long."""
 
-_INLINED: dict[str, Any] = {**_PART, 'forceinline': True}
+_INLINED: dict[str, Any] = {**_SUBROUTINE, 'forceinline': True}
 inlined = nb.njit(**_INLINED)
-"""Compile a part that every step calls."""
+"""Compile a subroutine that every step calls."""
 
 _REDUCTION: dict[str, Any] = {**_INLINED, 'fastmath': {'reassoc'}}
 reduction = nb.njit(**_REDUCTION)
-"""Compile a part whose sums may be reordered, which is faster."""
+"""Compile a subroutine whose sums may be reordered, which is faster."""
 
 
 def compiled(function: Any, *types: nb.types.Type) -> Callable[[], Callable[..., Any]]:

@@ -28,7 +28,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.kernels import kernel, part, Record
+from soft_throw_ros.core.kernels import kernel, Record, subroutine
 from soft_throw_ros.core.plate import motion_of, PlateMotion, quintic
 from soft_throw_ros.core.rig import Engine
 
@@ -45,7 +45,7 @@ BLOCK = 256
 
 _ROWS = 7
 
-_quintic = part(quintic)
+_quintic = subroutine(quintic)
 
 PLATE = [
     ('plate_kind', 'i8'),
@@ -78,42 +78,40 @@ def write_motion(
     """
     record = core[2]
     record['horizon'] = math.inf
-    if motion is None:
-        motion = motion_of(engine)
-    given: Any = motion
-    if hasattr(given, 'exponent'):
-        exponent = given.exponent
+    plate: Any = motion_of(engine) if motion is None else motion
+    if hasattr(plate, 'exponent'):
+        exponent = plate.exponent
         record['plate_kind'] = DAMPED
-        record['amplitude'] = given.amplitude
+        record['amplitude'] = plate.amplitude
         record['growth'] = exponent.real
         record['turn'] = exponent.imag
-        record['factor'] = given.velocity_factor
+        record['factor'] = plate.velocity_factor
         turns = np.exp(exponent * step * np.arange(BLOCK))
         return np.array([turns.real, turns.imag])
     record['plate_kind'] = PIECES
     record['pieces'] = 1
     record['horizon'] = 0.0
     record['last'][0] = -math.inf
-    if given == 'measured':
+    if plate == 'measured':
         return np.zeros((_ROWS, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
-    if isinstance(given, str) or not hasattr(given, 'states'):
+    if isinstance(plate, str) or not hasattr(plate, 'states'):
         raise ValueError(
             "motion must be 'measured', None, or an object with the attributes of Underdamped or "
-            f'SampledMotion, got {given!r}; SampledMotion.from_positions takes any other'
+            f'SampledMotion, got {plate!r}; SampledMotion.from_positions takes any other'
         )
-    if given.start_time < 0.0:
+    if plate.start_time < 0.0:
         raise ValueError(
             'a sampled motion must begin at time 0 or later, got a first sample at '
-            f'{given.start_time:g} s'
+            f'{plate.start_time:g} s'
         )
-    path = np.zeros((_ROWS, given.times.size + 1))
-    pieces = append_states(record['last'], 1, path, given.times, given.states)
-    path[:2, -1] = given.end_time, given.states[-1, 0]  # there it stays
+    path = np.zeros((_ROWS, plate.times.size + 1))
+    pieces = append_states(record['last'], 1, path, plate.times, plate.states)
+    path[:2, -1] = plate.end_time, plate.states[-1, 0]  # there it stays
     record['pieces'], record['horizon'] = pieces + 1, math.inf
     return path
 
 
-@part
+@subroutine
 def write_underdamped(
     s: Record, path: Floats, speed: float, omega: float, zeta: float, step: float
 ) -> None:
@@ -129,7 +127,7 @@ def write_underdamped(
         path[1, k] = path[0, k - 1] * sine + path[1, k - 1] * cosine
 
 
-@part
+@subroutine
 def start_block(s: Record, index: int) -> None:
     """Evaluate e^{lambda t} of an underdamped plate at the first step of a block."""
     time = index * s.step
@@ -138,7 +136,7 @@ def start_block(s: Record, index: int) -> None:
     s.cosine, s.sine = size * math.cos(s.turn * time), size * math.sin(s.turn * time)
 
 
-@part
+@subroutine
 def piece_at(s: Record, path: Floats, time: float) -> int:
     """Advance to the piece at `time`, which must not decrease, and return its column."""
     capacity = path.shape[1]
@@ -147,7 +145,7 @@ def piece_at(s: Record, path: Floats, time: float) -> int:
     return s.piece % capacity  # type: ignore[no-any-return]
 
 
-@part
+@subroutine
 def velocity_of_piece(path: Floats, k: int, time: float) -> float:
     """Evaluate the velocity of piece k."""
     u = time - path[0, k]
@@ -156,7 +154,7 @@ def velocity_of_piece(path: Floats, k: int, time: float) -> float:
     )
 
 
-@part
+@subroutine
 def motion_at(s: Record, path: Floats, time: float) -> tuple[float, float, float]:
     """Evaluate height, velocity and acceleration of the plate."""
     if s.plate_kind == DAMPED:

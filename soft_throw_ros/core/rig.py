@@ -52,18 +52,17 @@ STANDARD_GRAVITY = 9.81
 _CHOICES = {'stress_strain_law': STRESS_STRAIN_LAWS, 'loss': LOSSES}
 
 
-def check_fields(part: object, **kinds: str) -> None:
-    """Check every field of a frozen dataclass in place: positive unless `kinds` names another."""
-    for item in fields(part):  # type: ignore[arg-type]
-        kind = kinds.get(item.name, 'positive')
-        name = f'{type(part).__name__.lower()}.{item.name}'
-        if item.name in _CHOICES:
-            if (value := getattr(part, item.name)) not in _CHOICES[item.name]:
-                choices = ', '.join(_CHOICES[item.name])
-                raise ValueError(f'{name} must be one of {choices}, got {value!r}')
-        elif kind != 'part':
-            value = getattr(checks, f'require_{kind}')(name, getattr(part, item.name))
-            object.__setattr__(part, item.name, value)
+def check_fields(instance: object, **kinds: str) -> None:
+    """Check numbers and choices of a frozen dataclass; positive unless `kinds` names another."""
+    for item in fields(instance):  # type: ignore[arg-type]
+        name = f'{type(instance).__name__.lower()}.{item.name}'
+        value = getattr(instance, item.name)
+        if item.type == 'float':
+            check = getattr(checks, f'require_{kinds.get(item.name, "positive")}')
+            object.__setattr__(instance, item.name, check(name, value))
+        elif item.name in _CHOICES and value not in _CHOICES[item.name]:
+            choices = ', '.join(_CHOICES[item.name])
+            raise ValueError(f'{name} must be one of {choices}, got {value!r}')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +96,7 @@ class Engine:
     motion: SampledMotion | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, damping_ratio='in_unit_interval', motion='part')
+        check_fields(self, damping_ratio='in_unit_interval')
 
     @property
     def angular_frequency(self) -> float:
@@ -275,7 +274,7 @@ class Stack(Layer):
     loss: str = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        sheets = tuple(part for sheet in self.sheets for part in sheet.sheets)
+        sheets = tuple(sheet for layer in self.sheets for sheet in layer.sheets)
         if not sheets:
             raise ValueError('layer.sheets must be one or more, got none')
         for sheet in sheets[1:]:
@@ -365,7 +364,7 @@ class Rig:
     Parameters
     ----------
     engine, layer, projectile
-        The parts; the defaults are those of [1]_.
+        Components of the rig; the defaults are those of [1]_.
     gravity : float
         Towards the plate; 0 for the figures of [1]_. [m/s2]
 
@@ -392,7 +391,7 @@ class Rig:
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self) -> None:
-        check_fields(self, engine='part', layer='part', projectile='part', gravity='not_negative')
+        check_fields(self, gravity='not_negative')
 
     @property
     def mass_ratio(self) -> float:

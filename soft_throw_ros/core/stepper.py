@@ -28,7 +28,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import describe_ratios, MAX_PERIODS, ThrowUnresolvedError
-from soft_throw_ros.core.kernels import part, Record
+from soft_throw_ros.core.kernels import Record, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
 from soft_throw_ros.core.plate_kernels import (
     append_states,
@@ -440,7 +440,7 @@ class Stepper(ABC):
         """Return the energy of layer and projectile against rest, up to the first release [J]."""
 
 
-@part
+@subroutine
 def note_event(
     s: Record, events: Floats, kind: int, time: float, height: float, velocity: float
 ) -> None:

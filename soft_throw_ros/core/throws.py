@@ -151,9 +151,9 @@ def throw_many(
         raise ValueError(f'the model {model} has no method for many throws')
     changes = changes or {}
     if not isinstance(rig, Rig):
-        known = [values_of(one) for one in rig]
-        series = {name: np.array([one[name] for one in known]) for name in known[0]}
-        changes = {**series, **changes}
+        tables = [values_of(single) for single in rig]
+        columns = {name: np.array([row[name] for row in tables]) for name in tables[0]}
+        changes = {**columns, **changes}
         rig = rig[0]
     values: dict[str, Floats | float] = {**values_of(rig), **changes}
     shape = np.broadcast_shapes(*map(np.shape, values.values()))
@@ -162,24 +162,27 @@ def throw_many(
     if rig.engine.motion:
         cases = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
         for batch in _batches(np.ones(results.shape[1], np.bool_), _SAMPLED_BATCH, cancelled):
-            part = {name: item[batch].tolist() for name, item in cases.items()}
-            results[:, batch] = _throw_with_steppers(rig, part, batch.size, model, cells, threads)
+            series = {name: item[batch].tolist() for name, item in cases.items()}
+            results[:, batch] = _throw_with_steppers(
+                rig, series, batch.size, model, cells, threads
+            )
         return Throws(*rows)
-    cases = {name: _row(item, shape) for name, item in ratios_of(rig, values).items()}
+    ratios = ratios_of(rig, values)
+    cases = {name: np.broadcast_to(ratio, shape).ravel() for name, ratio in ratios.items()}
     for name, chosen in _methods(rig, cases, method).items():
         is_fast = name in ('closed_form', 'spring') and not loads
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
         for batch in _batches(chosen, size, cancelled):
-            part = {ratio: item[batch] for ratio, item in cases.items()}
+            ratios = {ratio: row[batch] for ratio, row in cases.items()}
             if name == 'cells':
-                results[:, batch] = _throw_with_cells(rig, part, method, cells, threads)
+                results[:, batch] = _throw_with_cells(rig, ratios, method, cells, threads)
             elif name == 'spring':
                 results[:3, batch] = spring_mass.first_release(
-                    frequency_ratio=part['speed_ratio']
-                    / (2.0 * math.pi * np.sqrt(part['mass_ratio']))
+                    frequency_ratio=ratios['speed_ratio']
+                    / (2.0 * math.pi * np.sqrt(ratios['mass_ratio']))
                 )
             else:
-                results[:, batch] = _throw_with_waves(part, name, loads, threads)
+                results[:, batch] = _throw_with_waves(ratios, name, loads, threads)
     results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
     # The methods return ratios; these are their units.
     omega = 2.0 * math.pi * values['frequency']
@@ -223,9 +226,9 @@ def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
     )
 
 
-def _of(part: type[Engine] | type[Layer], changes: Mapping[str, float]) -> dict[str, Any]:
+def _of(kind: type[Engine] | type[Layer], changes: Mapping[str, float]) -> dict[str, Any]:
     """Return the changes of an engine or of a layer."""
-    return {item.name: changes[item.name] for item in fields(part) if item.name in changes}
+    return {item.name: changes[item.name] for item in fields(kind) if item.name in changes}
 
 
 def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
@@ -243,13 +246,6 @@ def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
             for sheet in layer.sheets
         )
     )
-
-
-def _row(value: Floats | float, shape: tuple[int, ...]) -> Floats:
-    """Repeat a value for all throws."""
-    row = np.empty(shape)
-    row[...] = value
-    return row.ravel()
 
 
 def _batches(
@@ -287,12 +283,12 @@ def _methods(
 
 
 def _throw_with_waves(
-    part: Mapping[str, Floats], method: str, loads: bool, threads: int | None
+    ratios: Mapping[str, Floats], method: str, loads: bool, threads: int | None
 ) -> Floats:
     """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
     names = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
-    ratios = {name: part[name] for name in names}
-    results = np.full((len(Throws._fields), part['mass_ratio'].size), math.nan)
+    ratios = {name: ratios[name] for name in names}
+    results = np.full((len(Throws._fields), ratios['mass_ratio'].size), math.nan)
     if loads or method == 'waves':
         results[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
     if method == 'closed_form':
@@ -301,10 +297,11 @@ def _throw_with_waves(
 
 
 def _throw_with_cells(
-    rig: Rig, part: Mapping[str, Floats], model: LayerModel, cells: int | None, threads: int | None
+    rig: Rig, ratios: Mapping[str, Floats], model: LayerModel, cells: int | None,
+    threads: int | None,
 ) -> Floats:
     """Compute the rows of `FirstThrows` by cells."""
-    ratios = dict(part)
+    ratios = dict(ratios)
     if not model.has_elastic_projectile:
         del ratios['crossing_ratio']
     return np.asarray(
@@ -330,11 +327,11 @@ def _throw_with_steppers(
     """Compute the rows of `Throws` for a sampled motion, throw by throw."""
     results = np.full((len(Throws._fields), count), math.nan)
 
-    def run(first: int, parts: int) -> None:
-        for n in range(first, count, parts):
+    def run(first: int, stride: int) -> None:
+        for n in range(first, count, stride):
             try:
-                there = rig_with(rig, {name: item[n] for name, item in changes.items()})
-                results[:, n] = _throw_with_stepper(there, model, cells)
+                other = rig_with(rig, {name: item[n] for name, item in changes.items()})
+                results[:, n] = _throw_with_stepper(other, model, cells)
             except (ValueError, EventLimitError):  # the model cannot follow this throw
                 continue
 

@@ -61,7 +61,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
-from soft_throw_ros.core.kernels import compiled, kernel, part
+from soft_throw_ros.core.kernels import compiled, kernel, subroutine
 from soft_throw_ros.core.plate_kernels import (
     BLOCK,
     DAMPED,
@@ -161,7 +161,7 @@ RECORD = np.dtype(
 """State of a throw by travelling waves."""
 
 
-@part
+@subroutine
 def _moments(x):
     """Compute e^{-x} and the integrals of e^{-x (1 - u)} u^n over [0, 1] for n = 0 ... 3."""
     if x < 1.0:
@@ -218,7 +218,7 @@ def prepare_underdamped(
     prepare(core, N, 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, 1.0, 1.0)
 
 
-@part
+@subroutine
 def _mass_velocity(s, d, V, a, b, c, e):
     """Solve tau V' + V = 2 p over d steps during which p = a + b u + c u^2 + e u^3."""
     decay, zeroth, first, second, third = _moments(s.rate * d)
@@ -226,7 +226,7 @@ def _mass_velocity(s, d, V, a, b, c, e):
     return decay * V + 2.0 * s.rate * d * drive
 
 
-@part
+@subroutine
 def _jump_cell(s, jumps, number):
     """Return the grid point before one of the next jumps of p arrives at the top."""
     if number >= s.jumps:
@@ -234,7 +234,7 @@ def _jump_cell(s, jumps, number):
     return int(jumps[(s.next_jump + number) % jumps.shape[0], 0])
 
 
-@part
+@subroutine
 def _reflect_jump(s, jumps, offset, size, slope):
     """Append a jump of p that returns to the top last of all, or add to one at the same time."""
     cell, capacity = s.cell + 2 * s.steps, jumps.shape[0]
@@ -248,7 +248,7 @@ def _reflect_jump(s, jumps, offset, size, slope):
         s.jumps += 1
 
 
-@part
+@subroutine
 def _expand(s, waves, jumps):
     """Expand p at the top after `s.cell`, up to a jump, from points without jumps and kinks."""
     i = s.cell - s.base - s.steps
@@ -272,7 +272,7 @@ def _expand(s, waves, jumps):
     return here + d * (b + d * (c + d * e)), b + d * (2.0 * c + 3.0 * d * e), c + 3.0 * d * e, e
 
 
-@part
+@subroutine
 def _free_flight(s, offset):
     """Compute time since the launch, height and velocity of the projectile."""
     time = (s.cell - s.launch_cell + (offset - s.launch_offset)) * s.step
@@ -280,7 +280,7 @@ def _free_flight(s, offset):
     return time, height, s.launch_velocity - s.gravity * time
 
 
-@part
+@subroutine
 def _excess(s, offset, d, V, P, here, slope, a, b, c, e):
     """Compute the scaled force, or the gap in flight, d steps after an offset."""
     if s.contact:
@@ -291,7 +291,7 @@ def _excess(s, offset, d, V, P, here, slope, a, b, c, e):
     return height - s.top - 2.0 * (P + area) - s.gravity_offset * time
 
 
-@part
+@subroutine
 def _is_event(s, offset, d, V, P, here, slope, a, b, c, e):
     """Return whether the force has fallen below zero, or a gap that closes is negative."""
     if not _excess(s, offset, d, V, P, here, slope, a, b, c, e) < 0.0:
@@ -302,7 +302,7 @@ def _is_event(s, offset, d, V, P, here, slope, a, b, c, e):
     return speed < 2.0 * (here + slope * d) + s.gravity_offset
 
 
-@part
+@subroutine
 def _event_in(s, offset, end, V, P, here, slope, a, b, c, e):
     """Return the steps from an offset to the first event before an end, or -1 without one."""
     if not _is_event(s, offset, end, V, P, here, slope, a, b, c, e):
@@ -317,7 +317,7 @@ def _event_in(s, offset, end, V, P, here, slope, a, b, c, e):
     return high
 
 
-@part
+@subroutine
 def _change_contact(s, jumps, events, offset, V, P, a, b, is_whole):
     """Release or land the projectile, and return its velocity."""
     time = (s.cell + offset) * s.step
@@ -344,7 +344,7 @@ def _change_contact(s, jumps, events, offset, V, P, a, b, is_whole):
     return V
 
 
-@part
+@subroutine
 def _cross_step(s, waves, jumps, events, target):
     """
     Go through jumps and events of the step after `s.cell`, up to an offset of `target`.
@@ -356,12 +356,12 @@ def _cross_step(s, waves, jumps, events, target):
     here = waves[0, i]
     slope = b if _jump_cell(s, jumps, 0) == s.cell else waves[0, i + 1] - here  # for heights
     V, P, offset, is_whole = s.velocity, s.step * s.sum, 0.0, target == 1.0
-    chances, is_after_jump = _EVENTS_PER_STEP, False
+    remaining_events, is_after_jump = _EVENTS_PER_STEP, False
     while True:
         is_jump = _jump_cell(s, jumps, 0) == s.cell
         row = jumps[s.next_jump]
         end, d = (row[1] if is_jump else 1.0) - offset, -1.0
-        if chances > 0:
+        if remaining_events > 0:
             if is_after_jump and s.contact:
                 d = _event_in(s, offset, 0.0, V, P, here, slope, a, b, c, e)
             if d < 0.0:
@@ -386,7 +386,7 @@ def _cross_step(s, waves, jumps, events, target):
             break
         is_after_jump = False
         if happens:
-            chances -= 1
+            remaining_events -= 1
             V = _change_contact(s, jumps, events, offset, V, P, a, b, is_whole)
         elif is_jump:
             offset, size, bend = row[1], row[2], row[3]
@@ -405,7 +405,7 @@ def _cross_step(s, waves, jumps, events, target):
         _write_top(s, offset, a, V, P)
 
 
-@part
+@subroutine
 def _end_step(s, waves, V, P):
     """Write the sample of m at the next grid point, and account for the step."""
     s.cell += 1
@@ -419,7 +419,7 @@ def _end_step(s, waves, V, P):
     s.work += s.power
 
 
-@part
+@subroutine
 def _write_top(s, offset, a, V, P):
     """Write the state of projectile and top within a step, where p is a."""
     s.upward[1] = a
@@ -439,7 +439,7 @@ def _write_top(s, offset, a, V, P):
         s.state[stepper.PROJECTILE_FORCE] = 0.0
 
 
-@part
+@subroutine
 def _run_in_contact(s, waves, count):
     """Advance by up to `count` steps, stopping before a release."""
     first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
@@ -468,7 +468,7 @@ def _run_in_contact(s, waves, count):
     return done
 
 
-@part
+@subroutine
 def _run_in_flight(s, waves, count):
     """Advance by up to `count` steps, stopping before a landing."""
     first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
@@ -492,7 +492,7 @@ def _run_in_flight(s, waves, count):
     return done
 
 
-@part
+@subroutine
 def _fill(s, waves, path, last):
     """Compute p at the plate up to grid point `last`, from m a crossing earlier."""
     while s.filled < last:
@@ -519,7 +519,7 @@ def _fill(s, waves, path, last):
         s.filled += count
 
 
-@part
+@subroutine
 def _march(s, waves, jumps, path, events, goal):
     """Advance to grid point `goal`, or until there is no more room for events."""
     while s.cell < goal and s.events <= events.shape[0]:
@@ -532,8 +532,8 @@ def _march(s, waves, jumps, path, events, goal):
                 for j in range(s.cell + 2 - s.base - shift):
                     waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
                 s.base += shift
-            room = s.base + waves.shape[1] - 2
-            _fill(s, waves, path, min(goal, room, s.cell + s.steps - 1))
+            last_column = s.base + waves.shape[1] - 2
+            _fill(s, waves, path, min(goal, last_column, s.cell + s.steps - 1))
         count, jump = s.filled - s.cell, _jump_cell(s, jumps, 0)
         if not s.contact:
             done = _run_in_flight(s, waves, min(count, jump - s.cell))
@@ -551,7 +551,7 @@ def _march(s, waves, jumps, path, events, goal):
             _cross_step(s, waves, jumps, events, 1.0)
 
 
-@part
+@subroutine
 def _compare_loads(s, waves, count):
     """
     Compare `count` waves p, a crossing at most, with the waves m that meet them.
@@ -575,18 +575,18 @@ def _compare_loads(s, waves, count):
         low, high = min(low, before[n]), max(high, before[n])
         lowest[n], highest[n] = low, high
     low, high = common_low, common_high
-    strain, stress, push = s.peak_strain, s.peak_plate_stress, s.peak_contact_force
+    strain, stress, force = s.peak_strain, s.peak_plate_stress, s.peak_contact_force
     for n in range(count):
         low, high = min(low, later[n]), max(high, later[n])
         here = p[n] + offset
         strain = max(strain, here - min(low, lowest[n]), max(high, highest[n]) - here)
         stress = max(stress, abs(here - before[n]))
-        push = max(push, p[n] - later[n])
-    s.peak_strain, s.peak_plate_stress, s.peak_contact_force = strain, stress, push
+        force = max(force, p[n] - later[n])
+    s.peak_strain, s.peak_plate_stress, s.peak_contact_force = strain, stress, force
     s.compared += count
 
 
-@part
+@subroutine
 def _complete_loads(s, waves):
     """Compare the waves p that are still in the layer with the waves m that have met them."""
     N, i = s.steps, s.cell - s.base
@@ -619,10 +619,7 @@ def _advance(core, waves, jumps, path, events, time):
     while (goal + 1) * step <= time:
         goal += 1
     _march(grid, waves, jumps, path, events, goal)
-    records = core.view(np.float64)
-    size = records.size // 3
-    for k in range(size):
-        records[size + k] = records[k]
+    core[1] = core[0]
     if s.cell != goal or s.events > events.shape[0]:
         return stepper.TOO_MANY_EVENTS
     s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
@@ -648,26 +645,26 @@ def _read_layer(core, waves, out):
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     i = s.cell - s.base
-    rest = s.offset if s.offset > 0.0 else 1.0
-    # From the last grid point to now, waves go on along a line; these places are written later.
-    waves[0, i + 1] = waves[0, i] + (s.upward[0] - waves[0, i]) / rest
-    waves[1, i + 1] = waves[1, i] + (s.downward[1] - waves[1, i]) / rest
+    # From the last grid point to now, waves go on along a line; a later step overwrites its end.
+    offset = s.offset if s.offset > 0.0 else 1.0
+    waves[0, i + 1] = waves[0, i] + (s.upward[0] - waves[0, i]) / offset
+    waves[1, i + 1] = waves[1, i] + (s.downward[1] - waves[1, i]) / offset
     last = force.size - 1
-    spacing, offset, start = s.steps / last, s.gravity_offset, i - s.steps - 1
+    spacing, start = s.steps / last, i - s.steps - 1
     p_wave, m_wave = waves[0, start:], waves[1, start:]
     at_plate, at_top = s.offset + (s.steps + 1), s.offset + 1.0
     for n in range(last + 1):
-        place = at_plate - spacing * n
-        j = np.uintp(place)
-        p = p_wave[j] + (p_wave[j + np.uintp(1)] - p_wave[j]) * (place - j)
-        place = at_top + spacing * n
-        j = np.uintp(place)
-        m = m_wave[j] + (m_wave[j + np.uintp(1)] - m_wave[j]) * (place - j)
+        index = at_plate - spacing * n
+        j = np.uintp(index)
+        p = p_wave[j] + (p_wave[j + np.uintp(1)] - p_wave[j]) * (index - j)
+        index = at_top + spacing * n
+        j = np.uintp(index)
+        m = m_wave[j] + (m_wave[j + np.uintp(1)] - m_wave[j]) * (index - j)
         velocity[n] = p + m
-        force[n] = p - m + offset
+        force[n] = p - m + s.gravity_offset
     for end in range(2):
         velocity[end * last] = s.upward[end] + s.downward[end]
-        force[end * last] = s.upward[end] - s.downward[end] + offset
+        force[end * last] = s.upward[end] - s.downward[end] + s.gravity_offset
     # Heights by the trapezoidal rule, its error spread over the layer so that both ends agree
     cell = s.thickness / last
     stretch = 0.5 * cell * s.steps * s.step / s.thickness

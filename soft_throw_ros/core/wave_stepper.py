@@ -183,10 +183,10 @@ class WaveStepper(Stepper):
         self.reset()
 
     def _bind(self) -> None:
-        arrays = (self._core, self._waves)
-        others = (self._jumps, self._path, self._events)
-        self._advance = partial(advance_compiled(), *arrays, *others)
-        self._read_layer = partial(read_layer_compiled(), *arrays)
+        self._advance = partial(
+            advance_compiled(), self._core, self._waves, self._jumps, self._path, self._events
+        )
+        self._read_layer = partial(read_layer_compiled(), self._core, self._waves)
 
     def _clear(self) -> None:
         clear_waves(self._waves, self.steps)
@@ -211,13 +211,13 @@ class WaveStepper(Stepper):
         """Largest loads up to the first release, or so far if that is to come."""
         update_loads(self._core, self._waves)
         layer, now = self.rig.layer, self._core[1]
-        push, stress = float(now['peak_contact_force']), float(now['peak_plate_stress'])
-        contact_stress = push + float(now['gravity_offset'])
+        force, stress = float(now['peak_contact_force']), float(now['peak_plate_stress'])
+        contact_stress = force + float(now['gravity_offset'])
         return Loads(
             strain=max(float(now['peak_strain']), contact_stress) / layer.wave_speed,
             plate_strain=stress / layer.wave_speed,
             contact_strain=contact_stress / layer.wave_speed,
-            acceleration=push / self.rig.relaxation_time,
+            acceleration=force / self.rig.relaxation_time,
             plate_force=stress * layer.impedance,
         )
 
@@ -284,12 +284,12 @@ def first_throws(
     latest = longest_wait(mu, kappa) / kappa
     results = np.full((6, mu.size), math.nan)
 
-    def run(part: int, parts: int) -> None:
+    def run(first: int, stride: int) -> None:
         core, path, no_events = np.zeros(3, RECORD), np.empty((2, BLOCK)), np.empty((0, 4))
         no_jumps = np.zeros((1, 4))
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
-        for n in range(part, mu.size, parts):
+        for n in range(first, mu.size, stride):
             waves = make_waves(int(steps[n]))
             numbers[:] = 0.0
             prepare_underdamped(core, path, steps[n], *ratios[:, n])
@@ -305,10 +305,10 @@ def first_throws(
 def _first_throw(s: np.void) -> tuple[float, ...]:
     """Read the rows of `FirstThrows` from a record that has come to the first release."""
     time = (s['launch_cell'] + s['launch_offset']) * s['step']
-    push, omega = s['peak_contact_force'], 2.0 * math.pi
-    strain = max(s['peak_strain'], push + s['gravity_offset'])
+    contact_force, omega = s['peak_contact_force'], 2.0 * math.pi
+    strain = max(s['peak_strain'], contact_force + s['gravity_offset'])
     work = s['first_work'] * s['step'] / s['relaxation']
-    acceleration = push / (omega * s['relaxation'])
+    acceleration = contact_force / (omega * s['relaxation'])
     return time, s['launch_velocity'], strain, acceleration, s['peak_plate_stress'], work
 
 

@@ -93,9 +93,8 @@ def solve(core, nodes, known, case):
     """Compute mean velocities at an even step."""
     s = core[0]
     cell_kernels.factorise(s, nodes, known, case)
-    system = s.systems[case]
-    s.known, s.first, s.end, s.middle = system[0], system[1], system[2], system[3]
-    cell_kernels.solve(s, nodes, 0, case)
+    s.contact = case == 1
+    cell_kernels.solve(s, nodes)
 
 
 @LAYERS
@@ -168,13 +167,13 @@ def test_linear_functions_are_read_exactly_within_sheets(layer):
     grid = Cut(Rig(layer=layer), cells=40)
     middles = 0.5 * (grid.heights[1:] + grid.heights[:-1])
     values = 3.0 * middles + np.where(grid.sheets == 2, 1.0, 0.0)
-    places = make_grid(Rig(layer=layer), cells=40).places(77)
+    points = make_grid(Rig(layer=layer), cells=40).points(77)
     heights = np.linspace(0.0, layer.thickness, 77).tolist()
-    for height, (cell, beside, weight, part) in zip(heights, places, strict=True):
-        assert grid.sheets[cell] == grid.sheets[beside]
+    for height, (cell, neighbour, weight, fraction) in zip(heights, points, strict=True):
+        assert grid.sheets[cell] == grid.sheets[neighbour]
         below, above = grid.heights[cell:cell + 2]
-        assert below + part * (above - below) == pytest.approx(height)
-        if cell != beside:
+        assert below + fraction * (above - below) == pytest.approx(height)
+        if cell != neighbour:
             jump = 1.0 if grid.sheets[cell] == 2 else 0.0
-            read = values[cell] + weight * (values[beside] - values[cell])
+            read = values[cell] + weight * (values[neighbour] - values[cell])
             assert read == pytest.approx(3.0 * height + jump)
