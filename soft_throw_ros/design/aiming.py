@@ -106,12 +106,12 @@ class Target:
     speed: float | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in ('height', 'speed') if getattr(self, name) is not None]
-        if len(given) != 1:
+        names = [name for name, value in vars(self).items() if value is not None]
+        if len(names) != 1:
             raise ValueError(
-                f'give either a height or a speed as target, got {"both" if given else "neither"}'
+                f'give either a height or a speed as target, got {"both" if names else "neither"}'
             )
-        name = given[0]
+        name = names[0]
         object.__setattr__(self, name, checks.require_positive(name, getattr(self, name)))
 
     @property
@@ -222,8 +222,8 @@ def aim(
 
     Examples
     --------
-    >>> found = aim(Rig(), Target(height=0.15))
-    >>> round(1e3 * found.amplitude, 3), found.is_reached
+    >>> throw = aim(Rig(), Target(height=0.15))
+    >>> round(1e3 * throw.amplitude, 3), throw.is_reached
     (2.453, True)
 
     """
@@ -293,8 +293,8 @@ class _AimSearch:
 
         def score(thickness: Floats, wave_speed: Floats) -> Floats:
             needed, allowed = self._amplitudes(space.rig, thickness, wave_speed, speed, margin)
-            parts = np.minimum(allowed / needed, 1.0 - 1e-9)
-            return np.where(needed <= allowed, self.max_amplitude / needed, parts)
+            shares = np.minimum(allowed / needed, 1.0 - 1e-9)
+            return np.where(needed <= allowed, self.max_amplitude / needed, shares)
 
         return find_best_layer(
             score, space.layers, step=space.grid_step(loads=True), tolerance=1e-4

@@ -153,7 +153,7 @@ def check_axis(name: str, values: ArrayLike) -> Floats:
 class HighestPoint(NamedTuple):
     """The best point of a landscape: its position on each axis, and the results there."""
 
-    place: tuple[float, float]
+    coordinates: tuple[float, float]
     ejection_phase: float
     energy_transfer: float
 
@@ -198,7 +198,7 @@ class Landscape:
             float(self.energy_transfer[i, j]),
         )
 
-    def place(self, rig: Rig) -> tuple[float, float]:
+    def coordinates_of(self, rig: Rig) -> tuple[float, float]:
         """Return the position of a rig on the axes; x and C take the landscape's density ratio."""
         x = self.density_ratio / (self.density_ratio + rig.mass_ratio)
         ratios = {'x': x, 'C': x * rig.speed_ratio, 'mu': rig.mass_ratio, 'kappa': rig.speed_ratio}
@@ -330,7 +330,7 @@ def compute_landscape(
     array([[3.61, 3.45],
            [3.04, 3.92],
            [2.8 , 3.67]])
-    >>> landscape.optimum.place
+    >>> landscape.optimum.coordinates
     (0.015, 9.0)
 
     """
@@ -354,12 +354,12 @@ def compute_landscape(
     is_fast = rig.engine.motion is None and MODELS[model].batch != 'cells'
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
-    parts = []
-    for part in (executor.map if executor else map)(compute, blocks):
-        parts.append(part)
+    results = []
+    for result in (executor.map if executor else map)(compute, blocks):
+        results.append(result)
         if progress is not None:
-            progress(part.shape[1])
-    phase, transfer = np.hstack(parts).reshape(len(RESULTS), *shape)
+            progress(result.shape[1])
+    phase, transfer = np.hstack(results).reshape(len(RESULTS), *shape)
     return Landscape(
         rig=rig,
         axes=checked,
@@ -392,8 +392,8 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
     ]
     for ability, is_needed, subject in needs:
         if is_needed and ability not in knows:
-            able = ' or '.join(name for name, other in MODELS.items() if ability in other.knows)
-            raise ValueError(f'{subject} needs the model {able}, got model {model!r}')
+            models = ' or '.join(name for name, item in MODELS.items() if ability in item.knows)
+            raise ValueError(f'{subject} needs the model {models}, got model {model!r}')
 
 
 def _check_axes(first: str, second: str) -> None:

@@ -24,7 +24,7 @@ from typing import get_args, Literal, TypeAlias
 import numpy as np
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
-from soft_throw_ros.core.rig import Engine, model_for, Rig
+from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import Throw
 from soft_throw_ros.core.throws import (
     Cancelled,
@@ -101,11 +101,10 @@ class MotionDesign(PredictedThrow):
 
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
-        parts = {f'{name}.': vars(throw) for name, throw in self.throws.items() if name != 'best'}
         return super().values() | {
-            f'{prefix}{key}': value
-            for prefix, part in parts.items()
-            for key, value in part.items()
+            f'{name}.{key}': value
+            for name, throw in self.throws.items() if name != 'best'
+            for key, value in vars(throw).items()
         }
 
 
@@ -191,14 +190,13 @@ def _motions(
     rig: Rig, plate: PlateLimits, loads: Limits, cancelled: Cancelled | None
 ) -> dict[str, Throw]:
     """Simulate the simple motions that keep all limits, and the best motion of all."""
-    model = model_for(rig, 'travelling_wave')
     motions = {
         'now': first_stroke(rig.engine),
         'harmonic': first_stroke(_harmonic(rig, plate, loads, cancelled)),
         'step': _step(rig, plate),
     }
     followed = {
-        name: follow(rig, pulses.within(plate), model=model, loads=loads)
+        name: follow(rig, pulses.within(plate), loads=loads)
         for name, pulses in motions.items()
     }
     throws = {name: throw for name, throw in followed.items() if throw is not None}
