@@ -134,43 +134,31 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Aim(PredictedThrow):
-    """
-    A throw that reaches its target, or the throw that reaches most.
-
-    Parameters
-    ----------
-    target_height, target_speed : float or None
-        The target. [m], [m/s]
-    vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
-        The part of the layer that was allowed to change, besides the amplitude.
-    layer : str
-        Name of the layer in the library, if it was picked there.
-    amplitude : float
-        Amplitude of the plate. [m]
-    height : float
-        Rise of the projectile above its rest position on the layer; infinite without gravity. [m]
-    speed : float
-        Speed at the last release. [m/s]
-    is_reached : bool
-        Whether the throw reaches the target.
-    limited_by : str
-        Names of the limits that keep the throw from its target: `max_amplitude`, `max_strain`,
-        `max_acceleration`; empty if it is reached, or no amplitude reaches it.
-    rig : Rig
-        The rig of this throw.
-
-    """
+    """A throw that reaches its target, or the throw that reaches most."""
 
     target_height: float | None
+    """The target, or None. [m]"""
     target_speed: float | None
+    """The target, or None. [m/s]"""
     vary: AimVary
+    """Part of the layer that was allowed to change, besides the amplitude."""
     layer: str
+    """Name of the layer in the library, if it was picked there."""
     amplitude: float
+    """Amplitude of the plate. [m]"""
     height: float
+    """Rise of the projectile above its rest position; infinite without gravity. [m]"""
     speed: float
+    """Speed at the last release. [m/s]"""
     is_reached: bool
+    """Whether the throw reaches the target."""
     limited_by: str = ''
+    """
+    Names of the limits that keep the throw from its target, among `max_amplitude`, `max_strain`
+    and `max_acceleration`; empty if it is reached, or no amplitude reaches it.
+    """
     rig: Rig
+    """The rig of this throw."""
 
 
 def aim(

@@ -160,30 +160,22 @@ class HighestPoint(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Landscape:
-    r"""
-    Ejection phase and energy transfer over two axes. Made by `compute_landscape`.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig of all throws, apart from the axes.
-    axes : mapping of str to ndarray
-        The values of the two axes, of shapes (n,) and (m,). [SI]
-    ejection_phase, energy_transfer : ndarray, shape (n, m)
-        :math:`t_e f` and :math:`\alpha = (V_e / V_p^*)^2` along the first and the second axis.
-        NaN where the projectile does not leave, or the model does not give the time. [-]
-    model, release, density_ratio
-        As for `compute_landscape`.
-
-    """
+    """Ejection phase and energy transfer over two axes. Made by `compute_landscape`."""
 
     rig: Rig
+    """The rig of all throws, apart from the axes."""
     axes: Mapping[str, Floats]
+    """Values of the two axes, of shapes (n,) and (m,). [SI]"""
     ejection_phase: Floats
+    """:math:`t_e f`, shape (n, m); NaN where the projectile does not leave. [-]"""
     energy_transfer: Floats
+    r""":math:`\alpha = (V_e / V_p^*)^2`, shape (n, m); NaN as above. [-]"""
     model: str
+    """Model of the layer."""
     release: Release
+    """Release that counts, the first or the last."""
     density_ratio: float
+    """Density of the projectile over that of the layer, for the axes x and C. [-]"""
 
     @property
     def optimum(self) -> HighestPoint | None:

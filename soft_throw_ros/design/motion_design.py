@@ -54,37 +54,31 @@ _FREQUENCIES = np.geomspace(0.05, 20.0, 1200)
 
 @dataclass(frozen=True, kw_only=True)
 class MotionDesign(PredictedThrow):
-    """
-    The best motion of the plate, and its throw.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig with the best motion, and with the best layer if the layer may vary.
-    vary : {'motion', 'thickness', 'wave_speed', 'both'}
-        Properties of the layer that may vary; none for 'motion'.
-    limits : PlateLimits
-        Limits of the actuator.
-    others : mapping of str to Rig
-        Rigs for comparison: the present rig (`now`), the rigs with the best `harmonic` stroke and
-        the best `step` within the same limits of plate and loads, the best `layer` for the present
-        motion unless the layer is a stack, and a `linear` layer with the best motion if the layer
-        is not linear. Rigs without a release are missing.
-    throws : mapping of str to PredictedThrow
-        Throws of the rigs for comparison, and the `best` throw, which is never slower than
-        `harmonic` and `step`. If the layer may vary, `both` is the throw with the best layer and
-        motion, and `best` is the throw with the present layer.
-    layer : str
-        Empty: the layer is not from a library.
-
-    """
+    """The best motion of the plate, and its throw."""
 
     rig: Rig
+    """The rig with the best motion, and with the best layer if the layer may vary."""
     vary: MotionVary
+    """Properties of the layer that may vary; none for 'motion'."""
     limits: PlateLimits
+    """Limits of the actuator."""
     others: Mapping[str, Rig]
+    """
+    Rigs for comparison; rigs without a release are missing.
+
+    The present rig (`now`), the rigs with the best `harmonic` stroke and the best `step` within
+    the same limits of plate and loads, the best `layer` for the present motion unless the layer
+    is a stack, and a `linear` layer with the best motion if the layer is not linear.
+    """
     throws: Mapping[str, PredictedThrow]
+    """
+    Throws of the rigs for comparison, and the `best` throw.
+
+    The `best` throw is never slower than `harmonic` and `step`. If the layer may vary, `both` is
+    the throw with the best layer and motion, and `best` is the throw with the present layer.
+    """
     layer: str = ''
+    """Empty: the layer is not from a library."""
 
     @property
     def motion(self) -> SampledMotion:

@@ -132,49 +132,37 @@ class LibraryCandidate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation(PredictedThrow):
-    """
-    Throw of the recommended layer, and throws to compare it with.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig with the recommended layer.
-    objective : str
-        Name of the objective.
-    vary : {'thickness', 'wave_speed', 'both', 'library'}
-        Part of the layer that was allowed to change.
-    layer : str
-        Name of the recommended layer in the library, if it was picked there.
-    score : float
-        The energy transfer that counts for the objective. [-]
-    now : PredictedThrow or None
-        The rig as it is; None if it does not throw.
-    now_score : float
-        Its score, 0 if it does not throw. [-]
-    by_thickness, by_wave_speed : PredictedThrow or None
-        The best layer if only this may change; None if nothing is thrown within the limits, or if
-        the objective takes longer than that of one throw, and `vary` names another search.
-    candidates : tuple of LibraryCandidate
-        Layers of the library that came near, if one was to be picked; the best first.
-    sensitivities : tuple of Sensitivity
-        How much the parameters matter around the recommended layer.
-    optimum : BestRatios
-        The best ratios for the engine's damping, were there no limits and no loss.
-
-    """
+    """Throw of the recommended layer, and throws to compare it with."""
 
     rig: Rig
+    """The rig with the recommended layer."""
     objective: str
+    """Name of the objective."""
     vary: Vary
+    """Part of the layer that was allowed to change."""
     layer: str
+    """Name of the recommended layer in the library, if it was picked there."""
     score: float
+    """Energy transfer that counts for the objective. [-]"""
     now: PredictedThrow | None
+    """The rig as it is; None if it does not throw."""
     now_score: float
+    """Score of the rig as it is, 0 if it does not throw. [-]"""
     by_thickness: PredictedThrow | None = None
+    """
+    The best layer if only the thickness may change.
+
+    None if nothing is thrown within the limits, or if a score takes several throws and `vary`
+    names another search.
+    """
     by_wave_speed: PredictedThrow | None = None
+    """The same for the wave speed."""
     candidates: tuple[LibraryCandidate, ...]
+    """Layers of the library that came near, if one was to be picked; the best first."""
     sensitivities: tuple[Sensitivity, ...]
+    """Influence of the parameters around the recommended layer."""
     optimum: BestRatios
+    """The best ratios for the engine's damping, without limits and loss."""
 
     @property
     def gain(self) -> float:

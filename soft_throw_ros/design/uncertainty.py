@@ -191,29 +191,18 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PredictionUncertainty:
-    r"""
-    Intervals of a prediction, from the uncertainties of the rig.
-
-    Parameters
-    ----------
-    ejection_time : Interval
-        :math:`t_e`. [s]
-    ejection_speed : Interval
-        :math:`V_e` for the given amplitude, in proportion to the amplitude. [m/s]
-    energy_transfer : Interval
-        :math:`\alpha`. [-]
-    jumps : bool
-        Whether the release jumps within the uncertainties, so that the throws fall into groups.
-    stuck_fraction : float
-        Share of the throws without a release; the intervals do not include them. [-]
-
-    """
+    """Intervals of a prediction, from the uncertainties of the rig."""
 
     ejection_time: Interval
+    """:math:`t_e`. [s]"""
     ejection_speed: Interval
+    """:math:`V_e` for the given amplitude, in proportion to the amplitude. [m/s]"""
     energy_transfer: Interval
+    r""":math:`\alpha`. [-]"""
     jumps: bool
+    """Whether the release jumps within the uncertainties, so that throws fall into groups."""
     stuck_fraction: float
+    """Share of the throws without a release; the intervals do not include them. [-]"""
 
     def values(self) -> dict[str, float | bool]:
         """Return everything by name, with a dot between the name of an interval and its end."""
