@@ -189,7 +189,7 @@ def _summary(landscape: Landscape) -> Iterator[str]:
     else:
         position = ', '.join(
             f'{name} {value:.5g} {AXES[name].unit}'.rstrip()
-            for name, value in zip(landscape.axes, optimum.place, strict=True)
+            for name, value in zip(landscape.axes, optimum.coordinates, strict=True)
         )
         yield (
             f'largest alpha {optimum.energy_transfer:.4f} at {position}; '
@@ -316,10 +316,10 @@ def _title(landscape: Landscape) -> str:
 
 def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:
     """Yield title and position of the rig and of the optimum, if they are on the map."""
-    marks = [('this rig', landscape.place(landscape.rig))]
+    marks = [('this rig', landscape.coordinates_of(landscape.rig))]
     optimum, symbol = landscape.optimum, RESULTS['energy_transfer'].symbol
     if optimum is not None:
-        marks.append((f'largest {symbol}, {optimum.energy_transfer:.3f}', optimum.place))
+        marks.append((f'largest {symbol}, {optimum.energy_transfer:.3f}', optimum.coordinates))
     x, y = _Shown.of(landscape)
     for title, position in marks:
         right, up = x.factor * position[0], y.factor * position[1]

@@ -157,13 +157,14 @@ def _print_answer(
 def _table(settings: Settings, best: RequestResult, columns: Columns) -> Iterator[str]:
     """Write predictions side by side, and the intervals of the proposed throw."""
     yield from write_columns(columns)
+    limit = best.rig.layer.linear_range(settings['max_strain'])
     beyond = [
         head.replace('_', ' ')
         for head, prediction in columns.items()
-        if prediction and prediction['peak_strain'] > settings['max_strain']
+        if prediction and prediction['peak_strain'] > limit
     ]
     if beyond:
-        yield strain_warning(settings['max_strain'], ', '.join(beyond))
+        yield strain_warning(limit, ', '.join(beyond))
     uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
     yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
 

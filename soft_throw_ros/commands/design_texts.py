@@ -19,12 +19,12 @@ import math
 
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.throws import STRONG_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.recommendation import Recommendation
 from soft_throw_ros.design.requests import limits_of, objective_of, RequestResult
-from soft_throw_ros.design.search_space import STRONG_GRAVITY
 from soft_throw_ros.design.sensitivity import TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import PredictionUncertainty
 

@@ -55,7 +55,7 @@ Changes: TypeAlias = Mapping[str, Floats | float]
 SEARCH_CELLS = 16
 """Cells of a layer with loss in a search: a sixth of the time of the default, and 1e-3 exact."""
 
-_STRONG_GRAVITY = 0.2
+STRONG_GRAVITY = 0.2
 """Gravity over the plate's acceleration beyond which the closed form slows down. [-]"""
 
 _HOLDING_GRAVITY = 4.0
@@ -272,7 +272,7 @@ def _methods(
     exist &= (q <= 2.0) | (gravity <= _HOLDING_GRAVITY)
     if model.batch == 'cells':
         return {'cells': exist}
-    is_strong = gravity > _STRONG_GRAVITY
+    is_strong = gravity > STRONG_GRAVITY
     is_lossy = cases['loss_tangent'] > 0.0
     needs_cells = is_lossy | (not rig.layer.is_uniform or rig.layer.stress_strain_law != 'linear')
     return {

@@ -106,12 +106,12 @@ class Target:
     speed: float | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in ('height', 'speed') if getattr(self, name) is not None]
-        if len(given) != 1:
+        names = [name for name, value in vars(self).items() if value is not None]
+        if len(names) != 1:
             raise ValueError(
-                f'give either a height or a speed as target, got {"both" if given else "neither"}'
+                f'give either a height or a speed as target, got {"both" if names else "neither"}'
             )
-        name = given[0]
+        name = names[0]
         object.__setattr__(self, name, checks.require_positive(name, getattr(self, name)))
 
     @property
@@ -134,43 +134,31 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Aim(PredictedThrow):
-    """
-    A throw that reaches its target, or the throw that reaches most.
-
-    Parameters
-    ----------
-    target_height, target_speed : float or None
-        The target. [m], [m/s]
-    vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
-        The part of the layer that was allowed to change, besides the amplitude.
-    layer : str
-        Name of the layer in the library, if it was picked there.
-    amplitude : float
-        Amplitude of the plate. [m]
-    height : float
-        Rise of the projectile above its rest position on the layer; infinite without gravity. [m]
-    speed : float
-        Speed at the last release. [m/s]
-    is_reached : bool
-        Whether the throw reaches the target.
-    limited_by : str
-        Names of the limits that keep the throw from its target: `max_amplitude`, `max_strain`,
-        `max_acceleration`; empty if it is reached, or no amplitude reaches it.
-    rig : Rig
-        The rig of this throw.
-
-    """
+    """A throw that reaches its target, or the throw that reaches most."""
 
     target_height: float | None
+    """The target, or None. [m]"""
     target_speed: float | None
+    """The target, or None. [m/s]"""
     vary: AimVary
+    """Part of the layer that was allowed to change, besides the amplitude."""
     layer: str
+    """Name of the layer in the library, if it was picked there."""
     amplitude: float
+    """Amplitude of the plate. [m]"""
     height: float
+    """Rise of the projectile above its rest position; infinite without gravity. [m]"""
     speed: float
+    """Speed at the last release. [m/s]"""
     is_reached: bool
+    """Whether the throw reaches the target."""
     limited_by: str = ''
+    """
+    Names of the limits that keep the throw from its target, among `max_amplitude`, `max_strain`
+    and `max_acceleration`; empty if it is reached, or no amplitude reaches it.
+    """
     rig: Rig
+    """The rig of this throw."""
 
 
 def aim(
@@ -222,8 +210,8 @@ def aim(
 
     Examples
     --------
-    >>> found = aim(Rig(), Target(height=0.15))
-    >>> round(1e3 * found.amplitude, 3), found.is_reached
+    >>> throw = aim(Rig(), Target(height=0.15))
+    >>> round(1e3 * throw.amplitude, 3), throw.is_reached
     (2.453, True)
 
     """
@@ -293,8 +281,8 @@ class _AimSearch:
 
         def score(thickness: Floats, wave_speed: Floats) -> Floats:
             needed, allowed = self._amplitudes(space.rig, thickness, wave_speed, speed, margin)
-            parts = np.minimum(allowed / needed, 1.0 - 1e-9)
-            return np.where(needed <= allowed, self.max_amplitude / needed, parts)
+            shares = np.minimum(allowed / needed, 1.0 - 1e-9)
+            return np.where(needed <= allowed, self.max_amplitude / needed, shares)
 
         return find_best_layer(
             score, space.layers, step=space.grid_step(loads=True), tolerance=1e-4

@@ -153,37 +153,29 @@ def check_axis(name: str, values: ArrayLike) -> Floats:
 class HighestPoint(NamedTuple):
     """The best point of a landscape: its position on each axis, and the results there."""
 
-    place: tuple[float, float]
+    coordinates: tuple[float, float]
     ejection_phase: float
     energy_transfer: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Landscape:
-    r"""
-    Ejection phase and energy transfer over two axes. Made by `compute_landscape`.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig of all throws, apart from the axes.
-    axes : mapping of str to ndarray
-        The values of the two axes, of shapes (n,) and (m,). [SI]
-    ejection_phase, energy_transfer : ndarray, shape (n, m)
-        :math:`t_e f` and :math:`\alpha = (V_e / V_p^*)^2` along the first and the second axis.
-        NaN where the projectile does not leave, or the model does not give the time. [-]
-    model, release, density_ratio
-        As for `compute_landscape`.
-
-    """
+    """Ejection phase and energy transfer over two axes. Made by `compute_landscape`."""
 
     rig: Rig
+    """The rig of all throws, apart from the axes."""
     axes: Mapping[str, Floats]
+    """Values of the two axes, of shapes (n,) and (m,). [SI]"""
     ejection_phase: Floats
+    """:math:`t_e f`, shape (n, m); NaN where the projectile does not leave. [-]"""
     energy_transfer: Floats
+    r""":math:`\alpha = (V_e / V_p^*)^2`, shape (n, m); NaN as above. [-]"""
     model: str
+    """Model of the layer."""
     release: Release
+    """Release that counts, the first or the last."""
     density_ratio: float
+    """Density of the projectile over that of the layer, for the axes x and C. [-]"""
 
     @property
     def optimum(self) -> HighestPoint | None:
@@ -198,7 +190,7 @@ class Landscape:
             float(self.energy_transfer[i, j]),
         )
 
-    def place(self, rig: Rig) -> tuple[float, float]:
+    def coordinates_of(self, rig: Rig) -> tuple[float, float]:
         """Return the position of a rig on the axes; x and C take the landscape's density ratio."""
         x = self.density_ratio / (self.density_ratio + rig.mass_ratio)
         ratios = {'x': x, 'C': x * rig.speed_ratio, 'mu': rig.mass_ratio, 'kappa': rig.speed_ratio}
@@ -330,7 +322,7 @@ def compute_landscape(
     array([[3.61, 3.45],
            [3.04, 3.92],
            [2.8 , 3.67]])
-    >>> landscape.optimum.place
+    >>> landscape.optimum.coordinates
     (0.015, 9.0)
 
     """
@@ -354,12 +346,12 @@ def compute_landscape(
     is_fast = rig.engine.motion is None and MODELS[model].batch != 'cells'
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
-    parts = []
-    for part in (executor.map if executor else map)(compute, blocks):
-        parts.append(part)
+    results = []
+    for result in (executor.map if executor else map)(compute, blocks):
+        results.append(result)
         if progress is not None:
-            progress(part.shape[1])
-    phase, transfer = np.hstack(parts).reshape(len(RESULTS), *shape)
+            progress(result.shape[1])
+    phase, transfer = np.hstack(results).reshape(len(RESULTS), *shape)
     return Landscape(
         rig=rig,
         axes=checked,
@@ -392,8 +384,8 @@ def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: R
     ]
     for ability, is_needed, subject in needs:
         if is_needed and ability not in knows:
-            able = ' or '.join(name for name, other in MODELS.items() if ability in other.knows)
-            raise ValueError(f'{subject} needs the model {able}, got model {model!r}')
+            models = ' or '.join(name for name, item in MODELS.items() if ability in item.knows)
+            raise ValueError(f'{subject} needs the model {models}, got model {model!r}')
 
 
 def _check_axes(first: str, second: str) -> None:

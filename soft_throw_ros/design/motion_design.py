@@ -24,7 +24,7 @@ from typing import get_args, Literal, TypeAlias
 import numpy as np
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
-from soft_throw_ros.core.rig import Engine, model_for, Rig
+from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import Throw
 from soft_throw_ros.core.throws import (
     Cancelled,
@@ -54,37 +54,31 @@ _FREQUENCIES = np.geomspace(0.05, 20.0, 1200)
 
 @dataclass(frozen=True, kw_only=True)
 class MotionDesign(PredictedThrow):
-    """
-    The best motion of the plate, and its throw.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig with the best motion, and with the best layer if the layer may vary.
-    vary : {'motion', 'thickness', 'wave_speed', 'both'}
-        Properties of the layer that may vary; none for 'motion'.
-    limits : PlateLimits
-        Limits of the actuator.
-    others : mapping of str to Rig
-        Rigs for comparison: the present rig (`now`), the rigs with the best `harmonic` stroke and
-        the best `step` within the same limits of plate and loads, the best `layer` for the present
-        motion unless the layer is a stack, and a `linear` layer with the best motion if the layer
-        is not linear. Rigs without a release are missing.
-    throws : mapping of str to PredictedThrow
-        Throws of the rigs for comparison, and the `best` throw, which is never slower than
-        `harmonic` and `step`. If the layer may vary, `both` is the throw with the best layer and
-        motion, and `best` is the throw with the present layer.
-    layer : str
-        Empty: the layer is not from a library.
-
-    """
+    """The best motion of the plate, and its throw."""
 
     rig: Rig
+    """The rig with the best motion, and with the best layer if the layer may vary."""
     vary: MotionVary
+    """Properties of the layer that may vary; none for 'motion'."""
     limits: PlateLimits
+    """Limits of the actuator."""
     others: Mapping[str, Rig]
+    """
+    Rigs for comparison; rigs without a release are missing.
+
+    The present rig (`now`), the rigs with the best `harmonic` stroke and the best `step` within
+    the same limits of plate and loads, the best `layer` for the present motion unless the layer
+    is a stack, and a `linear` layer with the best motion if the layer is not linear.
+    """
     throws: Mapping[str, PredictedThrow]
+    """
+    Throws of the rigs for comparison, and the `best` throw.
+
+    The `best` throw is never slower than `harmonic` and `step`. If the layer may vary, `both` is
+    the throw with the best layer and motion, and `best` is the throw with the present layer.
+    """
     layer: str = ''
+    """Empty: the layer is not from a library."""
 
     @property
     def motion(self) -> SampledMotion:
@@ -101,11 +95,10 @@ class MotionDesign(PredictedThrow):
 
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
-        parts = {f'{name}.': vars(throw) for name, throw in self.throws.items() if name != 'best'}
         return super().values() | {
-            f'{prefix}{key}': value
-            for prefix, part in parts.items()
-            for key, value in part.items()
+            f'{name}.{key}': value
+            for name, throw in self.throws.items() if name != 'best'
+            for key, value in vars(throw).items()
         }
 
 
@@ -191,14 +184,13 @@ def _motions(
     rig: Rig, plate: PlateLimits, loads: Limits, cancelled: Cancelled | None
 ) -> dict[str, Throw]:
     """Simulate the simple motions that keep all limits, and the best motion of all."""
-    model = model_for(rig, 'travelling_wave')
     motions = {
         'now': first_stroke(rig.engine),
         'harmonic': first_stroke(_harmonic(rig, plate, loads, cancelled)),
         'step': _step(rig, plate),
     }
     followed = {
-        name: follow(rig, pulses.within(plate), model=model, loads=loads)
+        name: follow(rig, pulses.within(plate), loads=loads)
         for name, pulses in motions.items()
     }
     throws = {name: throw for name, throw in followed.items() if throw is not None}

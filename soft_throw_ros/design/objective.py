@@ -196,10 +196,10 @@ class LayerScore:
             If `cancelled` returns True.
 
         """
-        given = (thickness, wave_speed, mass, frequency, damping_ratio)
+        arguments = (thickness, wave_speed, mass, frequency, damping_ratio)
         thickness, wave_speed, mass, frequency, damping_ratio = (
             np.asarray(column, dtype=np.float64)[:, None]
-            for column in np.broadcast_arrays(*map(np.atleast_1d, given))
+            for column in np.broadcast_arrays(*map(np.atleast_1d, arguments))
         )
         variants = self._variants._replace(
             mass=mass * self._variants.mass,

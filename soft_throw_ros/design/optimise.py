@@ -140,8 +140,8 @@ def find_best_layer(
     indices = _highest_maxima(scores)
     points, values = grid[indices], scores[indices]
     if starts:
-        known = np.log(np.array(starts))
-        points, values = np.concatenate([points, known]), np.append(values, at(known))
+        first = np.log(np.array(starts))
+        points, values = np.concatenate([points, first]), np.append(values, at(first))
     if not (values > 0.0).any():
         return None
     point, value = points[0], float(values[0])

@@ -55,7 +55,7 @@ import bisect
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,13 +234,13 @@ class Pulses(NamedTuple):
     def within(self, limits: PlateLimits) -> Pulses:
         """Return the motion, scaled down if it exceeds a limit at any time."""
         heights, step = np.pad(self.heights, 3), self.step
-        parts = [
+        excesses = [
             np.abs(heights).max() / limits.speed,
             np.abs(np.diff(heights)).max() / (limits.acceleration * step),
             np.abs(np.diff(heights, 2)).max() / (limits.jerk * step**2),
             np.ptp(np.cumsum(heights)) * step / limits.travel,
         ]
-        return self.scaled(1.0 / max(1.0, (1.0 + _ROUNDING) * max(parts)))
+        return self.scaled(1.0 / max(1.0, (1.0 + _ROUNDING) * max(excesses)))
 
 
 def find_best_motion(
@@ -248,7 +248,6 @@ def find_best_motion(
     limits: PlateLimits,
     *,
     loads: Limits | None = None,
-    model: str = 'travelling_wave',
     cancelled: Cancelled | None = None,
 ) -> Throw:
     """
@@ -262,8 +261,6 @@ def find_best_motion(
         Limits of the plate.
     loads : Limits, optional
         Limits of the loads; only strain and acceleration apply.
-    model : str
-        Model of the layer, or of its fallback.
     cancelled : callable, optional
         Called between programmes, some tenths of a second each; returns whether to give up.
 
@@ -286,18 +283,17 @@ def find_best_motion(
 
     """
     loads = loads or Limits()
-    model = model_for(rig, model)
-    critical: Critical = set()
-    time, promised = _shortest_time(rig, limits, loads, model, cancelled, critical)
+    problem = _Problem(rig, limits, loads, cancelled, set())
+    time, promised = _shortest_time(problem)
+    is_exact = rig.layer.stress_strain_law == 'linear'
     best: Throw | None = None
     for time_factor in _TIME_FACTORS if promised > 0.0 else ():
-        programme = _Programme(rig, limits, loads, model, time_factor * time, _FINE, critical)
+        programme = _Programme(problem, time_factor * time, is_fine=True)
         check_cancelled(cancelled)
         pulses, _ = programme.solve(time_factor * time)
-        throw = pulses and follow(rig, pulses, model=model, loads=loads)
+        throw = pulses and follow(rig, pulses, loads=loads)
         if throw and (best is None or throw.ejection_speed > best.ejection_speed):
             best = throw
-        is_exact = rig.layer.stress_strain_law == 'linear'
         if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
             return best
     if best is None:
@@ -314,7 +310,6 @@ def find_layer_for_motion(
     vary: str,
     *,
     loads: Limits | None = None,
-    model: str = 'travelling_wave',
     cancelled: Cancelled | None = None,
 ) -> Rig:
     """
@@ -324,7 +319,7 @@ def find_layer_for_motion(
     ----------
     vary : {'thickness', 'wave_speed', 'both'}
         Parameters of the layer that may change, within `loads`.
-    rig, limits, loads, model, cancelled
+    rig, limits, loads, cancelled
         As for `find_best_motion`.
 
     Raises
@@ -339,17 +334,16 @@ def find_layer_for_motion(
 
     """
     loads = loads or Limits()
-    model = model_for(rig, model)
     names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
     box = np.log([getattr(loads, name) for name in names])
 
-    def layer(place: Floats) -> Rig:
-        values = np.exp(np.clip(place, *box.T)).tolist()
+    def rig_at(logarithms: Floats) -> Rig:
+        values = np.exp(np.clip(logarithms, *box.T)).tolist()
         return replace(rig, layer=replace(rig.layer, **dict(zip(names, values, strict=True))))
 
-    def slowness(place: Floats) -> float:
-        problem: Any = layer(place), limits, loads, model, cancelled, set()
-        return -_shortest_time(*problem, is_rough=True)[1]
+    def slowness(logarithms: Floats) -> float:
+        problem = _Problem(rig_at(logarithms), limits, loads, cancelled, set())
+        return -_shortest_time(problem, is_rough=True)[1]
 
     axes = [np.linspace(low, high, _LAYERS * (3 - len(names))) for low, high in box]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(names))
@@ -359,10 +353,11 @@ def find_layer_for_motion(
         raise ThrowUnresolvedError(f'no motion of the plate throws within {limits} and {loads}')
     spacing = np.array([axis[1] - axis[0] for axis in axes])
     simplex = np.vstack([best, best + 0.4 * np.diag(spacing)])
-    options = {'initial_simplex': simplex, 'xatol': 5e-3, 'fatol': 1e-4 * limits.speed}
-    options['maxfev'] = 60
+    options = {
+        'initial_simplex': simplex, 'xatol': 5e-3, 'fatol': 1e-4 * limits.speed, 'maxfev': 60,
+    }
     result = scipy.optimize.minimize(slowness, best, method='Nelder-Mead', options=options)
-    return layer(result.x)
+    return rig_at(result.x)
 
 
 def rest_to_rest(limits: PlateLimits, *, travel: float) -> Pulses:
@@ -407,7 +402,7 @@ def first_stroke(engine: Engine) -> Pulses:
     return Pulses.of(motion.position(times), end / _STROKE_PULSES)
 
 
-def follow(rig: Rig, pulses: Pulses, *, model: str, loads: Limits) -> Throw | None:
+def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
     """
     Simulate a throw to its end with a motion, scaled down as far as the loads require.
 
@@ -417,6 +412,7 @@ def follow(rig: Rig, pulses: Pulses, *, model: str, loads: Limits) -> Throw | No
         None if the projectile is not thrown, or meets the layer again before it comes down.
 
     """
+    model = model_for(rig, 'travelling_wave')
     for _ in range(_SCALINGS):
         try:
             engine = replace(rig.engine, motion=pulses.motion())
@@ -453,53 +449,44 @@ def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
     yield from np.geomspace(0.6 * contact, longest, count)[:-1].tolist()
 
 
-def _shortest_time(
-    rig: Rig,
-    limits: PlateLimits,
-    loads: Limits,
-    model: str,
-    cancelled: Cancelled | None,
-    critical: Critical,
-    *,
-    is_rough: bool = False,
-) -> tuple[float, float]:
+class _Problem(NamedTuple):
+    """Arguments of a search for a motion, and the strains that its solutions have exceeded."""
+
+    rig: Rig
+    limits: PlateLimits
+    loads: Limits
+    cancelled: Cancelled | None
+    critical: Critical
+
+
+def _shortest_time(problem: _Problem, *, is_rough: bool = False) -> tuple[float, float]:
     """Return the shortest time with nearly the largest speed, and the speed; 0 without a throw."""
-    longest, *shorter = _times(rig, limits)
-    programme = _Programme(rig, limits, loads, model, longest, _COARSE, critical)
-    check_cancelled(cancelled)
-    _, speed = programme.solve(longest)
-    if is_rough or not speed > 0.0:
-        return longest, max(speed, 0.0)
+    longest, *shorter = _times(problem.rig, problem.limits)
+    programme = _Programme(problem, longest, is_fine=False)
 
     def speed_at(time: float) -> float:
-        check_cancelled(cancelled)
+        check_cancelled(problem.cancelled)
         return programme.solve(time)[1]
 
+    speed = speed_at(longest)
+    if is_rough or not speed > 0.0:
+        return longest, max(speed, 0.0)
     index = bisect.bisect_left(shorter, (1.0 - _WAITING_GAIN) * speed, key=speed_at)
     return [*shorter, longest][index], speed
 
 
 class _Programme:
-    """The linear programmes for a rig, up to a largest time of release."""
+    """The linear programmes of a problem, up to a largest time of release."""
 
-    def __init__(
-        self,
-        rig: Rig,
-        limits: PlateLimits,
-        loads: Limits,
-        model: str,
-        longest: float,
-        resolution: tuple[int, int],
-        critical: Critical,
-    ) -> None:
-        self._critical = critical
-        self._rig, self._limits, self._loads = rig, limits, loads
-        self._is_fine = resolution is _FINE
-        per_crossing, most = resolution
-        step = max(rig.crossing_time / per_crossing, longest / most)
+    def __init__(self, problem: _Problem, longest: float, *, is_fine: bool) -> None:
+        self._rig, self._limits, self._loads, _, self._critical = problem
+        self._is_fine = is_fine
+        rig, (per_crossing, max_pulses) = problem.rig, _FINE if is_fine else _COARSE
+        step = max(rig.crossing_time / per_crossing, longest / max_pulses)
         self._step = 1e-9 * math.ceil(1e9 * step)
         self._count = math.ceil(longest / self._step) + 1
-        cells = None if model == 'travelling_wave' or resolution is _FINE else SEARCH_CELLS
+        model = model_for(rig, 'travelling_wave')
+        cells = None if model == 'travelling_wave' or is_fine else SEARCH_CELLS
         # A heavy weight keeps the projectile on the layer and changes nothing else. The responses
         # are to a pulse of 1 m/s.
         heavy = replace(rig, layer=linear_layer(rig.layer), gravity=1e3 / self._step)
@@ -519,33 +506,33 @@ class _Programme:
         """Find the pulses with the largest speed at a time; return the pulses and the speed."""
         rig, limits, step = self._rig, self._limits, self._step
         release = min(round(time / step), self._count - 1)
-        felt = max(release - int(rig.crossing_time / step), 1)  # pulses that reach the projectile
+        # Later pulses do not reach the projectile before the release.
+        count = max(release - int(rig.crossing_time / step), 1)
         braking = 1.2 * limits.rise_time + 2.0 * limits.acceleration_time
-        size = felt + math.ceil(braking / step) + 6
+        size = count + math.ceil(braking / step) + 6
         # The unknowns are the control points of the height over speed and step.
         # Differences of control points are pulses.
         # Differences of pulses bound acceleration and jerk.
         rise = np.diff(np.eye(size + 1), axis=0)
         steps, bends = (np.diff(np.pad(rise, ((n, n), (0, 0))), n, axis=0) for n in (1, 2))
-        force, least = self._pushing(release, size)
-        most = self._loads.max_acceleration * rig.projectile.mass
-        most /= limits.speed * rig.layer.impedance
-        slowest = np.where(np.arange(size) < felt, -1.0, 0.0)
-        between = [
-            (force @ rise, least, np.full(least.shape, most)),
-            (rise, slowest, np.ones(size)),
+        force, min_force = self._pushing(release, size)
+        max_force = self._loads.max_acceleration * rig.projectile.mass
+        max_force /= limits.speed * rig.layer.impedance
+        min_speed = np.where(np.arange(size) < count, -1.0, 0.0)
+        ranges = [
+            (force @ rise, min_force, np.full(min_force.shape, max_force)),
+            (rise, min_speed, np.ones(size)),
         ]
         for matrix, limit in ((steps, limits.acceleration), (bends, limits.jerk * step)):
             if limit < math.inf:
                 bound = np.ones(len(matrix))
-                between.append((matrix * (limits.speed / (limit * step)), -bound, bound))
-        both = [sign * matrix for matrix, _, _ in between for sign in (1.0, -1.0)]
-        rows = np.concatenate(both)
-        bounds = np.concatenate([item for _, low, high in between for item in (high, -low)])
+                ranges.append((matrix * (limits.speed / (limit * step)), -bound, bound))
+        rows = np.concatenate([sign * matrix for matrix, _, _ in ranges for sign in (1.0, -1.0)])
+        bounds = np.concatenate([item for _, low, high in ranges for item in (high, -low)])
         is_limit = bounds < math.inf
         goal = np.zeros(size)
-        goal[:felt] = -self._velocity[release - np.arange(felt)]
-        goal[felt:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
+        goal[:count] = -self._velocity[release - np.arange(count)]
+        goal[count:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
         for _ in range(_MAX_ROUNDS):
             strain, strain_bounds = self._strain_limits(release, size)
             limited = np.concatenate([rows[is_limit], strain @ rise])
@@ -556,15 +543,15 @@ class _Programme:
             if self._is_fine:
                 result = self._smoothest(result, goal @ rise, limited, limited_bounds, bends)
             pulses = limits.speed * (rise @ result)
-            known = len(self._critical)
-            self._critical |= self._excessive(pulses, release)
-            if len(self._critical) == known:
+            excessive = self._excessive(pulses, release)
+            if excessive <= self._critical:
                 break
+            self._critical |= excessive
         pulses[np.abs(pulses) < 1e-6 * np.abs(pulses).max()] = 0.0
         if rig.gravity == 0.0:  # negative rounding errors before the start would release it
             start = int((np.abs(pulses) > 1e-3 * np.abs(pulses).max()).argmax())
             pulses[: int(np.flatnonzero(pulses[:start] < 0.0).max(initial=-1)) + 1] = 0.0
-        return Pulses(step, pulses).within(limits), float(-goal[:felt] @ pulses[:felt])
+        return Pulses(step, pulses).within(limits), float(-goal[:count] @ pulses[:count])
 
     def _optimise(self, goal: Floats, rows: Floats, bounds: Floats) -> Floats | None:
         """Solve a linear programme; None if it has no solution."""

@@ -24,47 +24,38 @@ from soft_throw_ros.core.throws import throw_many
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedThrow:
-    r"""
-    First release of a throw, and its loads, with the rig's damping, gravity and loss.
-
-    Parameters
-    ----------
-    thickness, wave_speed, density, youngs_modulus, loss_tangent : float
-        Properties of the layer. [m], [m/s], [kg/m3], [Pa], [-]
-    mass_ratio, speed_ratio : float
-        :math:`\mu` and :math:`\kappa = c_s / (L_s f)`. [-]
-    ejection_time, ejection_speed : float
-        :math:`t_e` [s] and :math:`V_e` [m/s].
-    energy_transfer : float
-        :math:`\alpha = (V_e / V_p^*)^2`. [-]
-    peak_strain : float
-        Largest magnitude of the strain anywhere in the layer. [-]
-    peak_acceleration : float
-        Largest magnitude of the projectile's acceleration. [m/s2]
-    peak_force : float
-        Largest magnitude of the layer's force on the plate. [N]
-    plate_work : float
-        Work of the plate from its start to the release, which an actuator has to deliver. [J]
-    kinetic_energy : float
-        Kinetic energy of the projectile at the release. [J]
-
-    """
+    """First release of a throw, and its loads, with the rig's damping, gravity and loss."""
 
     thickness: float
+    """Thickness of the layer. [m]"""
     wave_speed: float
+    """Wave speed of the layer. [m/s]"""
     density: float
+    """Density of the layer. [kg/m3]"""
     youngs_modulus: float
+    """Young's modulus of the layer. [Pa]"""
     loss_tangent: float
+    """Loss tangent of the layer. [-]"""
     mass_ratio: float
+    r""":math:`\mu`. [-]"""
     speed_ratio: float
+    r""":math:`\kappa = c_s / (L_s f)`. [-]"""
     ejection_time: float
+    """:math:`t_e`. [s]"""
     ejection_speed: float
+    """:math:`V_e`. [m/s]"""
     energy_transfer: float
+    r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
     peak_strain: float
+    """Largest magnitude of the strain anywhere in the layer. [-]"""
     peak_acceleration: float
+    """Largest magnitude of the projectile's acceleration. [m/s2]"""
     peak_force: float
+    """Largest magnitude of the layer's force on the plate. [N]"""
     plate_work: float
+    """Work of the plate up to the release, which an actuator has to deliver. [J]"""
     kinetic_energy: float
+    """Kinetic energy of the projectile at the release. [J]"""
 
     def values(self) -> dict[str, float | str | bool]:
         """Return all that is one value by its name."""

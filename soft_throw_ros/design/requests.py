@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 import importlib
 import math
 from typing import Any, TypeAlias
@@ -97,25 +98,15 @@ def solve_motion_request(
             f'{request["objective"]!r}'
         )
     rig = rig or rig_of(settings)
-    now = PlateLimits.of(rig.engine)
-    plate = PlateLimits(
-        speed=request['plate_speed'] or now.speed,
-        acceleration=request['plate_acceleration'] or now.acceleration,
-        jerk=request['plate_jerk'] or now.jerk,
-        travel=request['plate_travel'] or now.travel,
-    )
+    now = vars(PlateLimits.of(rig.engine))
+    plate = PlateLimits(**{name: request[f'plate_{name}'] or now[name] for name in now})
     return design_motion(rig, plate, vary=vary, limits=limits_of(settings), cancelled=cancelled)
 
 
 def limits_of(settings: Settings) -> Limits:
     """Return the limits that the settings set; 0 is none."""
     request = _request(settings)
-    layer = ('thickness_min', 'thickness_max', 'wave_speed_min', 'wave_speed_max')
-    loads = ('max_strain', 'max_acceleration', 'max_loss_tangent')
-    return Limits(
-        **{name: request[name] for name in layer},
-        **{name: request[name] or math.inf for name in loads},
-    )
+    return Limits(**{item.name: request[item.name] or math.inf for item in fields(Limits)})
 
 
 def objective_of(settings: Settings) -> Objective:

@@ -21,12 +21,9 @@ from typing import NamedTuple
 
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import require_uniform
+from soft_throw_ros.core.throws import require_uniform, STRONG_GRAVITY
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.optimise import LayerRange, Optimum
-
-STRONG_GRAVITY = 0.2
-"""Gravity over the plate's largest acceleration beyond which later swings throw, too. [-]"""
 
 
 class SearchSpace(NamedTuple):
@@ -48,7 +45,8 @@ class SearchSpace(NamedTuple):
         Return the step of the initial grid of a search, in logarithms [-].
 
         Grids with a stepper, which takes thirty times as long as the closed form, or with several
-        throws per layer are coarser, and grids along one axis are finer.
+        throws per layer are coarser, and grids along one axis are finer. Strong gravity needs a
+        stepper, too, but beyond 1 the maxima are too narrow for a coarser grid.
 
         Parameters
         ----------
@@ -58,7 +56,8 @@ class SearchSpace(NamedTuple):
             Number of throws that make the score of a layer.
 
         """
-        step = 0.12 if self.rig.layer.needs_cells or loads else 0.06
+        step = 0.09 if STRONG_GRAVITY < self.rig.gravity_ratio < 1.0 else 0.06
+        step = 0.12 if self.rig.layer.needs_cells or loads else step
         step *= 1.5 if throws > 1 else 1.0
         has_one_axis = any(low == high for low, high in self.layers)
         return 0.3 * step if has_one_axis else step

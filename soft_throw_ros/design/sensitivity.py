@@ -17,8 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,31 +41,16 @@ _STEPS, _STEPS_WITH_LOSS = 70, 12
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    r"""
-    Influence of one parameter on the score of the recommended layer, all others unchanged.
-
-    Parameters
-    ----------
-    name : {'thickness', 'wave_speed', 'mass', 'frequency', 'damping_ratio'}
-        The parameter.
-    value : float
-        Its value. [SI]
-    sensitivity : float
-        :math:`d \ln \alpha / d \ln` of the parameter, for the score. [-]
-    tolerance : float
-        Largest deviation, up or down, that costs at most `TOLERATED_LOSS` of the score;
-        at most half of `value`. [SI]
-
-    """
+    """Influence of one parameter on the score of the recommended layer, all others unchanged."""
 
     name: str
+    """`thickness`, `wave_speed`, `mass`, `frequency` or `damping_ratio`."""
     value: float
+    """Value of the parameter. [SI]"""
     sensitivity: float
+    r""":math:`d \ln \alpha / d \ln` of the parameter, for the score. [-]"""
     tolerance: float
-
-
-_RelativeScore: TypeAlias = Callable[[Floats], Floats]
-"""Score over that of the recommended layer, for factors of a parameter."""
+    """Largest deviation, up or down, that costs `TOLERATED_LOSS`; at most half of `value`. [SI]"""
 
 
 def sensitivities(
@@ -81,11 +64,6 @@ def sensitivities(
     score = LayerScore(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
     layer = {'thickness': rig.layer.thickness, 'wave_speed': rig.layer.wave_speed}
     best = float(score(**layer)[0])
-
-    def relative_score(factors: Floats, *, name: str) -> Floats:
-        values: dict[str, Floats | float] = {**layer, name: layer.get(name, 1.0) * factors}
-        return score(**values) / best
-
     steps = _STEPS_WITH_LOSS if rig.layer.needs_cells else _STEPS
     for name, value in {
         **layer,
@@ -93,24 +71,29 @@ def sensitivities(
         'frequency': rig.engine.frequency,
         'damping_ratio': rig.engine.damping_ratio,
     }.items():
-        if value > 0.0:
-            score_of = partial(relative_score, name=name)
-            less, more = score_of(np.array([1.0 - _SLIGHT_CHANGE, 1.0 + _SLIGHT_CHANGE]))
-            yield Sensitivity(
-                name=name,
-                value=value,
-                sensitivity=float(more - less) / (2.0 * _SLIGHT_CHANGE),
-                tolerance=value * _tolerance(score_of, steps),
-            )
+        if not value > 0.0:
+            continue
+
+        def relative_score(factors: Floats, name: str = name) -> Floats:
+            values: dict[str, Floats | float] = {**layer, name: layer.get(name, 1.0) * factors}
+            return score(**values) / best
+
+        less, more = relative_score(np.array([1.0 - _SLIGHT_CHANGE, 1.0 + _SLIGHT_CHANGE]))
+        yield Sensitivity(
+            name=name,
+            value=value,
+            sensitivity=float(more - less) / (2.0 * _SLIGHT_CHANGE),
+            tolerance=value * _tolerance(relative_score, steps),
+        )
 
 
-def _tolerance(score_of: _RelativeScore, steps: int) -> float:
+def _tolerance(relative_score: Callable[[Floats], Floats], steps: int) -> float:
     """Find the largest relative change to both sides that costs `TOLERATED_LOSS`, in two scans."""
     low, high = 0.0, _MAX_TOLERANCE
     for _ in range(2):
         changes = np.linspace(low, high, steps + 1)
-        scores = np.minimum(score_of(1.0 - changes[1:]), score_of(1.0 + changes[1:]))
-        is_lost = scores < 1.0 - TOLERATED_LOSS
+        less, more = (relative_score(1.0 + sign * changes[1:]) for sign in (-1.0, 1.0))
+        is_lost = np.minimum(less, more) < 1.0 - TOLERATED_LOSS
         if not is_lost.any():
             return high
         last = int(is_lost.argmax())

@@ -184,36 +184,25 @@ class Interval(NamedTuple):
     @classmethod
     def of(cls, values: Floats) -> Interval:
         """Leave out as much at one end as at the other."""
-        rest = 0.5 * (1.0 - COVERAGE)
-        low, high = np.quantile(values, [rest, 1.0 - rest])
+        tail = 0.5 * (1.0 - COVERAGE)
+        low, high = np.quantile(values, [tail, 1.0 - tail])
         return cls(float(low), float(high))
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictionUncertainty:
-    r"""
-    Intervals of a prediction, from the uncertainties of the rig.
-
-    Parameters
-    ----------
-    ejection_time : Interval
-        :math:`t_e`. [s]
-    ejection_speed : Interval
-        :math:`V_e` for the given amplitude, in proportion to the amplitude. [m/s]
-    energy_transfer : Interval
-        :math:`\alpha`. [-]
-    jumps : bool
-        Whether the release jumps within the uncertainties, so that the throws fall into groups.
-    stuck_fraction : float
-        Share of the throws without a release; the intervals do not include them. [-]
-
-    """
+    """Intervals of a prediction, from the uncertainties of the rig."""
 
     ejection_time: Interval
+    """:math:`t_e`. [s]"""
     ejection_speed: Interval
+    """:math:`V_e` for the given amplitude, in proportion to the amplitude. [m/s]"""
     energy_transfer: Interval
+    r""":math:`\alpha`. [-]"""
     jumps: bool
+    """Whether the release jumps within the uncertainties, so that throws fall into groups."""
     stuck_fraction: float
+    """Share of the throws without a release; the intervals do not include them. [-]"""
 
     def values(self) -> dict[str, float | bool]:
         """Return everything by name, with a dot between the name of an interval and its end."""
@@ -262,15 +251,15 @@ def prediction_uncertainty(
     variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
     changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
     throws = throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)
-    left = throws.ejection_speed > 0.0
-    if not left.any():
+    is_released = throws.ejection_speed > 0.0
+    if not is_released.any():
         raise ThrowUnresolvedError('the projectile does not leave within the uncertainties')
-    times = throws.ejection_time[left]
+    times = throws.ejection_time[is_released]
     gaps = np.diff(np.sort(times))
     return PredictionUncertainty(
         ejection_time=Interval.of(times),
-        ejection_speed=Interval.of(throws.ejection_speed[left]),
-        energy_transfer=Interval.of(throws.energy_transfer[left]),
+        ejection_speed=Interval.of(throws.ejection_speed[is_released]),
+        energy_transfer=Interval.of(throws.energy_transfer[is_released]),
         jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
-        stuck_fraction=1.0 - float(left.mean()),
+        stuck_fraction=1.0 - float(is_released.mean()),
     )

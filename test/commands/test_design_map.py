@@ -122,7 +122,7 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypa
         projectile=Projectile(mass=2e-3), gravity=0.0,
     )
     landscape = compute_landscape(rig, AXES)
-    thickness, mass = landscape.optimum.place
+    thickness, mass = landscape.optimum.coordinates
     alpha = f'{landscape.optimum.energy_transfer:.4f}'
     assert f'{alpha} at layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg' in said
     assert all(path.stat().st_size > 1000 for path in files)

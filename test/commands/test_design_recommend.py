@@ -49,6 +49,12 @@ def mine(tmp_path):
     return path
 
 
+@pytest.mark.parametrize(('law', 'is_warned'), [('linear', True), ('neo_hookean', False)])
+def test_table_warns_beyond_the_linear_range_of_the_law_only(command, law, is_warned):
+    printed = command.run('--vary', 'thickness', '--stress-strain-law', law, '--amplitude', 3e-3)
+    assert ('leaves the linear range' in printed) is is_warned
+
+
 def test_table_compares_the_recommended_and_the_present_layer(command):
     printed = command.run('--vary', 'thickness')
     best, now = recommend(Rig(), vary='thickness'), predict(Rig())

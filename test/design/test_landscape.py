@@ -62,7 +62,7 @@ def test_axes_of_the_paper_are_equivalent_to_the_ratios():
             projectile=Projectile(mass=mu * rig.layer.mass),
             layer=replace(rig.layer, wave_speed=9.0 * rig.layer.thickness * 63.2),
         )
-        assert landscape.place(like) == pytest.approx(place, rel=1e-12)
+        assert landscape.coordinates_of(like) == pytest.approx(place, rel=1e-12)
 
 
 def test_spring_mass_is_a_line_in_one_ratio_and_names_its_omissions():
@@ -145,7 +145,7 @@ def test_every_point_agrees_with_a_throw_of_its_rig(name, shift):
             found = landscape.ejection_phase[i, j], landscape.energy_transfer[i, j]
             known = release.ejection_phase, release.energy_transfer
             assert found == pytest.approx(known, rel=error)
-            assert landscape.place(rig) == (first, second)
+            assert landscape.coordinates_of(rig) == (first, second)
 
 
 # Maxima that the paper reports or should have, computed with 40 digits: those of the paper's
@@ -165,7 +165,7 @@ def test_optimum_is_at_its_known_position(axes, damping_ratio, density_ratio, pl
         for name, value in zip(axes, place, strict=True)
     }
     optimum = compute_landscape(rig, near, density_ratio=density_ratio).optimum
-    assert optimum.place == pytest.approx(place, rel=3e-3)
+    assert optimum.coordinates == pytest.approx(place, rel=3e-3)
     assert optimum.ejection_phase == pytest.approx(phase, abs=1e-3)
     assert optimum.energy_transfer == pytest.approx(alpha, rel=1e-5)
 

@@ -80,5 +80,5 @@ class Versatile(Objective):
         """Return the throw of each projectile with each frequency."""
         pairs = itertools.product(self.masses, self.frequencies)
         mass, frequency = np.array(list(pairs), dtype=np.float64).T
-        rest = (np.broadcast_to(item, mass.shape) for item in Variants.of(rig)[2:])
-        return Variants(mass, frequency, *rest)
+        others = (np.broadcast_to(item, mass.shape) for item in Variants.of(rig)[2:])
+        return Variants(mass, frequency, *others)
