@@ -34,9 +34,6 @@ Floats = NDArray[np.float64]
 MOST_LEFT_OUT = 0.05
 """Largest share of outliers, or of missing samples, without a warning. [-]"""
 
-_EXPLAINED_SHARE = 0.5
-"""Smallest share of a residual that identifies its cause. [-]"""
-
 INVALID_ENDS = ('gap', 'noise')
 """Values of `ThrowResult.ended_by` of throws that could not be followed."""
 
@@ -129,30 +126,6 @@ class Disturbances:
     stamp_error: float = 0.0  # standard deviation of the stamps of samples [s]
     samples_missing: int = 0  # gaps in an even rate: lost, or refused because too late
     time_skipped: float = 0.0  # of steps that the twin had no processor time for [s]
-
-    def describe(self, *, samples: int, speed: float, residual: float) -> str:
-        """
-        Describe the disturbances that explain a residual, if any.
-
-        The arguments are the number of samples in the throw, and the speed [m/s] and the rms
-        residual [m] of the body.
-        """
-        causes = []
-        if self.stamp_error * abs(speed) > _EXPLAINED_SHARE * residual:
-            causes.append(
-                f'stamps jitter by {1e6 * self.stamp_error:.3g} us (stamp samples when they are '
-                'measured)'
-            )
-        if self.samples_missing > MOST_LEFT_OUT * samples:
-            causes.append(
-                f'{self.samples_missing} samples are missing or came too late (see measurement '
-                'in /diagnostics)'
-            )
-        if self.time_skipped > 0.0:
-            causes.append(
-                f'the twin had no processor time for {1e3 * self.time_skipped:.3g} ms'
-            )
-        return ', '.join(causes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,9 +232,7 @@ class ThrowResult:
         return cls(rig=rig, **parts)
 
     def describe(self) -> str:
-        """Return a readable summary."""
-        if not self.is_valid:
-            return self._describe_invalid()
+        """Return the release in a sentence, if there is one."""
         if self.first is None:
             return f'throw {self.throw}: the projectile was not released'
         event = 'release predicted' if self.stage == 'predicted' else 'released'
@@ -274,53 +245,7 @@ class ThrowResult:
         if self.last is not None and self.recontacts:
             times = 're-contact' if self.recontacts == 1 else 're-contacts'
             text += f' ({self.last.energy_transfer:.3f} after {self.recontacts} {times})'
-        if not self.is_linear:
-            strain, limit = 100.0 * self.peak_strain, 100.0 * self.max_strain
-            text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
-        if self.has_shocks:
-            text += f'; errors up to 4e-3, shocks form after {1e3 * self.rig.shock_time:.3g} ms'
-        if self.accuracy is not None and not self.accuracy.is_clean:
-            out, count = self.accuracy.samples_left_out, self.accuracy.samples
-            text += f'; {out} of {count} plate samples were rejected as outliers'
         return text
-
-    def _describe_invalid(self) -> str:
-        """Return why the plate could not be followed."""
-        text = f'no plate samples for more than {1e3 * self.rig.crossing_time:.3g} ms'
-        if self.ended_by == 'noise':
-            text = (
-                'the plate samples are too noisy; increase measured.smoothing_window or the '
-                'sample rate, or stamp the samples more precisely'
-            )
-        text = f'throw {self.throw} is invalid: {text}'
-        disturbances = self.disturbances or Disturbances()
-        causes = disturbances.describe(samples=0, speed=self.peak_plate_speed, residual=0.0)
-        return f'{text}; {causes}' if causes else text
-
-    def describe_comparison(self) -> str:
-        """Return how the projectile went, and the likely cause if that is not as by the model."""
-        comparison = self.comparison
-        if comparison is None:
-            return 'the projectile was not measured'
-        rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
-        if comparison.is_within_threshold:
-            return f'the projectile followed the model within {rms:.3g} um rms'
-        causes = (self.disturbances or Disturbances()).describe(
-            samples=comparison.samples,
-            speed=self.first.ejection_speed if self.first else self.peak_plate_speed,
-            residual=comparison.position_rms,
-        )
-        return (
-            f'the projectile deviated from the model by {rms:.3g} um rms, more than '
-            f'measured.residual_threshold {threshold:.3g} um: '
-            + (causes or 'the layer has aged or slipped, or the parameters are wrong')
-        )
-
-    def describe_lead(self) -> str:
-        """Return how long before or after the release the first prediction was available."""
-        lead = 1e3 * (self.lead or 0.0)
-        side = 'before' if self.is_ahead else 'after'
-        return f'prediction available {abs(lead):.2f} ms {side} release'
 
 
 def known_values(part: object) -> dict[str, Scalar]:

@@ -36,6 +36,7 @@ from soft_throw_ros.core.stepper import (
 )
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import WaveStepper
+from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
 from soft_throw_ros.twin import prepared_rig
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -115,7 +116,7 @@ def test_release_is_predicted_more_than_a_crossing_ahead(quiet) -> None:
     first, certain = quiet.results('predicted')
     assert first.lead > 1.4 * quiet.rig.crossing_time > certain.lead > 0.0
     assert first.is_ahead
-    assert f'{1e3 * first.lead:.2f} ms' in first.describe_lead()
+    assert f'{1e3 * first.lead:.2f} ms' in lead_text(first)
     error = first.accuracy.ejection_speed_error
     assert 1.96 * error < 0.01 * first.first.ejection_speed
     assert certain.accuracy.ejection_speed_error < 0.5 * error
@@ -206,8 +207,8 @@ def test_deviations_of_an_aged_layer_exceed_the_threshold(factor, noise) -> None
     comparison = final.comparison
     assert not comparison.is_within_threshold
     assert comparison.threshold == 5e-5
-    assert '50 um' in final.describe_comparison()
-    assert 'aged' in final.describe_comparison()
+    assert '50 um' in comparison_text(final)
+    assert 'aged' in comparison_text(final)
     # errors compare both throws where the projectile passes the height of the model's release
     ours = simulate(run.rig)
     begin, end = follow(run.rig, [0.0, ours.ejection_time])[:, 0]
@@ -240,7 +241,7 @@ def test_gap_longer_than_a_crossing_makes_the_throw_invalid(gap, is_valid) -> No
     else:
         (final,) = run.results('final')
         assert (final.ended_by, final.is_valid) == ('gap', False)
-        assert 'throw 1' in final.describe()
+        assert 'throw 1' in throw_text(final)
 
 
 @pytest.mark.parametrize(
@@ -327,7 +328,7 @@ def test_throw_with_many_outliers_is_marked() -> None:
     (release,) = run.results('release')
     assert not release.accuracy.is_clean
     assert f'{release.accuracy.samples_left_out} of {release.accuracy.samples}' in (
-        release.describe()
+        throw_text(release)
     )
     assert release.first.ejection_speed == pytest.approx(
         simulate(run.rig).ejection_speed, rel=5e-3
@@ -415,7 +416,7 @@ def test_certain_results_with_stamp_jitter_are_correct(kind) -> None:
         if not results:  # it could not be followed
             (final,) = run.results('final')
             assert (final.is_valid, final.first, final.accuracy) == (False, None, None)
-            assert 'jitter' in final.describe()
+            assert 'jitter' in throw_text(final)
             continue
         assert results[-1].stage == 'release'
         stamp_errors.append(results[-1].disturbances.stamp_error)
@@ -435,7 +436,7 @@ def test_smoothed_throw_released_by_noise_is_invalid_with_a_reason(kind) -> None
         assert (final.throw, final.ended_by, final.is_valid) == (2, 'noise', False)
         values = final.values()
         assert not {'ejection_time', 'energy_transfer', 'accuracy.basis', 'lead'} & set(values)
-        assert 'jitter' in final.describe()
+        assert 'jitter' in throw_text(final)
         assert [result.throw for result in run.results('release')] == [1]
 
 
@@ -461,7 +462,7 @@ def test_cause_of_a_residual_is_named_from_the_measurement() -> None:
         run.go(3)
         (final,) = run.results('final')
         assert not final.comparison.is_within_threshold
-        texts.append(final.describe_comparison())
+        texts.append(comparison_text(final))
     for text, cause in zip(
         texts, ('stamps jitter', 'samples are missing', 'processor time for 7 ms', 'aged'),
         strict=True,

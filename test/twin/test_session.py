@@ -29,6 +29,7 @@ from soft_throw_ros.configuration import motions, rig_of, TWIN, twin_config
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
@@ -305,7 +306,7 @@ def test_strain_beyond_the_limit_is_reported_on_every_change() -> None:
     before, after = run.results('release')
     assert before.is_linear
     assert not after.is_linear
-    assert '10 %' in after.describe()
+    assert '10 %' in throw_text(after)
 
 
 def test_shocks_before_the_release_are_reported() -> None:
@@ -315,8 +316,8 @@ def test_shocks_before_the_release_are_reported() -> None:
     soft = Rig(layer=Layer(wave_speed=2.0, stress_strain_law='neo_hookean'))
     assert result.first.ejection_time > soft.shock_time
     assert not result.has_shocks
-    assert 'shocks' not in result.describe()
-    assert f'{1e3 * soft.shock_time:.3g} ms' in dataclasses.replace(result, rig=soft).describe()
+    assert 'shocks' not in throw_text(result)
+    assert f'{1e3 * soft.shock_time:.3g} ms' in throw_text(dataclasses.replace(result, rig=soft))
 
 
 # changes
