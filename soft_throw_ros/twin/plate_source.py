@@ -11,7 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The motion of a measured plate in a throw, by the fitted engine or by smoothed samples."""
+"""
+The motion of a measured plate in a throw, by the fitted engine or by smoothed samples.
+
+`MeasuredPlate` has all estimates of the motion; a `PlateSource` gives one of them to a stepper.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ import math
 
 import numpy as np
 from soft_throw_ros.twin.engine_fit import EngineEstimate, largest_by_chance
-from soft_throw_ros.twin.engine_forecast import engine_states, ReleaseErrors
+from soft_throw_ros.twin.engine_forecast import engine_states, EngineForecaster, ReleaseErrors
 from soft_throw_ros.twin.onset import find_start, first_states, Onset, peak_speed
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
@@ -47,6 +51,8 @@ Largest error of the smoothed velocity over the peak speed of the plate. Of 30 s
 are right with 0.03; noise releases the projectile too early in 3 with 0.045, and in 17 with 0.09.
 [-]
 """
+_SIGNIFICANT_CHANGE = 0.1
+"""Change of a release that starts a new simulation of the throw, in standard errors. [-]"""
 _FEWEST_RESIDUALS = 8.0
 """Degrees of freedom that an estimate of the error of stamps needs. [-]"""
 _SIGNIFICANT = 2.6
@@ -170,3 +176,80 @@ class SmoothedSamples(PlateSource):
         config = self._estimator.config
         largest = peak_speed(times, speeds, config.plate) if speeds else 0.0
         return max(largest, config.start_speed)
+
+
+class MeasuredPlate:
+    """
+    The plate in a throw from its onset on: its samples, smoothed and fitted by the engine.
+
+    Attributes
+    ----------
+    smoothed : SmoothedSamples
+        Motion by the smoothed samples.
+    fit : EngineFit
+        Fit of the engine's motion to the samples of a period; the plate may rest later.
+    relies_on_engine : bool
+        Whether the plate is assumed to move as the engine should.
+
+    """
+
+    def __init__(
+        self, onset: Onset, estimator: PlateEstimator, forecaster: EngineForecaster | None
+    ) -> None:
+        self.onset = onset
+        self.estimator = estimator
+        self.smoothed = SmoothedSamples(onset, estimator)
+        self.fit = onset.engine_fit(estimator.config)
+        self.relies_on_engine = onset.engine_is_nominal and forecaster is not None
+        self._forecaster = forecaster
+        self._fit_end_ns = onset.onset_ns + round(SECOND / estimator.config.plate.frequency)
+
+    @property
+    def forecaster(self) -> EngineForecaster:
+        """The forecaster, which exists if the twin relies on the engine."""
+        assert self._forecaster is not None
+        return self._forecaster
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the fit has failed, or has the samples of a period of the plate."""
+        return self.fit.has_failed or self.estimator.complete_ns > self._fit_end_ns
+
+    @property
+    def stamp_error(self) -> float:
+        """Estimated standard deviation of the stamps, 0 without an estimate [s]."""
+        return self.onset.stamp_error if self.fit.has_failed else self.fit.stamp_error
+
+    def add(self, motion: PlateStates) -> None:
+        """Add the motion since the last call, and fit the engine to the new samples."""
+        self.smoothed.add(motion)
+        if not self.fit.has_failed:
+            end_ns = min(self.estimator.complete_ns, self._fit_end_ns)
+            rows = self.estimator.samples(self.fit.next_ns, end_ns + 1)
+            if len(rows):
+                self.fit.update(rows)
+        self.smoothed.stamp_error = self.stamp_error
+
+    def newer_estimate(self, simulated: EngineEstimate | None) -> EngineEstimate | None:
+        """Return the latest estimate if its release differs from that of the simulated one."""
+        latest = self.fit.estimate
+        if latest is None or latest is simulated:
+            return None
+        if simulated is None:
+            return latest
+        changes, errors = self.forecaster.change(simulated, latest), self.forecaster.errors(latest)
+        is_different = any(
+            abs(change) > _SIGNIFICANT_CHANGE * error
+            for change, error in zip(changes, errors, strict=True)
+        )
+        return latest if is_different else None
+
+    def release_errors(
+        self, time: float, simulated: EngineEstimate | None, peak_speed: float
+    ) -> ReleaseErrors:
+        """Return the errors of a release at a time, by an estimate or by the smoothed plate."""
+        if simulated is None or self.fit.estimate is None:
+            return self.smoothed.release_errors(time, peak_speed)
+        changes = self.forecaster.change(simulated, self.fit.estimate)
+        errors = self.forecaster.errors(self.fit.estimate)
+        return ReleaseErrors(*map(math.hypot, errors, changes))
