@@ -21,6 +21,7 @@ import math
 from typing import TypeAlias
 
 import numpy as np
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
@@ -59,6 +60,7 @@ class AtRest:
 
     is_requested: bool = False
     start_step: int | None = None  # of the next throw, whose motion is commanded already
+    onset: Onset | None = None  # of a measured throw that a journal starts with
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,20 @@ def between(origin: State, goal: State, part: float, duration: float) -> State:
         plate_force=0.0,
         projectile_force=0.0,
     )
+
+
+@dataclass
+class _FieldSchedule:
+    """Steps at which the layer is an output, by `rate.field`."""
+
+    start: int  # first step
+    last_row: int = -1
+
+    def is_due(self, step: int, config: TwinConfig) -> bool:
+        """Return whether the layer is due in a step."""
+        row = int((step - self.start) * config.field_rate // config.state_rate)
+        is_due, self.last_row = row != self.last_row, row
+        return is_due
 
 
 @dataclass
@@ -149,9 +165,8 @@ class ThrowCycle:
         self._rig_state: RigState = AtRest()
         self._state = staged.prepared.rest
         self._period_start = step  # of the last throw, or of a reset
-        self._layer_start, self._layer_row = step, -1
+        self._field_schedule = _FieldSchedule(step)
         self._rare_outputs = _RareOutputs(phases=((Phase.REST, None),))
-        self._onset: Onset | None = None  # of the throw that a journal starts with
         self._start_monitoring()
 
     @property
@@ -178,12 +193,11 @@ class ThrowCycle:
     def resume(self, step: int, entry: journal.Entry) -> None:
         """Start the throw of an entry of a journal at its step."""
         self.throws = entry['throw'] - 1
-        self._rig_state = AtRest(start_step=step)  # at once, also if changes wait
+        onset = None if self.monitor is None else journal.decode_onset(entry.get('onset', {}))
+        self._rig_state = AtRest(start_step=step, onset=onset)  # at once, also if changes wait
         self._rare_outputs = _RareOutputs()
         if 'schedule' in entry:
             self.schedule = journal.decode_schedule(entry['schedule'])
-        if self.monitor is not None:
-            self._onset = journal.decode_onset(entry.get('onset', {}))
 
     def request_throw(self, step: int) -> Callable[[], str] | None:
         """
@@ -300,7 +314,7 @@ class ThrowCycle:
 
     def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
         self.throws += 1
-        self._layer_start, self._layer_row = step, -1
+        self._field_schedule = _FieldSchedule(step)
         self._period_start = step
         self._journal.begin(
             'throw',
@@ -380,7 +394,7 @@ class ThrowCycle:
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
         self._start_monitoring()
-        self._layer_start, self._layer_row = step, -1
+        self._field_schedule = _FieldSchedule(step)
         returning = Returning(
             step, step + ticks, self._state, is_requested=is_requested and self.monitor is None
         )
@@ -396,11 +410,9 @@ class ThrowCycle:
 
     def _layer(self, step: int) -> LayerState | None:
         """Return the state of the layer if it is due by `rate.field`."""
-        config, rig_state = self._staged.config, self._rig_state
-        row = int((step - self._layer_start) * config.field_rate // config.state_rate)
-        if row == self._layer_row:
+        rig_state = self._rig_state
+        if not self._field_schedule.is_due(step, self._staged.config):
             return None
-        self._layer_row = row
         if isinstance(rig_state, OngoingThrow):
             return rig_state.layer
         return self._prepared.rest_layer if isinstance(rig_state, AtRest) else self._idle_layer()
@@ -439,17 +451,17 @@ class ThrowCycle:
 
     def _watch_plate(self, step: int, monitor: PlateMonitor) -> PlateStates:
         """Return the motion of the plate, and start a throw at its onset."""
-        now_ns = self.schedule.deadline(step)
-        onset, self._onset = self._onset, None
+        now_ns, rig_state = self.schedule.deadline(step), self._rig_state
         motion = NO_STATES
+        onset = rig_state.onset if isinstance(rig_state, AtRest) else None
         if onset is None:
             motion, onset = monitor.advance(now_ns)
             crossing_time = self._prepared.rig.crossing_time
             if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
                 onset = None
         if onset is not None:
-            if isinstance(self._rig_state, OngoingThrow):
-                self._end_throw(step, self._rig_state, 'next')
+            if isinstance(rig_state, OngoingThrow):
+                self._end_throw(step, rig_state, 'next')
             self._commit(step)
             if self._staged.config.is_measured:
                 self._begin_throw(step, onset)
@@ -457,6 +469,6 @@ class ThrowCycle:
                 motion, _ = self.monitor.advance(now_ns)  # since the start of the throw
             elif self.monitor is not None:  # the change that took effect ends the measurement
                 self._put_back(step)
-        elif isinstance(self._rig_state, Returning) and monitor.is_armed:
+        elif isinstance(rig_state, Returning) and monitor.is_armed:
             self._enter(AtRest(), Phase.REST)
         return motion
