@@ -59,8 +59,9 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import MOST_SCATTER, RestBaseline
+from soft_throw_ros.twin.plate_estimator import MOST_SCATTER
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -230,8 +231,9 @@ def _solve(
 
 def largest_by_chance(count: float, quantile: float) -> float:
     """Return the sum of `count` squares of standard normal numbers at a normal quantile [-]."""
-    part = 2.0 / (9.0 * max(count, 1.0))  # Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931)
-    return float(count * (1.0 - part + quantile * math.sqrt(part)) ** 3)
+    # Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931)
+    variance = 2.0 / (9.0 * max(count, 1.0))
+    return float(count * (1.0 - variance + quantile * math.sqrt(variance)) ** 3)
 
 
 def plate_states(plate: Underdamped, times: Floats) -> Floats:
@@ -259,6 +261,12 @@ class _Residuals(NamedTuple):
     leverage: Floats  # variance of the fitted height [m2]
     is_outlier: NDArray[np.bool_]
 
+    @classmethod
+    def of(cls, table: Floats) -> _Residuals:
+        """Make them of the columns that `_add_up` writes, shape (5, n)."""
+        error, normalised, speed, leverage, is_outlier = table
+        return cls(error, normalised, speed, leverage, is_outlier > 0.0)
+
 
 @dataclass(frozen=True)
 class EngineEstimate:
@@ -279,13 +287,9 @@ class EngineFit:
     ----------
     config : MeasurementConfig
         Parameters of the measurement, with the motion of the engine.
-    origin_ns : int
-        First guess of the start, within a millisecond. [ns]
-    rest : RestBaseline
-        Height before the throw, with its errors.
-    stamp_scatter, stamp_error : float
-        Standard deviation of the stamps about an even rate, and its known part that is an error
-        of the stamps. [s]
+    onset : Onset
+        Height before the throw, a guess of the start within a millisecond, and the errors of the
+        stamps in earlier throws.
 
     Attributes
     ----------
@@ -298,32 +302,25 @@ class EngineFit:
 
     """
 
-    def __init__(
-        self,
-        config: MeasurementConfig,
-        *,
-        origin_ns: int,
-        rest: RestBaseline,
-        stamp_scatter: float = 0.0,
-        stamp_error: float = 0.0,
-    ) -> None:
-        plate = config.plate
+    def __init__(self, config: MeasurementConfig, onset: Onset) -> None:
+        plate, rest = config.plate, onset.rest
         self.has_failed = False
         self.estimate: EngineEstimate | None = None
-        self.next_ns = origin_ns - config.smoothing_window_ns
-        self._origin_ns = origin_ns
-        self._known_stamp_error = stamp_error  # by earlier throws [s]
+        self.next_ns = onset.onset_ns - config.smoothing_window_ns
+        self._origin_ns = onset.onset_ns
+        self._known_stamp_error = onset.stamp_error  # by earlier throws [s]
         self._model = _Model(
             amplitude=plate.amplitude,
             omega=2.0 * math.pi * plate.frequency,
             zeta=plate.damping_ratio,
             height_noise=rest.noise,
             speed_noise=rest.noise / config.position_noise * config.velocity_noise,
-            stamp_error=stamp_error,
-            most_stamp_error=max(MOST_SCATTER * stamp_scatter, stamp_error),
+            stamp_error=onset.stamp_error,
+            most_stamp_error=max(MOST_SCATTER * onset.stamp_scatter, onset.stamp_error),
         )
         self._engine = plate
         self._samples = np.empty((0, 3))  # times [s], heights [m] and velocities [m/s]
+        self._residuals = _Residuals.of(np.empty((5, 0)))
         self._condensed_outliers = 0
         errors = [
             _AMPLITUDE_ERROR,
@@ -348,8 +345,7 @@ class EngineFit:
     @property
     def outliers(self) -> int:
         """Number of outliers."""
-        is_fitted = len(self._samples) >= FEWEST
-        return self._condensed_outliers + is_fitted * int(self._residuals.is_outlier.sum())
+        return self._condensed_outliers + int(self._residuals.is_outlier.sum())
 
     def update(self, rows: Rows) -> EngineEstimate | None:
         """Add later samples; return None if there are too few samples, or the fit fails."""
@@ -428,14 +424,12 @@ class EngineFit:
             self._covariance,
             table,
         )
-        error, normalised, speed, leverage, outlier = table
-        is_outlier = outlier > 0.0
-        self._residuals = _Residuals(error, normalised, speed, leverage, is_outlier)
+        self._residuals = residuals = _Residuals.of(table)
         if not is_solved:
             self.has_failed = True
             return np.empty(0)
-        used = normalised[~is_outlier]
-        most_in_a_row = np.convolve(is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
+        used = residuals.normalised[~residuals.is_outlier]
+        most_in_a_row = np.convolve(residuals.is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
         known = slice(FREQUENCY, DAMPING + 1)
         changes, prior = self._x[known] ** 2, self._variances[known]
         reduction = prior - self._covariance.diagonal()[known]

@@ -311,31 +311,3 @@ class PlateEstimator:
             gap_ns / SECOND,
             misfits[known],
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class RestBaseline:
-    """Heights of plate and projectile at rest before a throw."""
-
-    plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
-    projectile: float
-    noise: float  # standard deviation of the plate's samples [m]
-    error: float  # standard error of its mean [m]
-
-    @classmethod
-    def before(cls, estimator: PlateEstimator, end_ns: float) -> RestBaseline | None:
-        """Return the rest of some windows before a time; None if there are too few samples."""
-        window_ns = estimator.config.smoothing_window_ns
-        samples = estimator.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
-        if len(samples) < FEWEST:
-            return None
-        plate, projectile = samples['plate'], samples['projectile']
-        measured = projectile[np.isfinite(projectile)]
-        # rounded samples at rest are all the same, so that their scatter underestimates the noise
-        noise = max(estimator.config.position_noise, float(plate.std()))
-        return cls(
-            plate=float(plate.mean()),
-            projectile=float(measured.mean()) if measured.size else math.nan,
-            noise=noise,
-            error=noise / math.sqrt(plate.size),
-        )

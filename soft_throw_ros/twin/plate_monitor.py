@@ -18,8 +18,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 import math
 
+import scipy  # imports its modules at their first use, which takes 0.3 s
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, RISE
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.smoothing import FEWEST
+from soft_throw_ros.twin.engine_fit import EngineFit
+from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import (
     PlateEstimator,
@@ -27,9 +31,20 @@ from soft_throw_ros.twin.plate_estimator import (
     REST_WINDOWS,
     SampleCounts,
 )
+from soft_throw_ros.twin.plate_source import find_start
 from soft_throw_ros.twin.results import State
+from soft_throw_ros.twin.sample_buffer import to_samples
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
+
+RISE = 0.125
+"""Time until the plate reaches the speed of a start, over its period. [-]"""
+
+MOST_AMPLITUDE = 2.0
+"""Largest ratio of the fitted amplitude and the engine's amplitude, or its reciprocal. [-]"""
+
+_MOST_FOR_START = 128
+"""Most samples in the fit of the start, to bound its cost. [-]"""
 
 _EARLY_RISE = 0.1
 """Rise of the projectile before the plate, in amplitudes of the engine, that is no noise. [-]"""
@@ -97,7 +112,7 @@ class PlateMonitor:
         checks: SensorChecks,
         onset: Onset | None = None,
     ) -> None:
-        # `find_start` imports SciPy, which is too slow during a throw
+        # the search for a start imports SciPy, which is too slow during a throw
         import scipy.optimize  # noqa: F401
 
         self._checks = checks
@@ -212,3 +227,87 @@ class PlateMonitor:
             plate_velocity=self._plate[1],
             projectile_velocity=self._projectile[1],
         )
+
+
+def find_onset(
+    estimator: PlateEstimator, *, begun_ns: int, time_ns: int, height: float, speed: float
+) -> Onset | None:
+    """Find the start of a plate that was fast at `begun_ns`, if it still rises a window later."""
+    config = estimator.config
+    window_ns = config.smoothing_window_ns
+    rest_ns = begun_ns - window_ns
+    rest = RestBaseline.before(estimator, rest_ns)
+    if rest is None or speed <= config.start_speed:
+        return None
+    since = time_since_start(height - rest.plate, speed, config.plate)
+    guess_ns = time_ns - round(since * SECOND)
+    onset_ns = find_start(estimator.samples(rest_ns), guess_ns, rest.plate, config)
+    if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
+        return None
+    return _onset(estimator, onset_ns, rest)
+
+
+def _onset(estimator: PlateEstimator, onset_ns: int, rest: RestBaseline) -> Onset:
+    """Return an onset with enough samples of the rest before it for a fit."""
+    begin_ns = onset_ns - estimator.config.smoothing_window_ns
+    return Onset(
+        onset_ns=onset_ns,
+        rest=rest,
+        samples=tuple(to_samples(estimator.samples(begin_ns))),
+        stamp_scatter=estimator.stamp_scatter,
+    )
+
+
+def find_engine_start(
+    estimator: PlateEstimator, begun_ns: int, stamp_error: float
+) -> Onset | None:
+    """
+    Find the start of a plate that was fast at `begun_ns`, if it moves like the engine so far.
+
+    The samples suffice one or two milliseconds after the start.
+    """
+    config, plate = estimator.config, estimator.config.plate
+    margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
+    rest = RestBaseline.before(estimator, begun_ns - margin_ns)
+    samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
+    if rest is None or len(samples) < FEWEST:
+        return None
+    # a slow engine moves for many samples; a subset suffices
+    samples = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
+    acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
+    guess = Onset(
+        onset_ns=begun_ns - round(config.start_speed / acceleration * SECOND),
+        rest=rest,
+        samples=(),
+        stamp_scatter=estimator.stamp_scatter,
+        stamp_error=stamp_error,
+    )
+    estimate = EngineFit(config, guess).update(samples)
+    if estimate is None:
+        return None
+    now = (int(samples['stamp_ns'][-1]) - estimate.start_ns) / SECOND
+    ratio = estimate.plate.amplitude / plate.amplitude
+    is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
+    if not is_like_it or estimate.plate.velocity(now) < config.start_speed:
+        return None
+    return _onset(estimator, estimate.start_ns, rest)
+
+
+def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
+    r"""
+    Return the time since the start of an underdamped plate of unknown amplitude.
+
+    The ratio of height [m] and speed [m/s] determines the time, at most that of the largest height
+    [s]: without damping it is :math:`\arctan(2 \pi f z / v) / \pi f`.
+    """
+    highest = math.pi / plate.exponent.imag
+    ratio = max(height, 0.0) / speed
+    if ratio == 0.0:
+        return 0.0
+
+    def excess(time: float) -> float:
+        return float(plate.position(time) - ratio * plate.velocity(time))
+
+    # before its largest speed, the plate has risen less than it would have at its present speed
+    low = min(ratio, plate.peak_velocity_time)
+    return float(scipy.optimize.brentq(excess, low, highest, xtol=1e-12))

@@ -24,9 +24,18 @@ from collections.abc import Sequence
 import math
 
 import numpy as np
-from soft_throw_ros.twin.engine_fit import EngineEstimate, largest_by_chance
+import scipy  # imports its modules at their first use, which takes 0.3 s
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.smoothing import BEHIND
+from soft_throw_ros.twin.engine_fit import (
+    EngineEstimate,
+    EngineFit,
+    largest_by_chance,
+    plate_states,
+)
 from soft_throw_ros.twin.engine_forecast import engine_states, EngineForecaster, ReleaseErrors
-from soft_throw_ros.twin.onset import find_start, first_states, Onset, peak_speed
+from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
@@ -34,8 +43,11 @@ from soft_throw_ros.twin.plate_estimator import (
     state_spacing_ns,
     STATES_PER_WINDOW,
 )
+from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
+_PARABOLAS = 3
+"""Parabolas that are fitted in turn to find the time of the largest speed. [-]"""
 _TIME, _SPEED, _TRANSFER = 1.0, 0.4, 1.4
 """
 Relative errors of a release's time, speed and energy transfer over that of the smoothed velocity,
@@ -178,6 +190,86 @@ class SmoothedSamples(PlateSource):
         return max(largest, config.start_speed)
 
 
+def first_states(
+    samples: Rows, start_ns: int, plate_rest: float, config: MeasurementConfig
+) -> tuple[Floats, Floats]:
+    r"""
+    Return the states of the plate in the time after its start whose windows include the rest.
+
+    A cubic cannot follow the jump of the acceleration at the start. Therefore the first window is
+    fitted by the engine's motion with an amplitude that changes linearly, by least squares.
+
+    Returns
+    -------
+    times : ndarray, shape (n,)
+        Since the start, the first 0. [s]
+    states : ndarray, shape (n, 3)
+        Height above rest [m], velocity [m/s], acceleration [m/s2].
+
+    """
+    plate, ratio = config.plate, config.position_noise / config.velocity_noise
+    since_ns = samples['stamp_ns'] - start_ns
+    first = samples[(since_ns > 0) & (since_ns <= config.smoothing_window_ns)]
+    since = seconds_since(start_ns, first)
+    heights, speeds = first['plate'] - plate_rest, first['plate_velocity']
+    measured = np.isfinite(speeds)
+    position, velocity = plate.position(since), plate.velocity(since)
+    sizes = np.concatenate((position, ratio * velocity[measured]))
+    slopes = np.concatenate((since * position, ratio * (position + since * velocity)[measured]))
+    values = np.concatenate((heights, ratio * speeds[measured]))
+    # differences from the engine are the smallest possible ones if there are too few samples
+    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes)
+    count = round(BEHIND * STATES_PER_WINDOW)
+    times = state_spacing_ns(config) / SECOND * np.arange(count, dtype=np.float64)
+    z, v, a = plate_states(plate, times).T
+    size = 1.0 + p + q * times
+    return times, np.stack((size * z, size * v + q * z, size * a + 2.0 * q * v), axis=1)
+
+
+def find_start(
+    samples: Rows, onset_ns: int, plate_rest: float, config: MeasurementConfig
+) -> int:
+    """
+    Return the start of the plate by least squares, within a quarter of a window of a guess [ns].
+
+    The samples are from before the start to about a window after it.
+    """
+    since, heights = seconds_since(onset_ns, samples), samples['plate'] - plate_rest
+
+    def mismatch(later: float) -> float:
+        shape = config.plate.position(since - later)
+        energy = (shape * shape).sum()  # 0 if all samples are from before
+        size = (shape * heights).sum() / energy if energy > 0.0 else 0.0
+        return float(((heights - size * shape) ** 2).sum())
+
+    reach = 0.25 * config.smoothing_window
+    best = scipy.optimize.minimize_scalar(
+        mismatch, bounds=(-reach, reach), method='bounded', options={'xatol': 1e-8}
+    )
+    return onset_ns + round(float(best.x) * SECOND)
+
+
+def peak_speed(times: Sequence[float], speeds: Sequence[float], plate: Underdamped) -> float:
+    """
+    Return the largest speed of a plate from noisy speeds, as the maximum of a parabola.
+
+    The parabola is fitted to a fifth of the period around its own maximum. The iteration starts
+    at the expected time of the maximum, because the largest sample may be noise.
+    """
+    time, speed = np.array(times), np.array(speeds)
+    largest, half = float(speed.max()), 0.1 / plate.frequency
+    top = plate.peak_velocity_time
+    for _ in range(_PARABOLAS):
+        near = np.abs(time - top) <= half
+        if near.sum() < 5 or time[-1] - top < 0.5 * half:
+            return largest  # the speed still grows
+        c, b, a = np.polyfit(time[near] - top, speed[near], 2).tolist()
+        if c >= 0.0:
+            return largest
+        top -= float(np.clip(0.5 * b / c, -0.5 * half, 0.5 * half))
+    return float(a - 0.25 * b * b / c)
+
+
 class MeasuredPlate:
     """
     The plate in a throw from its onset on: its samples, smoothed and fitted by the engine.
@@ -199,7 +291,7 @@ class MeasuredPlate:
         self.onset = onset
         self.estimator = estimator
         self.smoothed = SmoothedSamples(onset, estimator)
-        self.fit = onset.engine_fit(estimator.config)
+        self.fit = EngineFit(estimator.config, onset)
         self.relies_on_engine = onset.engine_is_nominal and forecaster is not None
         self._forecaster = forecaster
         self._fit_end_ns = onset.onset_ns + round(SECOND / estimator.config.plate.frequency)
