@@ -112,9 +112,9 @@ class EngineForecaster:
         variances[0] += estimate.stamp_error**2
         return ReleaseErrors(*np.sqrt(variances).tolist())
 
-    def change(self, one: EngineEstimate, other: EngineEstimate) -> ReleaseErrors:
+    def change(self, earlier: EngineEstimate, later: EngineEstimate) -> ReleaseErrors:
         """Return the changes of a release from one estimate to another, to first order."""
-        return ReleaseErrors(*(self._gradient @ (other.unknowns - one.unknowns)).tolist())
+        return ReleaseErrors(*(self._gradient @ (later.unknowns - earlier.unknowns)).tolist())
 
     def find_release(
         self, latest: EngineEstimate, *, max_error: float, duration: float

@@ -187,12 +187,12 @@ class MeasuredThrow(OngoingThrow):
             plate.add(motion)
             self._choose_simulation()
         self._count_skipped_time(tick.due_ns)
-        had_left = bool(self.events)
+        was_released = bool(self.events)
         known = self._present.known
         events, residual = self._follow_plate(known, tick.config.max_events)
         if plate.relies_on_engine and self.events:
             self._abandon_engine()  # the release is certain, and does not change
-        if self.events and not had_left and self._is_lost_in_noise:
+        if self.events and not was_released and self._is_lost_in_noise:
             self.ended_by, self.events, events = 'noise', [], ()
         prediction, forecast = self._predict_state(known, tick), self._forecast(known, tick)
         # a longer extrapolation has no meaning

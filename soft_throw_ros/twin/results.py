@@ -215,21 +215,21 @@ class ThrowResult:
         """
         values = {name: getattr(self, name) for name in _SIMPLE if getattr(self, name) is not None}
         values['is_linear'] = self.is_linear
-        for part, (prefix, _) in _PARTS.items():
-            known = known_values(getattr(self, part))
+        for group, (prefix, _) in _GROUPS.items():
+            known = known_values(getattr(self, group))
             values |= {prefix + name: value for name, value in known.items()}
         return values
 
     @classmethod
     def from_values(cls, values: Mapping[str, Scalar], rig: Rig) -> ThrowResult:
         """Make the result of a rig whose `values` are known."""
-        parts: dict[str, Any] = {}  # values of many types
-        for part, (prefix, kind) in _PARTS.items():
+        attributes: dict[str, Any] = {}  # values of many types
+        for group, (prefix, kind) in _GROUPS.items():
             names = (item.name for item in fields(kind) if prefix + item.name in values)
             known = {name: values[prefix + name] for name in names}
-            parts[part] = kind(**known) if known else None
-        parts |= {name: values.get(name) for name in _SIMPLE}
-        return cls(rig=rig, **parts)
+            attributes[group] = kind(**known) if known else None
+        attributes |= {name: values.get(name) for name in _SIMPLE}
+        return cls(rig=rig, **attributes)
 
     def describe(self) -> str:
         """Return the release in a sentence, if there is one."""
@@ -248,21 +248,21 @@ class ThrowResult:
         return text
 
 
-def known_values(part: object) -> dict[str, Scalar]:
-    """Return the fields of a part of a result that are not None; no fields if there is no part."""
-    return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
+def known_values(group: object) -> dict[str, Scalar]:
+    """Return the fields of a group of a result that are not None; none without a group."""
+    return {} if group is None else {k: v for k, v in vars(group).items() if v is not None}
 
 
-_PARTS: dict[str, tuple[str, type[Any]]] = {
+_GROUPS: dict[str, tuple[str, type[Any]]] = {
     'first': ('', Release),
     'last': ('last_', Release),
     'accuracy': ('accuracy.', Accuracy),
     'comparison': ('residual.', Comparison),
     'disturbances': ('measurement.', Disturbances),
 }
-"""Optional parts of a result: prefix of the published names, and type."""
+"""Optional groups of values of a result: prefix of the published names, and type."""
 
-_SIMPLE = tuple(item.name for item in fields(ThrowResult) if item.name not in ('rig', *_PARTS))
+_SIMPLE = tuple(item.name for item in fields(ThrowResult) if item.name not in ('rig', *_GROUPS))
 """Names of the fields of a result that are single values."""
 
 

@@ -80,20 +80,21 @@ class Returning:
 RigState: TypeAlias = AtRest | OngoingThrow | Returning
 
 
-def between(origin: State, goal: State, part: float, duration: float) -> State:
+def between(origin: State, goal: State, progress: float, duration: float) -> State:
     """
     Return a point of the way between two states at rest with the least jerk [1]_.
 
-    Plate and projectile have covered the same part of their ways at any time, so that they do not
-    collide. Forces are zero, because the layer is left out.
+    Plate and projectile have covered the same share of their ways at any time, so that they do
+    not collide. Forces are zero, because the layer is left out. The `progress` is the time over
+    the `duration` [s].
 
     References
     ----------
     .. [1] Flash and Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985) 1688.
 
     """
-    mixture = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
-    speed = 30.0 * (part * (1.0 - part)) ** 2 / duration
+    mixture = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+    speed = 30.0 * (progress * (1.0 - progress)) ** 2 / duration
     plate = goal.plate_position - origin.plate_position
     projectile = goal.projectile_position - origin.projectile_position
     return State(
@@ -349,7 +350,7 @@ class ThrowCycle:
     def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> ThrowStep:
         """Advance the throw under way, and end it if it is over."""
         tick = self._tick(step)
-        had_left = bool(throw.events)
+        was_released = bool(throw.events)
         advanced = throw.advance(tick, motion)
         if self.monitor is not None and isinstance(throw, MeasuredThrow):
             self.monitor.engine_is_nominal = throw.engine_is_nominal
@@ -360,7 +361,7 @@ class ThrowCycle:
         )
         if advanced.forecast is not None:
             self._report(step, advanced.forecast)
-        if throw.events and not had_left:
+        if throw.events and not was_released:
             self._report(step, throw.result('release', tick))
         returning = self._prepared.return_ticks(tick.config.throw_period)
         latest_end = self._due - self._lead_ticks - returning
@@ -377,8 +378,8 @@ class ThrowCycle:
             return self.monitor.state(prepared.rest)
         if isinstance(rig_state, Returning):
             duration = rig_state.end - rig_state.begin
-            part = (step - rig_state.begin) / duration
-            return between(rig_state.origin, prepared.rest, part, duration * prepared.tick)
+            progress = (step - rig_state.begin) / duration
+            return between(rig_state.origin, prepared.rest, progress, duration * prepared.tick)
         return prepared.rest
 
     def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
