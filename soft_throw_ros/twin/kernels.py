@@ -25,6 +25,8 @@ import contextlib
 import fcntl
 from pathlib import Path
 import sys
+import threading
+import time
 from types import ModuleType
 
 from soft_throw_ros.configuration import Settings, TWIN
@@ -39,6 +41,7 @@ from soft_throw_ros.twin.prepared_rig import PreparedRig
 
 Say = Callable[[str], object]
 
+_INTERVAL = 2.0  # from one line of progress to the next [s]
 _SOURCES = (  # of kernels
     *Path(smoothing.__file__).parent.glob('*.py'),
     *(Path(str(module.__file__)) for module in (engine_fit, imperfect_rig, outlier_filter)),
@@ -86,17 +89,33 @@ def load_kernels(parts: Iterable[str] = tuple(PARTS), *, say: Say = lambda _text
     """
     Load the kernels of parts, keys of `PARTS`; compile them if the cache does not contain them.
 
-    `say` is called before a part is compiled, which takes up to a minute.
+    `say` is called every other second while a part is being compiled, from another thread.
     """
     missing = missing_parts()
     for part in parts:
         if part not in missing:
             PARTS[part]()
             continue
-        with _locked(part, say):
-            say(f'compiling {part} (up to a minute; cached for later runs)')
+        with _locked(part, say), _reported(part, say):
             PARTS[part]()
             _mark(part).touch()
+
+
+@contextlib.contextmanager
+def _reported(part: str, say: Say) -> Iterator[None]:
+    """Report every other second that a part is being compiled within the context."""
+    begin, is_over = time.monotonic(), threading.Event()
+
+    def report() -> None:
+        while not is_over.wait(_INTERVAL):
+            elapsed = time.monotonic() - begin
+            say(f'compiling {part} ({elapsed:.0f} s elapsed; cached for later runs)')
+
+    threading.Thread(target=report, daemon=True).start()
+    try:
+        yield
+    finally:
+        is_over.set()
 
 
 @contextlib.contextmanager
