@@ -28,6 +28,7 @@ import threading
 import time
 from typing import Any
 
+from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import (
     ALL_TWIN_TOPICS,
@@ -54,7 +55,6 @@ from soft_throw_ros.nodes.recommendations import (
 from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
-from soft_throw_ros.twin.kernels import missing_parts
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
