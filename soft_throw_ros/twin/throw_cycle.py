@@ -66,7 +66,7 @@ class AtRest:
 @dataclass(frozen=True)
 class Returning:
     """
-    Plate and projectile return to rest between two steps, see `between`.
+    Plate and projectile return to rest between two steps.
 
     A measured plate returns by itself: it is at rest when its monitor is armed.
     """
@@ -76,35 +76,35 @@ class Returning:
     origin: State
     is_requested: bool = False  # the next throw starts when they have arrived
 
+    def state(self, step: int, goal: State, tick: float) -> State:
+        """
+        Return a point of the way to a state at rest with the least jerk [1]_.
+
+        Plate and projectile have covered the same share of their ways at any time, so that they
+        do not collide. Forces are zero, because the layer is left out. A step takes `tick` [s].
+
+        References
+        ----------
+        .. [1] Flash and Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985) 1688.
+
+        """
+        ticks, origin = self.end - self.begin, self.origin
+        time = (step - self.begin) / ticks  # over the duration
+        share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
+        speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * tick)
+        plate = goal.plate_position - origin.plate_position
+        projectile = goal.projectile_position - origin.projectile_position
+        return State(
+            plate_position=origin.plate_position + share * plate,
+            projectile_position=origin.projectile_position + share * projectile,
+            plate_velocity=speed * plate,
+            projectile_velocity=speed * projectile,
+            plate_force=0.0,
+            projectile_force=0.0,
+        )
+
 
 RigState: TypeAlias = AtRest | OngoingThrow | Returning
-
-
-def between(origin: State, goal: State, progress: float, duration: float) -> State:
-    """
-    Return a point of the way between two states at rest with the least jerk [1]_.
-
-    Plate and projectile have covered the same share of their ways at any time, so that they do
-    not collide. Forces are zero, because the layer is left out. The `progress` is the time over
-    the `duration` [s].
-
-    References
-    ----------
-    .. [1] Flash and Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985) 1688.
-
-    """
-    mixture = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
-    speed = 30.0 * (progress * (1.0 - progress)) ** 2 / duration
-    plate = goal.plate_position - origin.plate_position
-    projectile = goal.projectile_position - origin.projectile_position
-    return State(
-        plate_position=origin.plate_position + mixture * plate,
-        projectile_position=origin.projectile_position + mixture * projectile,
-        plate_velocity=speed * plate,
-        projectile_velocity=speed * projectile,
-        plate_force=0.0,
-        projectile_force=0.0,
-    )
 
 
 @dataclass
@@ -140,7 +140,7 @@ class ThrowCycle:
     A throw starts on request, or `throw.period` after the start of the last throw. It ends when
     the projectile is at rest, after `throw.max_events` contacts, after `throws.LONGEST_THROW`, or
     when only the time to return to rest remains until the next throw. Then plate and projectile
-    return to rest along continuous paths, see `between`.
+    return to rest along continuous paths, see `Returning`.
 
     Staged settings take effect when the return begins: after a throw, at a reset, or, if the rig
     is at rest, before the next throw, which starts later by the time of the return.
@@ -377,9 +377,7 @@ class ThrowCycle:
         if self.monitor is not None:
             return self.monitor.state(prepared.rest)
         if isinstance(rig_state, Returning):
-            duration = rig_state.end - rig_state.begin
-            progress = (step - rig_state.begin) / duration
-            return between(rig_state.origin, prepared.rest, progress, duration * prepared.tick)
+            return rig_state.state(step, prepared.rest, prepared.tick)
         return prepared.rest
 
     def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
