@@ -40,6 +40,7 @@ from soft_throw_ros.nodes.conversions import (
     time_to_msg,
 )
 from soft_throw_ros.nodes.recommendations import other_models_values, recommend_for
+from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
@@ -175,7 +176,7 @@ class TwinMessages:
             values = {**result.values(), **beside} if result.is_valid else {}
             for topic, number in throw_numbers(result.stage, values):
                 self._send(topic.relative_name, serialize_message(Float64(data=number)), 8)
-            line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=result.describe())
+            line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=throw_text(result))
             self._send('rosout', serialize_message(line), 7)
 
     def _advise(self, settings: Any) -> None:

@@ -21,8 +21,8 @@ import os
 import signal
 import time
 
+from soft_throw_ros.commands.kernels import load_kernels, PARTS
 from soft_throw_ros.commands.output import CommandParser, print_text, run_command
-from soft_throw_ros.twin.kernels import load_kernels, PARTS
 
 
 def main(args: list[str] | None = None) -> int:

@@ -39,6 +39,7 @@ from soft_throw_ros.configuration.interface import FRAME, JOINTS
 from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.recording.bag_metadata import load_profiles
 from soft_throw_ros.recording.message import LATEST
 from soft_throw_ros.twin.results import ThrowResult
@@ -162,7 +163,7 @@ def throw_result_to_msg(
     values = {**result.values(), **additional, **rig_values(result.rig)}
     is_clean = result.accuracy is None or result.accuracy.is_clean
     is_bad = not (result.is_linear and result.is_valid and is_clean)
-    return status_to_msg(node_name, 'throw', result.describe(), values, warn=is_bad)
+    return status_to_msg(node_name, 'throw', throw_text(result), values, warn=is_bad)
 
 
 def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:

@@ -25,6 +25,7 @@ import numpy as np
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.realtime import Ticker
+from soft_throw_ros.nodes.throw_texts import comparison_text
 from soft_throw_ros.twin.results import known_values, ThrowResult
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND
@@ -190,7 +191,7 @@ class Diagnostics:
             return self._status('model', 'no throw has been compared')
         return self._status(
             'model',
-            f'throw {result.throw}: {result.describe_comparison()}',
+            f'throw {result.throw}: {comparison_text(result)}',
             {'throw': result.throw, **known_values(result.comparison)},
             warn=not result.comparison.is_within_threshold,
         )

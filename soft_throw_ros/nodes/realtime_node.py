@@ -27,11 +27,11 @@ import sys
 import time
 from typing import Any
 
+from soft_throw_ros.commands import kernels
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.recording.child_process import bound_to_parent
-from soft_throw_ros.twin import kernels
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 

@@ -28,6 +28,7 @@ import threading
 import time
 from typing import Any
 
+from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import (
     ALL_TWIN_TOPICS,
@@ -51,9 +52,9 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
+from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
-from soft_throw_ros.twin.kernels import missing_parts
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
@@ -247,25 +248,25 @@ class Twin(RealTimeNode):
         log, throw = self.get_logger(), f'throw {result.throw}'
         comparison = result.comparison
         if not result.is_valid:
-            log.warning(result.describe())
+            log.warning(throw_text(result))
         elif result.stage == 'predicted':
             if not result.is_ahead:
                 log.warning(
-                    f'{throw}: {result.describe_lead()}; for an earlier prediction decrease '
+                    f'{throw}: {lead_text(result)}; for an earlier prediction decrease '
                     'measured.smoothing_window or measured.latency, or increase rate.state'
                 )
         elif result.stage == 'release' or result.first is None:
             rig = (result.rig, result.max_strain)
             if not result.is_linear and rig != self._rig_beyond_range:
                 self._rig_beyond_range = rig
-                log.warning(result.describe())
+                log.warning(throw_text(result))
             elif due - self._last_line_ns >= LINE_INTERVAL_NS:
                 self._last_line_ns = due
-                log.info(result.describe() + self._describe_throws(result.throw))
+                log.info(throw_text(result) + self._describe_throws(result.throw))
             else:
-                log.debug(result.describe())
+                log.debug(throw_text(result))
         elif comparison and not comparison.is_within_threshold:
-            log.warning(f'{throw}: {result.describe_comparison()}')
+            log.warning(f'{throw}: {comparison_text(result)}')
 
     def _describe_throws(self, number: int) -> str:
         """Return a summary of the throws since the last summary; empty for the first throw."""

@@ -59,8 +59,9 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import MOST_SCATTER, RestBaseline
+from soft_throw_ros.twin.plate_estimator import MOST_SCATTER
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -230,8 +231,9 @@ def _solve(
 
 def largest_by_chance(count: float, quantile: float) -> float:
     """Return the sum of `count` squares of standard normal numbers at a normal quantile [-]."""
-    part = 2.0 / (9.0 * max(count, 1.0))  # Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931)
-    return float(count * (1.0 - part + quantile * math.sqrt(part)) ** 3)
+    # Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931)
+    variance = 2.0 / (9.0 * max(count, 1.0))
+    return float(count * (1.0 - variance + quantile * math.sqrt(variance)) ** 3)
 
 
 def plate_states(plate: Underdamped, times: Floats) -> Floats:
@@ -259,6 +261,52 @@ class _Residuals(NamedTuple):
     leverage: Floats  # variance of the fitted height [m2]
     is_outlier: NDArray[np.bool_]
 
+    @classmethod
+    def of(cls, table: Floats) -> _Residuals:
+        """Make them of the columns that `_add_up` writes, shape (5, n)."""
+        error, normalised, speed, leverage, is_outlier = table
+        return cls(error, normalised, speed, leverage, is_outlier > 0.0)
+
+
+class _Solution:
+    """
+    The unknowns of a fit, with the normal equations of the prior and of condensed samples.
+
+    The parameters are the expected unknowns and their standard errors, which remove the units of
+    the unknowns.
+    """
+
+    def __init__(self, expected: Floats, errors: Floats) -> None:
+        self.prior_variances = errors**2
+        self.x = expected
+        self.covariance = np.diag(self.prior_variances)
+        self._scales = np.outer(errors, errors)
+        self._information = np.diag(1.0 / self.prior_variances)
+        self._pull = self._information @ self.x
+
+    def solve(self, samples: Floats, model: _Model) -> tuple[_Residuals, bool]:
+        """Find the best unknowns with samples; return residuals, and whether there is a best."""
+        table = np.empty((5, len(samples)))
+        is_solved = _solve(
+            samples,
+            model,
+            self._information,
+            self._pull,
+            self._scales,
+            self.x,
+            self.covariance,
+            table,
+        )
+        return _Residuals.of(table), is_solved
+
+    def condense(self, samples: Floats, model: _Model) -> _Residuals:
+        """Add samples to the normal equations, linearised at the present unknowns."""
+        normal, right, table = np.zeros((5, 5)), np.zeros(5), np.empty((5, len(samples)))
+        _add_up(samples, model, self.x, self.covariance, normal, right, table)
+        self._information += normal
+        self._pull += right + normal @ self.x
+        return _Residuals.of(table)
+
 
 @dataclass(frozen=True)
 class EngineEstimate:
@@ -279,13 +327,9 @@ class EngineFit:
     ----------
     config : MeasurementConfig
         Parameters of the measurement, with the motion of the engine.
-    origin_ns : int
-        First guess of the start, within a millisecond. [ns]
-    rest : RestBaseline
-        Height before the throw, with its errors.
-    stamp_scatter, stamp_error : float
-        Standard deviation of the stamps about an even rate, and its known part that is an error
-        of the stamps. [s]
+    onset : Onset
+        Height before the throw, a guess of the start within a millisecond, and the errors of the
+        stamps in earlier throws.
 
     Attributes
     ----------
@@ -298,32 +342,25 @@ class EngineFit:
 
     """
 
-    def __init__(
-        self,
-        config: MeasurementConfig,
-        *,
-        origin_ns: int,
-        rest: RestBaseline,
-        stamp_scatter: float = 0.0,
-        stamp_error: float = 0.0,
-    ) -> None:
-        plate = config.plate
+    def __init__(self, config: MeasurementConfig, onset: Onset) -> None:
+        plate, rest = config.plate, onset.rest
         self.has_failed = False
         self.estimate: EngineEstimate | None = None
-        self.next_ns = origin_ns - config.smoothing_window_ns
-        self._origin_ns = origin_ns
-        self._known_stamp_error = stamp_error  # by earlier throws [s]
+        self.next_ns = onset.onset_ns - config.smoothing_window_ns
+        self._origin_ns = onset.onset_ns
+        self._known_stamp_error = onset.stamp_error  # by earlier throws [s]
         self._model = _Model(
             amplitude=plate.amplitude,
             omega=2.0 * math.pi * plate.frequency,
             zeta=plate.damping_ratio,
             height_noise=rest.noise,
             speed_noise=rest.noise / config.position_noise * config.velocity_noise,
-            stamp_error=stamp_error,
-            most_stamp_error=max(MOST_SCATTER * stamp_scatter, stamp_error),
+            stamp_error=onset.stamp_error,
+            most_stamp_error=max(MOST_SCATTER * onset.stamp_scatter, onset.stamp_error),
         )
         self._engine = plate
         self._samples = np.empty((0, 3))  # times [s], heights [m] and velocities [m/s]
+        self._residuals = _Residuals.of(np.empty((5, 0)))
         self._condensed_outliers = 0
         errors = [
             _AMPLITUDE_ERROR,
@@ -332,13 +369,7 @@ class EngineFit:
             max(config.damping_error, _TIGHTEST),
             max(rest.error, _TIGHTEST * plate.amplitude),
         ]
-        self._variances = np.array(errors) ** 2  # before the throw
-        self._scales = np.outer(errors, errors)
-        self._x = np.array([0.0, 0.0, 0.0, 0.0, rest.plate])
-        self._covariance = np.diag(self._variances)
-        # normal equations of the prior and of older samples, about the origin
-        self._information = np.diag(1.0 / self._variances)
-        self._pull = self._information @ self._x
+        self._solution = _Solution(np.array([0.0, 0.0, 0.0, 0.0, rest.plate]), np.array(errors))
 
     @property
     def stamp_error(self) -> float:
@@ -348,8 +379,7 @@ class EngineFit:
     @property
     def outliers(self) -> int:
         """Number of outliers."""
-        is_fitted = len(self._samples) >= FEWEST
-        return self._condensed_outliers + is_fitted * int(self._residuals.is_outlier.sum())
+        return self._condensed_outliers + int(self._residuals.is_outlier.sum())
 
     def update(self, rows: Rows) -> EngineEstimate | None:
         """Add later samples; return None if there are too few samples, or the fit fails."""
@@ -366,30 +396,30 @@ class EngineFit:
                 self._fit_and_judge()
         if self.has_failed or self._moved() < FEWEST:
             return None
-        engine, x = self._engine, self._x.tolist()
+        engine, x = self._engine, self._solution.x.tolist()
         plate = Underdamped(
             frequency=engine.frequency * (1.0 + x[FREQUENCY]),
             amplitude=engine.amplitude * (1.0 + x[AMPLITUDE]),
             damping_ratio=engine.damping_ratio + x[DAMPING],
         )
-        start_ns = self._origin_ns + round(x[START] * SECOND)
         self.estimate = EngineEstimate(
-            start_ns, plate, self._x.copy(), self._covariance.copy(), self.stamp_error
+            start_ns=self._origin_ns + round(x[START] * SECOND),
+            plate=plate,
+            unknowns=self._solution.x.copy(),
+            covariance=self._solution.covariance.copy(),
+            stamp_error=self.stamp_error,
         )
         return self.estimate
 
     def _moved(self) -> int:
         """Count the samples kept that are later than the start."""
-        return int((self._samples[:, 0] > self._x[START]).sum())
+        return int((self._samples[:, 0] > self._solution.x[START]).sum())
 
     def _condense(self) -> None:
-        """Move the oldest samples into the normal equations, linearised at their solution."""
+        """Keep the newest samples, and move the older ones into the normal equations."""
         old, self._samples = self._samples[:-_KEPT], self._samples[-_KEPT:]
-        normal, right, residuals = np.zeros((5, 5)), np.zeros(5), np.empty((5, len(old)))
-        _add_up(old, self._model, self._x, self._covariance, normal, right, residuals)
-        self._information += normal
-        self._pull += right + normal @ self._x
-        self._condensed_outliers += int(residuals[4].sum())
+        residuals = self._solution.condense(old, self._model)
+        self._condensed_outliers += int(residuals.is_outlier.sum())
 
     def _fit_and_judge(self) -> None:
         """Fit all, with the errors of stamps and the noise that the residuals show."""
@@ -417,28 +447,17 @@ class EngineFit:
 
     def _fit(self) -> Floats:
         """Fit, test whether the plate moves as the engine should, and return the residuals."""
-        table = np.empty((5, len(self._samples)))
-        is_solved = _solve(
-            self._samples,
-            self._model,
-            self._information,
-            self._pull,
-            self._scales,
-            self._x,
-            self._covariance,
-            table,
-        )
-        error, normalised, speed, leverage, outlier = table
-        is_outlier = outlier > 0.0
-        self._residuals = _Residuals(error, normalised, speed, leverage, is_outlier)
+        solution = self._solution
+        self._residuals, is_solved = solution.solve(self._samples, self._model)
+        residuals = self._residuals
         if not is_solved:
             self.has_failed = True
             return np.empty(0)
-        used = normalised[~is_outlier]
-        most_in_a_row = np.convolve(is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
+        used = residuals.normalised[~residuals.is_outlier]
+        most_in_a_row = np.convolve(residuals.is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
         known = slice(FREQUENCY, DAMPING + 1)
-        changes, prior = self._x[known] ** 2, self._variances[known]
-        reduction = prior - self._covariance.diagonal()[known]
+        changes, prior = solution.x[known] ** 2, solution.prior_variances[known]
+        reduction = prior - solution.covariance.diagonal()[known]
         self.has_failed = (
             most_in_a_row >= MAX_OUTLIERS_IN_A_ROW
             or bool((changes > _REJECTION_QUANTILE**2 * reduction + 1e-3 * prior).any())

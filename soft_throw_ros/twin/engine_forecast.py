@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine
-from soft_throw_ros.core.stepper import Stepper, TIME
+from soft_throw_ros.core.stepper import Event, Stepper, TIME
 from soft_throw_ros.twin.engine_fit import (
     AMPLITUDE,
     DAMPING,
@@ -72,9 +72,14 @@ class EngineForecaster:
     """
 
     def __init__(self, ejection_time: float, gradient: Floats, stepper: Stepper) -> None:
-        self.ejection_time = ejection_time
-        self.gradient = gradient
         self.stepper = stepper
+        self._ejection_time = ejection_time
+        self._gradient = gradient
+        self._simulated: EngineEstimate | None = None  # of the throw that is simulated ahead
+
+    def reset(self) -> None:
+        """Abandon the throw that is simulated ahead, if any."""
+        self._simulated = None
 
     @classmethod
     def of(cls, engine: Engine, throw: Throw, stepper: Stepper) -> EngineForecaster | None:
@@ -103,25 +108,37 @@ class EngineForecaster:
 
         Scattered stamps may all be late by about their scatter, which the samples do not show.
         """
-        variances = (self.gradient @ estimate.covariance * self.gradient).sum(axis=1)
+        variances = (self._gradient @ estimate.covariance * self._gradient).sum(axis=1)
         variances[0] += estimate.stamp_error**2
         return ReleaseErrors(*np.sqrt(variances).tolist())
 
-    def change(self, one: EngineEstimate, other: EngineEstimate) -> ReleaseErrors:
+    def change(self, earlier: EngineEstimate, later: EngineEstimate) -> ReleaseErrors:
         """Return the changes of a release from one estimate to another, to first order."""
-        return ReleaseErrors(*(self.gradient @ (other.unknowns - one.unknowns)).tolist())
+        return ReleaseErrors(*(self._gradient @ (later.unknowns - earlier.unknowns)).tolist())
 
-    def begin(self, estimate: EngineEstimate) -> None:
-        """Put the stepper at the start of the throw of an estimate."""
-        length = _LONGER * self.ejection_time
-        self.stepper.reset()
-        self.stepper.append_plate_states(*engine_states(estimate.plate, 0.0, length))
+    def find_release(
+        self, latest: EngineEstimate, *, max_error: float, duration: float
+    ) -> tuple[EngineEstimate, Event] | None:
+        """
+        Simulate a throw ahead for a time; return its estimate and its release, once it has come.
 
-    def advance(self, duration: float) -> bool:
-        """Advance that throw; return whether it has come to the first release or to its end."""
+        The simulation begins with the latest estimate if half of the 95 % interval of the
+        ejection speed is at most `max_error` [-].
+        """
         stepper = self.stepper
+        if self._simulated is None:
+            if TWO_SIDED * self.errors(latest).speed > max_error:
+                return None
+            self._simulated = latest
+            stepper.reset()
+            length = _LONGER * self._ejection_time
+            stepper.append_plate_states(*engine_states(latest.plate, 0.0, length))
         goal = min(float(stepper.state[TIME]) + duration, stepper.horizon)
-        return stepper.advance_to(goal) > 0 or goal >= stepper.horizon
+        if not stepper.advance_to(goal) and goal < stepper.horizon:
+            return None
+        estimate, self._simulated = self._simulated, None
+        # without a release, the next estimate may have one
+        return (estimate, stepper.events()[0]) if stepper.event_count else None
 
 
 def engine_states(plate: Underdamped, after: float, until: float) -> tuple[Floats, Floats]:

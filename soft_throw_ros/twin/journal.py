@@ -57,8 +57,7 @@ from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
 from soft_throw_ros.configuration.table import number_of, quote
 from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.twin.onset import Onset
-from soft_throw_ros.twin.plate_estimator import RestBaseline
+from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import TickSchedule
@@ -135,20 +134,20 @@ def decode(line: str) -> Entry:
             raise JournalError(f'{name} of an entry is of another type, got {quote(entry[name])}')
     if abs(entry['step']) > _FARTHEST:
         raise JournalError(f'a step is at most {_FARTHEST}, got {quote(entry["step"])}')
-    for part in ('settings', 'pending', 'values'):
-        if isinstance(entry.get(part), dict):  # JSON knows no tuples
-            entry[part] = {
+    for key in ('settings', 'pending', 'values'):
+        if isinstance(entry.get(key), dict):  # JSON knows no tuples
+            entry[key] = {
                 name: tuple(value) if isinstance(value, list) else value
-                for name, value in entry[part].items()
+                for name, value in entry[key].items()
             }
     return entry
 
 
-def checked_settings(entry: Entry, part: str) -> Settings:
+def checked_settings(entry: Entry, key: str) -> Settings:
     """Return settings of an entry by present names; JournalError if missing or refused."""
-    settings = entry.get(part)
+    settings = entry.get(key)
     if not isinstance(settings, Mapping):
-        raise JournalError(f'an entry lacks {part}: {quote(dict(entry))}')
+        raise JournalError(f'an entry lacks {key}: {quote(dict(entry))}')
     try:
         settings = TWIN.without_deprecated(settings)
         for name, value in settings.items():
@@ -369,11 +368,11 @@ class JournalWriter:
             checksum.states = crc32(self._states, checksum.states)
         self._states.clear()
 
-    def _add_fields(self, parts: Sequence[memoryview | bytes]) -> None:
+    def _add_fields(self, arrays: Sequence[memoryview | bytes]) -> None:
         """Add the outputs of the layer to the checksums."""
         for checksum in filter(None, (self._second, self._throw)):
-            for part in parts:
-                checksum.fields = crc32(part, checksum.fields)
+            for array in arrays:
+                checksum.fields = crc32(array, checksum.fields)
 
     def _write_checksum(self, step: int) -> None:
         """Write the checksum of the steps before `step`, if any, and begin the next."""

@@ -107,7 +107,7 @@ def _find(
         for body in range(memory.size):
             next_time = times[n + 1] if n < last else math.nan
             next_position = positions[n + 1, body] if n < last else math.nan
-            is_outlier[n, body] = _judge(
+            is_outlier[n, body] = not _accept(
                 memory[body], times[n], positions[n, body], next_time, next_position
             )
     return times.size
@@ -122,12 +122,12 @@ def _is_far(s: Record, time: float, position: float) -> bool:
 
 
 @_jit
-def _judge(
+def _accept(
     s: Record, time: float, position: float, next_time: float, next_position: float
 ) -> bool:
-    """Accept a position, or return that it is an outlier."""
+    """Accept a position, or return False because it is an outlier."""
     if math.isnan(position):
-        return False
+        return True
     if s.count < 2:
         s.count += 1
     else:
@@ -145,12 +145,12 @@ def _judge(
             s.in_a_row += 1
             if s.in_a_row < MAX_OUTLIERS_IN_A_ROW:
                 s.outlier[0], s.outlier[1] = time, position
-                return True
+                return False
             s.last[0], s.last[1] = s.outlier[0], s.outlier[1]
     s.in_a_row = 0
     s.before[0], s.before[1] = s.last[0], s.last[1]
     s.last[0], s.last[1] = time, position
-    return False
+    return True
 
 
 @_jit
@@ -164,16 +164,16 @@ def _deviation(
     s: Record,
     time: float,
     position: float,
-    one: Floats,
-    other_time: float,
-    other_position: float,
+    start: Floats,
+    end_time: float,
+    end_position: float,
     strength: float,
 ) -> float:
     """Return the distance from a line beyond the possible bending, in standard errors [-]."""
-    speed = (other_position - one[1]) / (other_time - one[0])
-    weight = (time - one[0]) / (other_time - one[0])
-    distance = abs(position - one[1] - weight * (other_position - one[1]))
-    bend = 0.5 * abs((time - one[0]) * (time - other_time)) * strength * s.acceleration
+    speed = (end_position - start[1]) / (end_time - start[0])
+    weight = (time - start[0]) / (end_time - start[0])
+    distance = abs(position - start[1] - weight * (end_position - start[1]))
+    bend = 0.5 * abs((time - start[0]) * (time - end_time)) * strength * s.acceleration
     noise = math.sqrt(s.noise**2 + (speed * s.stamp_error) ** 2)
     error = noise * math.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2)
     return (distance - bend) / error  # type: ignore[no-any-return]

@@ -266,76 +266,48 @@ class PlateEstimator:
             return NO_STATES
         if self.origin_ns is None:
             self.origin_ns = int(self._samples.rows['stamp_ns'][0])
-        config, spacing = self.config, state_spacing_ns(self.config)
-        behind = round(BEHIND * config.smoothing_window_ns)
-        ahead = round(AHEAD * config.smoothing_window_ns)
-        complete_ns = min(int(self.newest_ns), now_ns) - config.latency_ns
-        self._complete(complete_ns)
-        end = (int(self.complete_ns) - ahead - self.origin_ns) // spacing + 1
+        config, spacing_ns = self.config, state_spacing_ns(self.config)
+        behind_ns = round(BEHIND * config.smoothing_window_ns)
+        ahead_ns = round(AHEAD * config.smoothing_window_ns)
+        self._complete(min(int(self.newest_ns), now_ns) - config.latency_ns)
+        end = (int(self.complete_ns) - ahead_ns - self.origin_ns) // spacing_ns + 1
         begin = max(self._next, end - _LONGEST_STEP)
         if begin >= end:
             return NO_STATES
         self._next = end
-        begin_ns = self.origin_ns + spacing * begin - behind
-        end_ns = self.origin_ns + spacing * (end - 1) + ahead
-        before_ns, self._smoothed_ns = self._smoothed_ns, end_ns
+        begin_ns = self.origin_ns + spacing_ns * begin - behind_ns
+        end_ns = self.origin_ns + spacing_ns * (end - 1) + ahead_ns
+        last_end_ns, self._smoothed_ns = self._smoothed_ns, end_ns
         first = max(self._samples.index(begin_ns) - 1, 0)
         rows = self._samples.rows[first:self._samples.index(end_ns + 1)]
         self._samples.drop_before(end_ns - _KEPT_WINDOWS * config.smoothing_window_ns)
         if len(rows) < FEWEST:
             return NO_STATES
         stamps = rows['stamp_ns']
-        is_new = stamps[1:] > before_ns
+        is_new = stamps[1:] > last_end_ns
         gap_ns = int(np.diff(stamps)[is_new].max()) if is_new.any() else 0
-        at = spacing * np.arange(begin, end) / SECOND
-        states, errors = np.empty((at.size, 3)), np.empty(at.size)
-        misfits = np.empty((at.size, 2))
-        ratio = config.position_noise / config.velocity_noise
+        motion = self._smooth(spacing_ns * np.arange(begin, end) / SECOND, rows)
+        return motion._replace(gap=gap_ns / SECOND)
+
+    def _smooth(self, times: Floats, rows: Rows) -> PlateStates:
+        """Return the smoothed motion at times since the origin, where samples suffice."""
+        assert self.origin_ns is not None
+        noise = self.config.position_noise
+        states, errors = np.empty((times.size, 3)), np.empty(times.size)
+        misfits = np.empty((times.size, 2))
         fit_cubics(
-            at,
+            times,
             seconds_since(self.origin_ns, rows),
             rows['plate'].copy(),
             rows['plate_velocity'].copy(),
-            0.5 * config.smoothing_window,
-            ratio,
+            0.5 * self.config.smoothing_window,
+            noise / self.config.velocity_noise,
             states,
             errors,
             misfits,
         )
+        misfits[:, 0] /= noise**2
         known = np.isfinite(errors)
-        misfits[:, 0] /= config.position_noise**2
         return PlateStates(
-            at[known],
-            states[known],
-            config.position_noise * errors[known],
-            gap_ns / SECOND,
-            misfits[known],
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class RestBaseline:
-    """Heights of plate and projectile at rest before a throw."""
-
-    plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
-    projectile: float
-    noise: float  # standard deviation of the plate's samples [m]
-    error: float  # standard error of its mean [m]
-
-    @classmethod
-    def before(cls, estimator: PlateEstimator, end_ns: float) -> RestBaseline | None:
-        """Return the rest of some windows before a time; None if there are too few samples."""
-        window_ns = estimator.config.smoothing_window_ns
-        samples = estimator.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
-        if len(samples) < FEWEST:
-            return None
-        plate, projectile = samples['plate'], samples['projectile']
-        measured = projectile[np.isfinite(projectile)]
-        # rounded samples at rest are all the same, so that their scatter underestimates the noise
-        noise = max(estimator.config.position_noise, float(plate.std()))
-        return cls(
-            plate=float(plate.mean()),
-            projectile=float(measured.mean()) if measured.size else math.nan,
-            noise=noise,
-            error=noise / math.sqrt(plate.size),
+            times[known], states[known], noise * errors[known], misfits=misfits[known]
         )

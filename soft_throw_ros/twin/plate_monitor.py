@@ -15,11 +15,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import math
 
+import scipy  # imports its modules at their first use, which takes 0.3 s
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.onset import find_engine_start, find_onset, Onset, RISE
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.smoothing import FEWEST
+from soft_throw_ros.twin.engine_fit import EngineFit
+from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import (
     PlateEstimator,
@@ -27,9 +31,20 @@ from soft_throw_ros.twin.plate_estimator import (
     REST_WINDOWS,
     SampleCounts,
 )
+from soft_throw_ros.twin.plate_source import find_start
 from soft_throw_ros.twin.results import State
+from soft_throw_ros.twin.sample_buffer import to_samples
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
+
+RISE = 0.125
+"""Time until the plate reaches the speed of a start, over its period. [-]"""
+
+MOST_AMPLITUDE = 2.0
+"""Largest ratio of the fitted amplitude and the engine's amplitude, or its reciprocal. [-]"""
+
+_MOST_FOR_START = 128
+"""Most samples in the fit of the start, to bound its cost. [-]"""
 
 _EARLY_RISE = 0.1
 """Rise of the projectile before the plate, in amplitudes of the engine, that is no noise. [-]"""
@@ -39,6 +54,38 @@ _SAMPLES_BEFORE = 3
 
 _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
+
+
+@dataclass
+class _JumpDetector:
+    """Times of the estimator at which the plate moved in certain ways since the last throw [s]."""
+
+    is_armed: bool = False  # whether the plate is at rest, so that a jump starts a throw
+    last_moving: float = math.nan  # the last one at which it was too fast to be at rest
+    last_quiet: float = -math.inf  # the last one at which it was not
+    begun: float = math.inf  # the one at which it was fast enough to have started
+
+    def cancel(self) -> None:
+        """Wait for another rest after a jump."""
+        self.is_armed, self.begun = False, math.inf
+
+    def observe(self, time: float, speed: float, error: float, config: MeasurementConfig) -> bool:
+        """Observe a smoothed speed; return whether a jump has begun a window before."""
+        if math.isnan(self.last_moving):
+            self.last_moving = time
+        if self.begun < math.inf:
+            return time >= self.begun + config.smoothing_window
+        if self.is_armed and speed > max(config.start_speed, OUTLIER_SIGMAS * error):
+            self.begun = time
+        elif abs(speed) > max(0.5 * config.start_speed, _REST_SIGMAS * error):
+            self.last_moving = time
+            moving_time = time - self.last_quiet
+            self.is_armed = self.is_armed and moving_time * config.plate.frequency <= RISE
+        else:
+            self.last_quiet = time
+            if time - self.last_moving >= REST_WINDOWS * config.smoothing_window:
+                self.is_armed = True
+        return False
 
 
 class PlateMonitor:
@@ -65,7 +112,7 @@ class PlateMonitor:
         checks: SensorChecks,
         onset: Onset | None = None,
     ) -> None:
-        # `find_start` imports SciPy, which is too slow during a throw
+        # the search for a start imports SciPy, which is too slow during a throw
         import scipy.optimize  # noqa: F401
 
         self._checks = checks
@@ -78,11 +125,10 @@ class PlateMonitor:
             samples=() if onset is None else onset.samples,
             counts=counts,
         )
-        self._wait_for_rest()
-        # Heights of the plate at rest, at present, and when it last was slow: the projectile moves
-        # with a slow plate.
-        self._rest = self._height = self._carried = math.nan if onset is None else onset.rest.plate
-        self._speed = self._carried_speed = 0.0
+        self._jump = _JumpDetector()
+        self._rest = math.nan if onset is None else onset.rest.plate  # height of the plate [m]
+        # heights [m] and speeds [m/s] of the plate, and of a projectile that a slow plate carries
+        self._plate = self._projectile = self._rest, 0.0
 
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and use the parameters `config` from now on."""
@@ -90,28 +136,25 @@ class PlateMonitor:
             self.engine_is_nominal |= config.plate != self.estimator.config.plate
             self._checks.begin(self.estimator.config)
             self.estimator = PlateEstimator(config, counts=self.estimator.counts)
-        self._wait_for_rest()
+        self._jump = _JumpDetector()
 
-    def _wait_for_rest(self) -> None:
-        self.is_armed = False  # whether the plate is at rest, so that a jump starts a throw
-        self._first = math.nan  # time of the first smoothed state
-        self._last_moving_time = -math.inf  # last time at which it was too fast to be at rest
-        self._last_quiet_time = -math.inf  # last time at which it was not
-        self._begun = math.inf  # time at which it was fast enough to have started
+    @property
+    def is_armed(self) -> bool:
+        """Whether the plate is at rest, so that a jump starts a throw."""
+        return self._jump.is_armed
 
     def advance(self, now_ns: int) -> tuple[PlateStates, Onset | None]:
         """Return the motion since the last call, and the onset of a throw if one has begun."""
         motion = self.estimator.advance(now_ns)
         if motion.times.size:
-            self._see(motion)
+            self._update_state(motion)
         onset = self._detect(motion)
-        if onset is None and self._begun < math.inf and self.engine_is_nominal:
-            onset = find_engine_start(
-                self.estimator, self._to_ns(self._begun), self.stamp_error
-            )
+        if onset is None and self._jump.begun < math.inf and self.engine_is_nominal:
+            begun_ns = self._to_ns(self._jump.begun)
+            onset = find_engine_start(self.estimator, begun_ns, self.stamp_error)
         if onset is None:
             return motion, None
-        self.is_armed, self._begun = False, math.inf
+        self._jump.cancel()
         if self._has_swapped(onset):
             self._checks.report(
                 'names',
@@ -139,62 +182,132 @@ class PlateMonitor:
     def _detect(self, motion: PlateStates) -> Onset | None:
         """Follow the smoothed motion of the plate; return the onset of a throw."""
         config = self.estimator.config
-        window, start = config.smoothing_window, config.start_speed
-        if motion.gap > window:
-            self._first, self._begun = math.nan, math.inf
-            self.is_armed = False
+        if motion.gap > config.smoothing_window:
+            self._jump = _JumpDetector()
             return None
         for time, (height, speed, _), error in zip(
             motion.times.tolist(), motion.states.tolist(), motion.errors.tolist(), strict=True
         ):
-            if math.isnan(self._first):
-                self._first = self._last_moving_time = time
-            if self._begun < math.inf:
-                if time >= self._begun + window:
-                    begun_ns, self._begun = self._to_ns(self._begun), math.inf
-                    self.is_armed = False
-                    self._last_moving_time = time
-                    onset = find_onset(
-                        self.estimator,
-                        begun_ns=begun_ns,
-                        time_ns=self._to_ns(time),
-                        height=height,
-                        speed=speed,
-                    )
-                    if onset is not None:
-                        return onset
-            elif self.is_armed and speed > max(start, OUTLIER_SIGMAS * error):
-                self._begun = time
-            elif abs(speed) > max(0.5 * start, _REST_SIGMAS * error):
-                self._last_moving_time = time
-                moving_time = time - self._last_quiet_time
-                self.is_armed = self.is_armed and moving_time * config.plate.frequency <= RISE
-            else:
-                self._last_quiet_time = time
-                if time - self._last_moving_time >= REST_WINDOWS * window:
-                    self.is_armed = True
+            if not self._jump.observe(time, speed, error, config):
+                continue
+            begun_ns = self._to_ns(self._jump.begun)
+            self._jump.cancel()
+            self._jump.last_moving = time
+            onset = find_onset(
+                self.estimator,
+                begun_ns=begun_ns,
+                time_ns=self._to_ns(time),
+                height=height,
+                speed=speed,
+            )
+            if onset is not None:
+                return onset
         return None
 
-    def _see(self, motion: PlateStates) -> None:
-        """Store the position of the plate."""
-        self._height, self._speed, _ = motion.states[-1].tolist()
-        since_rest = float(motion.times[-1]) - self._last_quiet_time
-        window = self.estimator.config.smoothing_window
-        was_at_rest = self.is_armed and since_rest < REST_WINDOWS * window
-        self._checks.observe(self._height, self._speed, was_at_rest=was_at_rest)
+    def _update_state(self, motion: PlateStates) -> None:
+        """Store the latest state of the plate, and check its motion."""
+        height, speed, _ = motion.states[-1].tolist()
+        since_rest = float(motion.times[-1]) - self._jump.last_quiet
+        config = self.estimator.config
+        was_at_rest = self.is_armed and since_rest < REST_WINDOWS * config.smoothing_window
+        self._checks.observe(height, speed, was_at_rest=was_at_rest)
         if math.isnan(self._rest):
-            self._rest = self._carried = self._height
-        self._carried_speed = 0.0
-        if abs(self._speed) < self.estimator.config.start_speed:
-            self._carried, self._carried_speed = self._height, self._speed
+            self._rest, self._projectile = height, (height, 0.0)
+        self._plate = height, speed
+        is_slow = abs(speed) < config.start_speed
+        self._projectile = self._plate if is_slow else (self._projectile[0], 0.0)
 
     def state(self, rest: State) -> State:
         """Return the state of the plate, with the projectile lying on the layer."""
         if math.isnan(self._rest):
             return rest
         return rest._replace(
-            plate_position=rest.plate_position + self._height - self._rest,
-            projectile_position=rest.projectile_position + self._carried - self._rest,
-            plate_velocity=self._speed,
-            projectile_velocity=self._carried_speed,
+            plate_position=rest.plate_position + self._plate[0] - self._rest,
+            projectile_position=rest.projectile_position + self._projectile[0] - self._rest,
+            plate_velocity=self._plate[1],
+            projectile_velocity=self._projectile[1],
         )
+
+
+def find_onset(
+    estimator: PlateEstimator, *, begun_ns: int, time_ns: int, height: float, speed: float
+) -> Onset | None:
+    """Find the start of a plate that was fast at `begun_ns`, if it still rises a window later."""
+    config = estimator.config
+    window_ns = config.smoothing_window_ns
+    rest_ns = begun_ns - window_ns
+    rest = RestBaseline.before(estimator, rest_ns)
+    if rest is None or speed <= config.start_speed:
+        return None
+    since = time_since_start(height - rest.plate, speed, config.plate)
+    guess_ns = time_ns - round(since * SECOND)
+    onset_ns = find_start(estimator.samples(rest_ns), guess_ns, rest.plate, config)
+    if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
+        return None
+    return _onset(estimator, onset_ns, rest)
+
+
+def _onset(estimator: PlateEstimator, onset_ns: int, rest: RestBaseline) -> Onset:
+    """Return an onset with enough samples of the rest before it for a fit."""
+    begin_ns = onset_ns - estimator.config.smoothing_window_ns
+    return Onset(
+        onset_ns=onset_ns,
+        rest=rest,
+        samples=tuple(to_samples(estimator.samples(begin_ns))),
+        stamp_scatter=estimator.stamp_scatter,
+    )
+
+
+def find_engine_start(
+    estimator: PlateEstimator, begun_ns: int, stamp_error: float
+) -> Onset | None:
+    """
+    Find the start of a plate that was fast at `begun_ns`, if it moves like the engine so far.
+
+    The samples suffice one or two milliseconds after the start.
+    """
+    config, plate = estimator.config, estimator.config.plate
+    margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
+    rest = RestBaseline.before(estimator, begun_ns - margin_ns)
+    samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
+    if rest is None or len(samples) < FEWEST:
+        return None
+    # a slow engine moves for many samples; a subset suffices
+    samples = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
+    acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
+    guess = Onset(
+        onset_ns=begun_ns - round(config.start_speed / acceleration * SECOND),
+        rest=rest,
+        samples=(),
+        stamp_scatter=estimator.stamp_scatter,
+        stamp_error=stamp_error,
+    )
+    estimate = EngineFit(config, guess).update(samples)
+    if estimate is None:
+        return None
+    now = (int(samples['stamp_ns'][-1]) - estimate.start_ns) / SECOND
+    ratio = estimate.plate.amplitude / plate.amplitude
+    is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
+    if not is_like_it or estimate.plate.velocity(now) < config.start_speed:
+        return None
+    return _onset(estimator, estimate.start_ns, rest)
+
+
+def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
+    r"""
+    Return the time since the start of an underdamped plate of unknown amplitude.
+
+    The ratio of height [m] and speed [m/s] determines the time, at most that of the largest height
+    [s]: without damping it is :math:`\arctan(2 \pi f z / v) / \pi f`.
+    """
+    highest = math.pi / plate.exponent.imag
+    ratio = max(height, 0.0) / speed
+    if ratio == 0.0:
+        return 0.0
+
+    def excess(time: float) -> float:
+        return float(plate.position(time) - ratio * plate.velocity(time))
+
+    # before its largest speed, the plate has risen less than it would have at its present speed
+    low = min(ratio, plate.peak_velocity_time)
+    return float(scipy.optimize.brentq(excess, low, highest, xtol=1e-12))

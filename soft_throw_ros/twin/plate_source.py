@@ -11,7 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The motion of a measured plate in a throw, by the fitted engine or by smoothed samples."""
+"""
+The motion of a measured plate in a throw, by the fitted engine or by smoothed samples.
+
+`MeasuredPlate` has all estimates of the motion; a `PlateSource` gives one of them to a stepper.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +24,18 @@ from collections.abc import Sequence
 import math
 
 import numpy as np
-from soft_throw_ros.twin.engine_fit import EngineEstimate, largest_by_chance
-from soft_throw_ros.twin.engine_forecast import engine_states, ReleaseErrors
-from soft_throw_ros.twin.onset import find_start, first_states, Onset, peak_speed
+import scipy  # imports its modules at their first use, which takes 0.3 s
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.smoothing import BEHIND
+from soft_throw_ros.twin.engine_fit import (
+    EngineEstimate,
+    EngineFit,
+    largest_by_chance,
+    plate_states,
+)
+from soft_throw_ros.twin.engine_forecast import engine_states, EngineForecaster, ReleaseErrors
+from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
     PlateEstimator,
@@ -30,8 +43,11 @@ from soft_throw_ros.twin.plate_estimator import (
     state_spacing_ns,
     STATES_PER_WINDOW,
 )
+from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
+_PARABOLAS = 3
+"""Parabolas that are fitted in turn to find the time of the largest speed. [-]"""
 _TIME, _SPEED, _TRANSFER = 1.0, 0.4, 1.4
 """
 Relative errors of a release's time, speed and energy transfer over that of the smoothed velocity,
@@ -47,6 +63,8 @@ Largest error of the smoothed velocity over the peak speed of the plate. Of 30 s
 are right with 0.03; noise releases the projectile too early in 3 with 0.045, and in 17 with 0.09.
 [-]
 """
+_SIGNIFICANT_CHANGE = 0.1
+"""Change of a release that starts a new simulation of the throw, in standard errors. [-]"""
 _FEWEST_RESIDUALS = 8.0
 """Degrees of freedom that an estimate of the error of stamps needs. [-]"""
 _SIGNIFICANT = 2.6
@@ -170,3 +188,160 @@ class SmoothedSamples(PlateSource):
         config = self._estimator.config
         largest = peak_speed(times, speeds, config.plate) if speeds else 0.0
         return max(largest, config.start_speed)
+
+
+def first_states(
+    samples: Rows, start_ns: int, plate_rest: float, config: MeasurementConfig
+) -> tuple[Floats, Floats]:
+    r"""
+    Return the states of the plate in the time after its start whose windows include the rest.
+
+    A cubic cannot follow the jump of the acceleration at the start. Therefore the first window is
+    fitted by the engine's motion with an amplitude that changes linearly, by least squares.
+
+    Returns
+    -------
+    times : ndarray, shape (n,)
+        Since the start, the first 0. [s]
+    states : ndarray, shape (n, 3)
+        Height above rest [m], velocity [m/s], acceleration [m/s2].
+
+    """
+    plate, ratio = config.plate, config.position_noise / config.velocity_noise
+    since_ns = samples['stamp_ns'] - start_ns
+    first = samples[(since_ns > 0) & (since_ns <= config.smoothing_window_ns)]
+    since = seconds_since(start_ns, first)
+    heights, speeds = first['plate'] - plate_rest, first['plate_velocity']
+    measured = np.isfinite(speeds)
+    position, velocity = plate.position(since), plate.velocity(since)
+    sizes = np.concatenate((position, ratio * velocity[measured]))
+    slopes = np.concatenate((since * position, ratio * (position + since * velocity)[measured]))
+    values = np.concatenate((heights, ratio * speeds[measured]))
+    # differences from the engine are the smallest possible ones if there are too few samples
+    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes)
+    count = round(BEHIND * STATES_PER_WINDOW)
+    times = state_spacing_ns(config) / SECOND * np.arange(count, dtype=np.float64)
+    z, v, a = plate_states(plate, times).T
+    size = 1.0 + p + q * times
+    return times, np.stack((size * z, size * v + q * z, size * a + 2.0 * q * v), axis=1)
+
+
+def find_start(
+    samples: Rows, onset_ns: int, plate_rest: float, config: MeasurementConfig
+) -> int:
+    """
+    Return the start of the plate by least squares, within a quarter of a window of a guess [ns].
+
+    The samples are from before the start to about a window after it.
+    """
+    since, heights = seconds_since(onset_ns, samples), samples['plate'] - plate_rest
+
+    def mismatch(later: float) -> float:
+        shape = config.plate.position(since - later)
+        energy = (shape * shape).sum()  # 0 if all samples are from before
+        size = (shape * heights).sum() / energy if energy > 0.0 else 0.0
+        return float(((heights - size * shape) ** 2).sum())
+
+    reach = 0.25 * config.smoothing_window
+    best = scipy.optimize.minimize_scalar(
+        mismatch, bounds=(-reach, reach), method='bounded', options={'xatol': 1e-8}
+    )
+    return onset_ns + round(float(best.x) * SECOND)
+
+
+def peak_speed(times: Sequence[float], speeds: Sequence[float], plate: Underdamped) -> float:
+    """
+    Return the largest speed of a plate from noisy speeds, as the maximum of a parabola.
+
+    The parabola is fitted to a fifth of the period around its own maximum. The iteration starts
+    at the expected time of the maximum, because the largest sample may be noise.
+    """
+    time, speed = np.array(times), np.array(speeds)
+    largest, half = float(speed.max()), 0.1 / plate.frequency
+    top = plate.peak_velocity_time
+    for _ in range(_PARABOLAS):
+        near = np.abs(time - top) <= half
+        if near.sum() < 5 or time[-1] - top < 0.5 * half:
+            return largest  # the speed still grows
+        c, b, a = np.polyfit(time[near] - top, speed[near], 2).tolist()
+        if c >= 0.0:
+            return largest
+        top -= float(np.clip(0.5 * b / c, -0.5 * half, 0.5 * half))
+    return float(a - 0.25 * b * b / c)
+
+
+class MeasuredPlate:
+    """
+    The plate in a throw from its onset on: its samples, smoothed and fitted by the engine.
+
+    Attributes
+    ----------
+    smoothed : SmoothedSamples
+        Motion by the smoothed samples.
+    fit : EngineFit
+        Fit of the engine's motion to the samples of a period; the plate may rest later.
+    relies_on_engine : bool
+        Whether the plate is assumed to move as the engine should.
+
+    """
+
+    def __init__(
+        self, onset: Onset, estimator: PlateEstimator, forecaster: EngineForecaster | None
+    ) -> None:
+        self.onset = onset
+        self.estimator = estimator
+        self.smoothed = SmoothedSamples(onset, estimator)
+        self.fit = EngineFit(estimator.config, onset)
+        self.relies_on_engine = onset.engine_is_nominal and forecaster is not None
+        self._forecaster = forecaster
+        self._fit_end_ns = onset.onset_ns + round(SECOND / estimator.config.plate.frequency)
+
+    @property
+    def forecaster(self) -> EngineForecaster:
+        """The forecaster, which exists if the twin relies on the engine."""
+        assert self._forecaster is not None
+        return self._forecaster
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the fit has failed, or has the samples of a period of the plate."""
+        return self.fit.has_failed or self.estimator.complete_ns > self._fit_end_ns
+
+    @property
+    def stamp_error(self) -> float:
+        """Estimated standard deviation of the stamps, 0 without an estimate [s]."""
+        return self.onset.stamp_error if self.fit.has_failed else self.fit.stamp_error
+
+    def add(self, motion: PlateStates) -> None:
+        """Add the motion since the last call, and fit the engine to the new samples."""
+        self.smoothed.add(motion)
+        if not self.fit.has_failed:
+            end_ns = min(self.estimator.complete_ns, self._fit_end_ns)
+            rows = self.estimator.samples(self.fit.next_ns, end_ns + 1)
+            if len(rows):
+                self.fit.update(rows)
+        self.smoothed.stamp_error = self.stamp_error
+
+    def newer_estimate(self, simulated: EngineEstimate | None) -> EngineEstimate | None:
+        """Return the latest estimate if its release differs from that of the simulated one."""
+        latest = self.fit.estimate
+        if latest is None or latest is simulated:
+            return None
+        if simulated is None:
+            return latest
+        changes, errors = self.forecaster.change(simulated, latest), self.forecaster.errors(latest)
+        is_different = any(
+            abs(change) > _SIGNIFICANT_CHANGE * error
+            for change, error in zip(changes, errors, strict=True)
+        )
+        return latest if is_different else None
+
+    def release_errors(
+        self, time: float, simulated: EngineEstimate | None, peak_speed: float
+    ) -> ReleaseErrors:
+        """Return the errors of a release at a time, by an estimate or by the smoothed plate."""
+        if simulated is None or self.fit.estimate is None:
+            return self.smoothed.release_errors(time, peak_speed)
+        changes = self.forecaster.change(simulated, self.fit.estimate)
+        errors = self.forecaster.errors(self.fit.estimate)
+        return ReleaseErrors(*map(math.hypot, errors, changes))

@@ -117,6 +117,11 @@ class PreparedRig:
         """Time of the rig in one step [s]."""
         return self.config.time_scale / self.config.state_rate
 
+    @cached_property
+    def settling_time(self) -> float:
+        """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
+        return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
+
     @property
     def lookahead(self) -> float:
         """Time from the horizon of the plate to that of the projectile: a wave's crossing [s]."""

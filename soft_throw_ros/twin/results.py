@@ -34,9 +34,6 @@ Floats = NDArray[np.float64]
 MOST_LEFT_OUT = 0.05
 """Largest share of outliers, or of missing samples, without a warning. [-]"""
 
-_EXPLAINED_SHARE = 0.5
-"""Smallest share of a residual that identifies its cause. [-]"""
-
 INVALID_ENDS = ('gap', 'noise')
 """Values of `ThrowResult.ended_by` of throws that could not be followed."""
 
@@ -130,30 +127,6 @@ class Disturbances:
     samples_missing: int = 0  # gaps in an even rate: lost, or refused because too late
     time_skipped: float = 0.0  # of steps that the twin had no processor time for [s]
 
-    def describe(self, *, samples: int, speed: float, residual: float) -> str:
-        """
-        Describe the disturbances that explain a residual, if any.
-
-        The arguments are the number of samples in the throw, and the speed [m/s] and the rms
-        residual [m] of the body.
-        """
-        causes = []
-        if self.stamp_error * abs(speed) > _EXPLAINED_SHARE * residual:
-            causes.append(
-                f'stamps jitter by {1e6 * self.stamp_error:.3g} us (stamp samples when they are '
-                'measured)'
-            )
-        if self.samples_missing > MOST_LEFT_OUT * samples:
-            causes.append(
-                f'{self.samples_missing} samples are missing or came too late (see measurement '
-                'in /diagnostics)'
-            )
-        if self.time_skipped > 0.0:
-            causes.append(
-                f'the twin had no processor time for {1e3 * self.time_skipped:.3g} ms'
-            )
-        return ', '.join(causes)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Accuracy:
@@ -242,26 +215,24 @@ class ThrowResult:
         """
         values = {name: getattr(self, name) for name in _SIMPLE if getattr(self, name) is not None}
         values['is_linear'] = self.is_linear
-        for part, (prefix, _) in _PARTS.items():
-            known = known_values(getattr(self, part))
+        for group, (prefix, _) in _GROUPS.items():
+            known = known_values(getattr(self, group))
             values |= {prefix + name: value for name, value in known.items()}
         return values
 
     @classmethod
     def from_values(cls, values: Mapping[str, Scalar], rig: Rig) -> ThrowResult:
         """Make the result of a rig whose `values` are known."""
-        parts: dict[str, Any] = {}  # values of many types
-        for part, (prefix, kind) in _PARTS.items():
+        attributes: dict[str, Any] = {}  # values of many types
+        for group, (prefix, kind) in _GROUPS.items():
             names = (item.name for item in fields(kind) if prefix + item.name in values)
             known = {name: values[prefix + name] for name in names}
-            parts[part] = kind(**known) if known else None
-        parts |= {name: values.get(name) for name in _SIMPLE}
-        return cls(rig=rig, **parts)
+            attributes[group] = kind(**known) if known else None
+        attributes |= {name: values.get(name) for name in _SIMPLE}
+        return cls(rig=rig, **attributes)
 
     def describe(self) -> str:
-        """Return a readable summary."""
-        if not self.is_valid:
-            return self._describe_invalid()
+        """Return the release in a sentence, if there is one."""
         if self.first is None:
             return f'throw {self.throw}: the projectile was not released'
         event = 'release predicted' if self.stage == 'predicted' else 'released'
@@ -274,70 +245,24 @@ class ThrowResult:
         if self.last is not None and self.recontacts:
             times = 're-contact' if self.recontacts == 1 else 're-contacts'
             text += f' ({self.last.energy_transfer:.3f} after {self.recontacts} {times})'
-        if not self.is_linear:
-            strain, limit = 100.0 * self.peak_strain, 100.0 * self.max_strain
-            text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
-        if self.has_shocks:
-            text += f'; errors up to 4e-3, shocks form after {1e3 * self.rig.shock_time:.3g} ms'
-        if self.accuracy is not None and not self.accuracy.is_clean:
-            out, count = self.accuracy.samples_left_out, self.accuracy.samples
-            text += f'; {out} of {count} plate samples were rejected as outliers'
         return text
 
-    def _describe_invalid(self) -> str:
-        """Return why the plate could not be followed."""
-        text = f'no plate samples for more than {1e3 * self.rig.crossing_time:.3g} ms'
-        if self.ended_by == 'noise':
-            text = (
-                'the plate samples are too noisy; increase measured.smoothing_window or the '
-                'sample rate, or stamp the samples more precisely'
-            )
-        text = f'throw {self.throw} is invalid: {text}'
-        disturbances = self.disturbances or Disturbances()
-        causes = disturbances.describe(samples=0, speed=self.peak_plate_speed, residual=0.0)
-        return f'{text}; {causes}' if causes else text
 
-    def describe_comparison(self) -> str:
-        """Return how the projectile went, and the likely cause if that is not as by the model."""
-        comparison = self.comparison
-        if comparison is None:
-            return 'the projectile was not measured'
-        rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
-        if comparison.is_within_threshold:
-            return f'the projectile followed the model within {rms:.3g} um rms'
-        causes = (self.disturbances or Disturbances()).describe(
-            samples=comparison.samples,
-            speed=self.first.ejection_speed if self.first else self.peak_plate_speed,
-            residual=comparison.position_rms,
-        )
-        return (
-            f'the projectile deviated from the model by {rms:.3g} um rms, more than '
-            f'measured.residual_threshold {threshold:.3g} um: '
-            + (causes or 'the layer has aged or slipped, or the parameters are wrong')
-        )
-
-    def describe_lead(self) -> str:
-        """Return how long before or after the release the first prediction was available."""
-        lead = 1e3 * (self.lead or 0.0)
-        side = 'before' if self.is_ahead else 'after'
-        return f'prediction available {abs(lead):.2f} ms {side} release'
+def known_values(group: object) -> dict[str, Scalar]:
+    """Return the fields of a group of a result that are not None; none without a group."""
+    return {} if group is None else {k: v for k, v in vars(group).items() if v is not None}
 
 
-def known_values(part: object) -> dict[str, Scalar]:
-    """Return the fields of a part of a result that are not None; no fields if there is no part."""
-    return {} if part is None else {k: v for k, v in vars(part).items() if v is not None}
-
-
-_PARTS: dict[str, tuple[str, type[Any]]] = {
+_GROUPS: dict[str, tuple[str, type[Any]]] = {
     'first': ('', Release),
     'last': ('last_', Release),
     'accuracy': ('accuracy.', Accuracy),
     'comparison': ('residual.', Comparison),
     'disturbances': ('measurement.', Disturbances),
 }
-"""Optional parts of a result: prefix of the published names, and type."""
+"""Optional groups of values of a result: prefix of the published names, and type."""
 
-_SIMPLE = tuple(item.name for item in fields(ThrowResult) if item.name not in ('rig', *_PARTS))
+_SIMPLE = tuple(item.name for item in fields(ThrowResult) if item.name not in ('rig', *_GROUPS))
 """Names of the fields of a result that are single values."""
 
 

@@ -107,13 +107,13 @@ class SensorChecks:
         heights = estimator.samples(-math.inf)['plate']
         if heights.size < _FEWEST_SAMPLES:
             return
-        noise, given = scatter(heights), estimator.config.position_noise
-        if noise > MAX_NOISE * given and np.ptp(heights) < _NOISE_RANGE * noise:
+        noise, expected = scatter(heights), estimator.config.position_noise
+        if noise > MAX_NOISE * expected and np.ptp(heights) < _NOISE_RANGE * noise:
             self.report(
                 'noise',
-                f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / given:.1f} times '
-                f'measured.position_noise {1e6 * given:.3g} um: set it, without which the plate '
-                'may never seem at rest and no throw is followed',
+                f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / expected:.1f} '
+                f'times measured.position_noise {1e6 * expected:.3g} um: set it, without which '
+                'the plate may never seem at rest and no throw is followed',
             )
 
     def _check_motion(self, config: MeasurementConfig) -> None:

@@ -21,6 +21,7 @@ import math
 from typing import TypeAlias
 
 import numpy as np
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
@@ -59,12 +60,13 @@ class AtRest:
 
     is_requested: bool = False
     start_step: int | None = None  # of the next throw, whose motion is commanded already
+    onset: Onset | None = None  # of a measured throw that a journal starts with
 
 
 @dataclass(frozen=True)
 class Returning:
     """
-    Plate and projectile return to rest between two steps, see `between`.
+    Plate and projectile return to rest between two steps.
 
     A measured plate returns by itself: it is at rest when its monitor is armed.
     """
@@ -74,34 +76,49 @@ class Returning:
     origin: State
     is_requested: bool = False  # the next throw starts when they have arrived
 
+    def state(self, step: int, goal: State, tick: float) -> State:
+        """
+        Return a point of the way to a state at rest with the least jerk [1]_.
+
+        Plate and projectile have covered the same share of their ways at any time, so that they
+        do not collide. Forces are zero, because the layer is left out. A step takes `tick` [s].
+
+        References
+        ----------
+        .. [1] Flash and Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985) 1688.
+
+        """
+        ticks, origin = self.end - self.begin, self.origin
+        time = (step - self.begin) / ticks  # over the duration
+        share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
+        speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * tick)
+        plate = goal.plate_position - origin.plate_position
+        projectile = goal.projectile_position - origin.projectile_position
+        return State(
+            plate_position=origin.plate_position + share * plate,
+            projectile_position=origin.projectile_position + share * projectile,
+            plate_velocity=speed * plate,
+            projectile_velocity=speed * projectile,
+            plate_force=0.0,
+            projectile_force=0.0,
+        )
+
 
 RigState: TypeAlias = AtRest | OngoingThrow | Returning
 
 
-def between(origin: State, goal: State, part: float, duration: float) -> State:
-    """
-    Return a point of the way between two states at rest with the least jerk [1]_.
+@dataclass
+class _FieldSchedule:
+    """Steps at which the layer is an output, by `rate.field`."""
 
-    Plate and projectile have covered the same part of their ways at any time, so that they do not
-    collide. Forces are zero, because the layer is left out.
+    start: int  # first step
+    last_row: int = -1
 
-    References
-    ----------
-    .. [1] Flash and Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985) 1688.
-
-    """
-    mixture = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
-    speed = 30.0 * (part * (1.0 - part)) ** 2 / duration
-    plate = goal.plate_position - origin.plate_position
-    projectile = goal.projectile_position - origin.projectile_position
-    return State(
-        plate_position=origin.plate_position + mixture * plate,
-        projectile_position=origin.projectile_position + mixture * projectile,
-        plate_velocity=speed * plate,
-        projectile_velocity=speed * projectile,
-        plate_force=0.0,
-        projectile_force=0.0,
-    )
+    def is_due(self, step: int, config: TwinConfig) -> bool:
+        """Return whether the layer is due in a step."""
+        row = int((step - self.start) * config.field_rate // config.state_rate)
+        is_due, self.last_row = row != self.last_row, row
+        return is_due
 
 
 @dataclass
@@ -123,7 +140,7 @@ class ThrowCycle:
     A throw starts on request, or `throw.period` after the start of the last throw. It ends when
     the projectile is at rest, after `throw.max_events` contacts, after `throws.LONGEST_THROW`, or
     when only the time to return to rest remains until the next throw. Then plate and projectile
-    return to rest along continuous paths, see `between`.
+    return to rest along continuous paths, see `Returning`.
 
     Staged settings take effect when the return begins: after a throw, at a reset, or, if the rig
     is at rest, before the next throw, which starts later by the time of the return.
@@ -149,9 +166,8 @@ class ThrowCycle:
         self._rig_state: RigState = AtRest()
         self._state = staged.prepared.rest
         self._period_start = step  # of the last throw, or of a reset
-        self._layer_start, self._layer_row = step, -1
+        self._field_schedule = _FieldSchedule(step)
         self._rare_outputs = _RareOutputs(phases=((Phase.REST, None),))
-        self._onset: Onset | None = None  # of the throw that a journal starts with
         self._start_monitoring()
 
     @property
@@ -178,12 +194,11 @@ class ThrowCycle:
     def resume(self, step: int, entry: journal.Entry) -> None:
         """Start the throw of an entry of a journal at its step."""
         self.throws = entry['throw'] - 1
-        self._rig_state = AtRest(start_step=step)  # at once, also if changes wait
+        onset = None if self.monitor is None else journal.decode_onset(entry.get('onset', {}))
+        self._rig_state = AtRest(start_step=step, onset=onset)  # at once, also if changes wait
         self._rare_outputs = _RareOutputs()
         if 'schedule' in entry:
             self.schedule = journal.decode_schedule(entry['schedule'])
-        if self.monitor is not None:
-            self._onset = journal.decode_onset(entry.get('onset', {}))
 
     def request_throw(self, step: int) -> Callable[[], str] | None:
         """
@@ -300,7 +315,7 @@ class ThrowCycle:
 
     def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
         self.throws += 1
-        self._layer_start, self._layer_row = step, -1
+        self._field_schedule = _FieldSchedule(step)
         self._period_start = step
         self._journal.begin(
             'throw',
@@ -335,7 +350,7 @@ class ThrowCycle:
     def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> ThrowStep:
         """Advance the throw under way, and end it if it is over."""
         tick = self._tick(step)
-        had_left = bool(throw.events)
+        was_released = bool(throw.events)
         advanced = throw.advance(tick, motion)
         if self.monitor is not None and isinstance(throw, MeasuredThrow):
             self.monitor.engine_is_nominal = throw.engine_is_nominal
@@ -346,7 +361,7 @@ class ThrowCycle:
         )
         if advanced.forecast is not None:
             self._report(step, advanced.forecast)
-        if throw.events and not had_left:
+        if throw.events and not was_released:
             self._report(step, throw.result('release', tick))
         returning = self._prepared.return_ticks(tick.config.throw_period)
         latest_end = self._due - self._lead_ticks - returning
@@ -362,9 +377,7 @@ class ThrowCycle:
         if self.monitor is not None:
             return self.monitor.state(prepared.rest)
         if isinstance(rig_state, Returning):
-            duration = rig_state.end - rig_state.begin
-            part = (step - rig_state.begin) / duration
-            return between(rig_state.origin, prepared.rest, part, duration * prepared.tick)
+            return rig_state.state(step, prepared.rest, prepared.tick)
         return prepared.rest
 
     def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
@@ -380,7 +393,7 @@ class ThrowCycle:
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
         self._start_monitoring()
-        self._layer_start, self._layer_row = step, -1
+        self._field_schedule = _FieldSchedule(step)
         returning = Returning(
             step, step + ticks, self._state, is_requested=is_requested and self.monitor is None
         )
@@ -396,11 +409,9 @@ class ThrowCycle:
 
     def _layer(self, step: int) -> LayerState | None:
         """Return the state of the layer if it is due by `rate.field`."""
-        config, rig_state = self._staged.config, self._rig_state
-        row = int((step - self._layer_start) * config.field_rate // config.state_rate)
-        if row == self._layer_row:
+        rig_state = self._rig_state
+        if not self._field_schedule.is_due(step, self._staged.config):
             return None
-        self._layer_row = row
         if isinstance(rig_state, OngoingThrow):
             return rig_state.layer
         return self._prepared.rest_layer if isinstance(rig_state, AtRest) else self._idle_layer()
@@ -439,17 +450,17 @@ class ThrowCycle:
 
     def _watch_plate(self, step: int, monitor: PlateMonitor) -> PlateStates:
         """Return the motion of the plate, and start a throw at its onset."""
-        now_ns = self.schedule.deadline(step)
-        onset, self._onset = self._onset, None
+        now_ns, rig_state = self.schedule.deadline(step), self._rig_state
         motion = NO_STATES
+        onset = rig_state.onset if isinstance(rig_state, AtRest) else None
         if onset is None:
             motion, onset = monitor.advance(now_ns)
             crossing_time = self._prepared.rig.crossing_time
             if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
                 onset = None
         if onset is not None:
-            if isinstance(self._rig_state, OngoingThrow):
-                self._end_throw(step, self._rig_state, 'next')
+            if isinstance(rig_state, OngoingThrow):
+                self._end_throw(step, rig_state, 'next')
             self._commit(step)
             if self._staged.config.is_measured:
                 self._begin_throw(step, onset)
@@ -457,6 +468,6 @@ class ThrowCycle:
                 motion, _ = self.monitor.advance(now_ns)  # since the start of the throw
             elif self.monitor is not None:  # the change that took effect ends the measurement
                 self._put_back(step)
-        elif isinstance(self._rig_state, Returning) and monitor.is_armed:
+        elif isinstance(rig_state, Returning) and monitor.is_armed:
             self._enter(AtRest(), Phase.REST)
         return motion

@@ -68,25 +68,20 @@ class OngoingThrow(ABC):
 
     A throw ends at rest, or for another reason, see `ThrowResult`. Rest means contact, and speeds
     of plate and projectile below `rest_speed` [m/s] for the longer of their periods. The stepper
-    of the rig is reset. The start is by the clock of the ticks [ns].
+    is at the start of the throw.
     """
 
     def __init__(
-        self, prepared: PreparedRig, *, number: int, start_ns: int, rest_speed: float
+        self, prepared: PreparedRig, stepper: Stepper, *, number: int, rest_speed: float
     ) -> None:
-        prepared.stepper.reset()
         self.number = number
         self.ended_by = ''  # while it goes on
         self.events: list[Event] = []  # so far
         self._prepared = prepared
-        self._stepper = self._display_fork = prepared.stepper
-        self._start_ns = start_ns
-        self._peak_plate_speed = prepared.peak_plate_speed
-        self._has_shown_field = False
-        self._last_moving_time = 0.0
+        self._stepper = stepper
         self._rest_speed = rest_speed
-        rig = prepared.rig
-        self._settling_time = 1.0 / min(rig.engine.frequency, rig.natural_frequency)
+        self._last_moving_time = 0.0  # since the start [s]
+        self._has_shown_field = False
 
     @property
     def first_release(self) -> Event | None:
@@ -96,7 +91,7 @@ class OngoingThrow(ABC):
     @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
-        return layer_of(self._display_fork)
+        return layer_of(self._stepper)
 
     @abstractmethod
     def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:
@@ -110,9 +105,9 @@ class OngoingThrow(ABC):
     def event_ns(self, event: Event, tick: Tick) -> int:
         """Return the time of an event in a step, by the clock of the ticks [ns]."""
 
+    @abstractmethod
     def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
-        return self._make_result(stage, tick, self._stepper, self.events)
 
     def _go_to(self, time: float, max_events: int) -> tuple[State, tuple[Event, ...]]:
         """Advance to a time after the start; return the state and the new events."""
@@ -131,18 +126,31 @@ class OngoingThrow(ABC):
                 self.ended_by = 'max_events'
         if time > LONGEST_THROW:
             self.ended_by = 'duration'
-        elif time - self._last_moving_time > self._settling_time and stepper.in_contact:
+        elif time - self._last_moving_time > self._prepared.settling_time and stepper.in_contact:
             self.ended_by = 'rest'
         return state, tuple(self.events[seen:]) if count > seen else ()
 
     def _make_result(
-        self, stage: str, tick: Tick, stepper: Stepper, events: Sequence[Event]
+        self,
+        stage: str,
+        tick: Tick,
+        stepper: Stepper,
+        events: Sequence[Event],
+        peak_plate_speed: float,
     ) -> ThrowResult:
         """Return the result by a stepper; an invalid throw has no events."""
         prepared, loads = self._prepared, stepper.loads
         if self.ended_by in INVALID_ENDS:
             events = ()
-        releases = ejections(events)
+        ejected = ejections(events)
+        releases = [
+            Release(
+                ejection_time=event.time,
+                ejection_speed=event.velocity,
+                energy_transfer=(event.velocity / peak_plate_speed) ** 2,
+            )
+            for event in ejected
+        ]
         kinds = [event.kind for event in events]
         rest_height = prepared.rest.projectile_position
         return ThrowResult(
@@ -151,26 +159,19 @@ class OngoingThrow(ABC):
             stage=stage,
             ended_by=self.ended_by,
             rig=prepared.rig,
-            first=self._release(releases[0]) if releases else None,
-            last=self._release(releases[-1]) if releases else None,
-            peak_plate_speed=self._peak_plate_speed,
+            first=releases[0] if releases else None,
+            last=releases[-1] if releases else None,
+            peak_plate_speed=peak_plate_speed,
             peak_strain=loads.strain,
             max_strain=tick.config.max_strain,
             peak_acceleration=loads.acceleration,
             peak_force=loads.plate_force,
             plate_work=stepper.plate_work,
             apex_height=(
-                apex_height(releases[-1], prepared.rig.gravity) if releases else rest_height
+                apex_height(ejected[-1], prepared.rig.gravity) if ejected else rest_height
             ),
             recontacts=kinds.count('recontact'),
             landings=kinds.count('landing'),
-        )
-
-    def _release(self, event: Event) -> Release:
-        return Release(
-            ejection_time=event.time,
-            ejection_speed=event.velocity,
-            energy_transfer=(event.velocity / self._peak_plate_speed) ** 2,
         )
 
 
@@ -180,14 +181,12 @@ class ScheduledThrow(OngoingThrow):
     def __init__(
         self, prepared: PreparedRig, *, number: int, start_step: int = 0, start_ns: int = 0
     ) -> None:
-        super().__init__(
-            prepared,
-            number=number,
-            start_ns=start_ns,
-            rest_speed=REST_SPEED * prepared.peak_plate_speed,
-        )
+        prepared.stepper.reset()
+        rest_speed = REST_SPEED * prepared.peak_plate_speed
+        super().__init__(prepared, prepared.stepper, number=number, rest_speed=rest_speed)
         self._start_step = start_step
-        self._time = 0.0
+        self._start_ns = start_ns  # by the clock of the ticks [ns]
+        self._time = 0.0  # since the start [s]
 
     def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:  # noqa: ARG002
         """Advance to a step."""
@@ -198,6 +197,11 @@ class ScheduledThrow(OngoingThrow):
         """Return the time of an event, relative to the step because steps may be skipped [ns]."""
         since = (self._time - event.time) / self._prepared.config.time_scale
         return tick.due_ns - round(since * SECOND)
+
+    def result(self, stage: str, tick: Tick) -> ThrowResult:
+        """Return the preliminary result."""
+        peak_speed = self._prepared.peak_plate_speed
+        return self._make_result(stage, tick, self._stepper, self.events, peak_speed)
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time once, when that time has passed or the throw is over."""

@@ -24,9 +24,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 from soft_throw_ros.configuration import TWIN
+from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.recording.cdr import JointStateEncoder, JointStateReader, MessageError
 from soft_throw_ros.twin.sample_buffer import Sample
-from soft_throw_ros.twin.sensor_clock import SensorClock
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 

@@ -45,12 +45,12 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
+from soft_throw_ros.commands.kernels import load_kernels
 from soft_throw_ros.configuration.interface import resolve, Service, Topic
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
-from soft_throw_ros.twin.kernels import load_kernels
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from std_srvs.srv import Trigger
 

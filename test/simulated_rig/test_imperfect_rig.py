@@ -29,11 +29,11 @@ UNTIL = 0.05
 def test_perfect_rig_throws_as_by_the_method_of_steps():
     for thickness in (6e-3, 16.8e-3):
         rig = Rig(layer=Layer(thickness=thickness))
-        exact, found = follow(rig, until=UNTIL), throw(rig, until=UNTIL)
+        exact, thrown = follow(rig, until=UNTIL), throw(rig, until=UNTIL)
         time = np.linspace(0.0, UNTIL, 200)
-        assert found.projectile(time) == pytest.approx(exact.projectile_position(time), abs=1e-7)
-        assert found.changes[0].time == pytest.approx(exact.events[0].time, abs=2e-8)
-        assert found.changes[0].velocity == pytest.approx(exact.events[0].velocity, abs=1e-5)
+        assert thrown.projectile(time) == pytest.approx(exact.projectile_position(time), abs=1e-7)
+        assert thrown.changes[0].time == pytest.approx(exact.events[0].time, abs=2e-8)
+        assert thrown.changes[0].velocity == pytest.approx(exact.events[0].velocity, abs=1e-5)
 
 
 def test_error_falls_with_the_square_of_the_cells():
@@ -53,21 +53,21 @@ def test_layer_that_catches_up_is_in_contact():
         layer=layer,
         projectile=Projectile(mass=0.15 * layer.mass),
     )
-    exact, found = follow(rig, until=0.02).events, throw(rig, until=0.02).changes
+    exact, changes = follow(rig, until=0.02).events, throw(rig, until=0.02).changes
     assert [event.kind for event in exact] == ['release', 'landing', 'release']
-    assert [change.is_release for change in found] == [True, False, True]
-    assert [change.time for change in found] == pytest.approx(
+    assert [change.is_release for change in changes] == [True, False, True]
+    assert [change.time for change in changes] == pytest.approx(
         [event.time for event in exact], abs=2e-6
     )
-    assert found[2].velocity == pytest.approx(exact[2].velocity, abs=1e-3)
+    assert changes[2].velocity == pytest.approx(exact[2].velocity, abs=1e-3)
 
 
 def test_layer_that_stiffens_sags_less_by_the_root_of_its_quadratic():
     rig = Rig(gravity=300.0)
     linear = rig.static_sag / rig.layer.thickness
     for stiffening in (-1.0, 2.0):
-        found = throw(rig, Imperfections(stiffening=stiffening), until=0.001)
-        strain = 1.0 - float(found.projectile(0.0)) / rig.layer.thickness
+        thrown = throw(rig, Imperfections(stiffening=stiffening), until=0.001)
+        strain = 1.0 - float(thrown.projectile(0.0)) / rig.layer.thickness
         assert strain * (1.0 + stiffening * strain) == pytest.approx(linear)
 
 
@@ -86,15 +86,15 @@ def test_sticking_delays_the_release_by_its_time():
 
 def test_plate_rings_before_and_has_a_second_mode():
     rig = Rig(layer=Layer(thickness=4e-3))
-    found = throw(rig, Imperfections(ringing=0.01, second_mode=0.02), until=0.02, start=-0.02)
+    thrown = throw(rig, Imperfections(ringing=0.01, second_mode=0.02), until=0.02, start=-0.02)
     time = np.linspace(-0.02, 0.0, 200)
-    before = found.plate(time) / rig.engine.amplitude
+    before = thrown.plate(time) / rig.engine.amplitude
     assert np.abs(before).max() == pytest.approx(0.01, rel=0.1)
-    assert found.projectile(time) - found.projectile(-0.02) == pytest.approx(
+    assert thrown.projectile(time) - thrown.projectile(-0.02) == pytest.approx(
         rig.engine.amplitude * (before - before[0]), abs=4e-6
     )
     later = np.linspace(0.0, 0.02, 400)
-    extra = found.plate(later) - throw(
+    extra = thrown.plate(later) - throw(
         rig, Imperfections(ringing=0.01), until=0.01, start=-0.02
     ).plate(later)
     assert np.abs(extra).max() == pytest.approx(0.02 * rig.engine.amplitude, rel=0.1)
@@ -105,12 +105,12 @@ def test_deviations_are_differences_of_two_throws_until_the_landing():
     rig = Rig(layer=Layer(thickness=8e-3))
     deviations = Deviations(rig, imperfections)
     pure = throw(rig, until=0.1)
-    spoilt = throw(rig, imperfections, until=0.1, start=deviations.start)
+    imperfect = throw(rig, imperfections, until=0.1, start=deviations.start)
     for since in (-0.02, 0.003, 0.0501):
         plate, projectile = deviations.at(since)
-        assert plate == pytest.approx(spoilt.plate(since) - pure.plate(since), abs=1e-8)
+        assert plate == pytest.approx(imperfect.plate(since) - pure.plate(since), abs=1e-8)
         assert projectile == pytest.approx(
-            spoilt.projectile(since) - pure.projectile(since), abs=3e-6
+            imperfect.projectile(since) - pure.projectile(since), abs=3e-6
         )
     assert deviations.at(-1.0) == deviations.at(5.0) == (0.0, 0.0)
     assert math.hypot(*deviations.at(0.003)) > 1e-6
@@ -120,8 +120,8 @@ def test_deviations_are_differences_of_two_throws_until_the_landing():
 def test_stress_strain_law_changes_rest_and_throw(law):
     time = np.linspace(-4e-3, 0.0, 9)
     plain, other = (
-        throw(Rig(), each, start=-5e-3, until=0.02, cells=64)
-        for each in (Imperfections(), Imperfections(**law))
+        throw(Rig(), faults, start=-5e-3, until=0.02, cells=64)
+        for faults in (Imperfections(), Imperfections(**law))
     )
     assert np.ptp(other.projectile(time)) < 1e-9
     assert abs(other.changes[0].time - plain.changes[0].time) > 1e-5
@@ -130,7 +130,7 @@ def test_stress_strain_law_changes_rest_and_throw(law):
 def test_plate_rings_with_its_own_damping():
     rig = Rig()
     ringing = Imperfections(ringing=0.01, ringing_damping_ratio=0.0)
-    found = throw(rig, ringing, until=0.1, start=-0.02, cells=64)
+    thrown = throw(rig, ringing, until=0.1, start=-0.02, cells=64)
     time = np.linspace(0.08, 0.1, 400)
-    rest = found.plate(time) - Underdamped.of(rig.engine).position(time)
-    assert np.abs(rest).max() == pytest.approx(0.01 * rig.engine.amplitude, rel=0.01)
+    vibration = thrown.plate(time) - Underdamped.of(rig.engine).position(time)
+    assert np.abs(vibration).max() == pytest.approx(0.01 * rig.engine.amplitude, rel=0.01)

@@ -87,9 +87,9 @@ def test_single_samples_agree_with_a_block():
     assert [next(singles) for _ in range(3)] == [tuple(c[i] for c in chances) for i in range(3)]
     for i in (0, 1, 3999):
         some = draw_chances(np.random.default_rng(1), 4000)
-        one = type(some)(*(float(each[i]) for each in some))
+        one = type(some)(*(float(column[i]) for column in some))
         assert faults.measure(float(TIME[i]), plate, projectile, one) == pytest.approx(
-            tuple(each[i] for each in block)
+            tuple(column[i] for column in block)
         )
 
 

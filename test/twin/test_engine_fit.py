@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.engine_fit import AMPLITUDE, EngineEstimate, EngineFit, START
-from soft_throw_ros.twin.plate_estimator import RestBaseline
+from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, MEASUREMENT
@@ -47,9 +47,12 @@ def measure(
 def start_fit(plate: Underdamped, *, stamp_scatter: float = 0.0) -> EngineFit:
     return EngineFit(
         replace(MEASUREMENT, plate=plate),
-        origin_ns=BEGIN,
-        rest=RestBaseline(plate=0.3, projectile=math.nan, noise=NOISE, error=1e-6),
-        stamp_scatter=stamp_scatter,
+        Onset(
+            onset_ns=BEGIN,
+            rest=RestBaseline(plate=0.3, projectile=math.nan, noise=NOISE, error=1e-6),
+            samples=(),
+            stamp_scatter=stamp_scatter,
+        ),
     )
 
 
@@ -97,14 +100,14 @@ def fit_with_jitter(
 
 @pytest.mark.parametrize('jitter', [2e-5, 5e-5])
 def test_stamp_jitter_is_found_by_residuals_that_grow_with_the_speed(jitter) -> None:
-    found, off = fit_with_jitter(jitter=jitter, stamp_scatter=jitter)
-    assert jitter < np.median(found) < 1.6 * jitter  # rather too large
+    stamp_errors, off = fit_with_jitter(jitter=jitter, stamp_scatter=jitter)
+    assert jitter < np.median(stamp_errors) < 1.6 * jitter  # rather too large
     assert np.abs(off).max() < 3.5
 
 
 def test_uneven_rate_is_not_taken_for_stamp_jitter() -> None:
-    found, _ = fit_with_jitter(jitter=0.0, stamp_scatter=5e-5)
-    assert sum(error > 0.0 for error in found) <= 2
+    stamp_errors, _ = fit_with_jitter(jitter=0.0, stamp_scatter=5e-5)
+    assert sum(error > 0.0 for error in stamp_errors) <= 2
 
 
 def test_wrong_engine_is_not_taken_for_stamp_jitter() -> None:

@@ -36,6 +36,7 @@ from soft_throw_ros.core.stepper import (
 )
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import WaveStepper
+from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
 from soft_throw_ros.twin import prepared_rig
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -95,15 +96,16 @@ def test_predicted_release_agrees_with_the_release(quiet) -> None:
     exact = simulate(quiet.rig)
     (first, certain), (release,) = quiet.results('predicted'), quiet.results('release')
     for result in (first, certain, release):
-        part = 0.01 if result is first else 1e-3
-        assert result.first.ejection_time == pytest.approx(exact.ejection_time, rel=part)
-        assert result.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=part)
-        assert result.peak_plate_speed == pytest.approx(exact.peak_plate_speed, rel=part)
+        tolerance = 0.01 if result is first else 1e-3
+        assert result.first.ejection_time == pytest.approx(exact.ejection_time, rel=tolerance)
+        assert result.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=tolerance)
+        assert result.peak_plate_speed == pytest.approx(exact.peak_plate_speed, rel=tolerance)
         assert result.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
         assert result.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=0.02)
         begin_ns = quiet.begin_ns + ONSET * SECOND
-        left = (result.accuracy.release_ns - begin_ns) / SECOND
-        assert left == pytest.approx(exact.ejection_time, abs=2e-5 if result is first else 5e-6)
+        release_time = (result.accuracy.release_ns - begin_ns) / SECOND
+        tolerance = 2e-5 if result is first else 5e-6
+        assert release_time == pytest.approx(exact.ejection_time, abs=tolerance)
     assert first.step < certain.step < release.step
     assert [item.accuracy.is_certain for item in (first, certain, release)] == [False, True, True]
     assert first.lead == release.lead
@@ -115,7 +117,7 @@ def test_release_is_predicted_more_than_a_crossing_ahead(quiet) -> None:
     first, certain = quiet.results('predicted')
     assert first.lead > 1.4 * quiet.rig.crossing_time > certain.lead > 0.0
     assert first.is_ahead
-    assert f'{1e3 * first.lead:.2f} ms' in first.describe_lead()
+    assert f'{1e3 * first.lead:.2f} ms' in lead_text(first)
     error = first.accuracy.ejection_speed_error
     assert 1.96 * error < 0.01 * first.first.ejection_speed
     assert certain.accuracy.ejection_speed_error < 0.5 * error
@@ -176,10 +178,10 @@ def test_throw_field_agrees_with_the_throw(quiet) -> None:
 def test_other_models_predict_their_simulated_release(model, loss, is_ahead) -> None:
     run = Run(**MEASURED, model=model, layer__loss_tangent=loss)
     run.measure(Rig())
-    theirs = Run(model=model, layer__loss_tangent=loss, throw__period=0.0)
-    theirs.session.request_throw()
-    theirs.go(60)
-    (first, predicted), (expected,) = run.results('predicted'), theirs.results('release')
+    simulated = Run(model=model, layer__loss_tangent=loss, throw__period=0.0)
+    simulated.session.request_throw()
+    simulated.go(60)
+    (first, predicted), (expected,) = run.results('predicted'), simulated.results('release')
     assert first.is_ahead
     assert predicted.first.ejection_time == pytest.approx(expected.first.ejection_time, rel=2e-3)
     assert predicted.first.ejection_speed == pytest.approx(expected.first.ejection_speed, rel=2e-3)
@@ -206,19 +208,19 @@ def test_deviations_of_an_aged_layer_exceed_the_threshold(factor, noise) -> None
     comparison = final.comparison
     assert not comparison.is_within_threshold
     assert comparison.threshold == 5e-5
-    assert '50 um' in final.describe_comparison()
-    assert 'aged' in final.describe_comparison()
+    assert '50 um' in comparison_text(final)
+    assert 'aged' in comparison_text(final)
     # errors compare both throws where the projectile passes the height of the model's release
-    ours = simulate(run.rig)
-    begin, end = follow(run.rig, [0.0, ours.ejection_time])[:, 0]
-    times = np.linspace(0.5, 1.5, 20001) * ours.ejection_time
+    exact = simulate(run.rig)
+    begin, end = follow(run.rig, [0.0, exact.ejection_time])[:, 0]
+    times = np.linspace(0.5, 1.5, 20001) * exact.ejection_time
     track, speeds = follow(other, [0.0, *times]).T
     passed = np.searchsorted(track[1:] - track[0], end - begin)
     assert comparison.ejection_time_error == pytest.approx(
-        ours.ejection_time - times[passed], abs=5e-6 if not noise else 5e-5
+        exact.ejection_time - times[passed], abs=5e-6 if not noise else 5e-5
     )
     assert comparison.ejection_speed_error == pytest.approx(
-        ours.ejection_speed - speeds[1:][passed], abs=1e-3 if not noise else 1e-2
+        exact.ejection_speed - speeds[1:][passed], abs=1e-3 if not noise else 1e-2
     )
 
 
@@ -240,7 +242,7 @@ def test_gap_longer_than_a_crossing_makes_the_throw_invalid(gap, is_valid) -> No
     else:
         (final,) = run.results('final')
         assert (final.ended_by, final.is_valid) == ('gap', False)
-        assert 'throw 1' in final.describe()
+        assert 'throw 1' in throw_text(final)
 
 
 @pytest.mark.parametrize(
@@ -327,7 +329,7 @@ def test_throw_with_many_outliers_is_marked() -> None:
     (release,) = run.results('release')
     assert not release.accuracy.is_clean
     assert f'{release.accuracy.samples_left_out} of {release.accuracy.samples}' in (
-        release.describe()
+        throw_text(release)
     )
     assert release.first.ejection_speed == pytest.approx(
         simulate(run.rig).ejection_speed, rel=5e-3
@@ -355,10 +357,10 @@ def test_wrong_kind_of_heights_is_reported_with_a_remedy(change, advice) -> None
 
 def test_inexact_stamps_only_increase_the_errors() -> None:
     errors = []
-    for part in (0.0, 0.1):  # of the time from one sample to the next
+    for jitter in (0.0, 0.1):  # of the time from one sample to the next
         run = Run(**MEASURED)
         samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6)
-        late = np.random.default_rng(0).standard_normal(len(samples)) * part * SECOND / 5000.0
+        late = np.random.default_rng(0).standard_normal(len(samples)) * jitter * SECOND / 5000.0
         run.send(
             item._replace(stamp_ns=item.stamp_ns + round(error))
             for item, error in zip(samples, late.tolist(), strict=True)
@@ -415,13 +417,13 @@ def test_certain_results_with_stamp_jitter_are_correct(kind) -> None:
         if not results:  # it could not be followed
             (final,) = run.results('final')
             assert (final.is_valid, final.first, final.accuracy) == (False, None, None)
-            assert 'jitter' in final.describe()
+            assert 'jitter' in throw_text(final)
             continue
         assert results[-1].stage == 'release'
         stamp_errors.append(results[-1].disturbances.stamp_error)
-    held = np.abs(all_deviations) < 1.96
+    is_within = np.abs(all_deviations) < 1.96
     assert np.abs(all_deviations).max() < 4.0
-    assert (held.mean(axis=0) > 0.85).all()
+    assert (is_within.mean(axis=0) > 0.85).all()
     assert len(stamp_errors) >= 8
     jitter = np.std(JITTERS[kind](np.random.default_rng(0), 10_000))
     assert 0.7 * jitter < np.median(stamp_errors) < 1.6 * jitter
@@ -435,7 +437,7 @@ def test_smoothed_throw_released_by_noise_is_invalid_with_a_reason(kind) -> None
         assert (final.throw, final.ended_by, final.is_valid) == (2, 'noise', False)
         values = final.values()
         assert not {'ejection_time', 'energy_transfer', 'accuracy.basis', 'lead'} & set(values)
-        assert 'jitter' in final.describe()
+        assert 'jitter' in throw_text(final)
         assert [result.throw for result in run.results('release')] == [1]
 
 
@@ -451,7 +453,7 @@ def test_cause_of_a_residual_is_named_from_the_measurement() -> None:
     missing.send(sample for index, sample in enumerate(samples) if index % 5)
     for run in (stalled, steady):
         run.send(samples)
-    stalled.go(62)  # where it has left; then seven steps are left out
+    stalled.go(62)  # after the release; then seven steps are left out
     stalled.schedule = replace(stalled.schedule, time_ns=stalled.schedule.time_ns + 7_000_000)
     stalled.session.set_tick_schedule(stalled.schedule)
     texts = []
@@ -461,7 +463,7 @@ def test_cause_of_a_residual_is_named_from_the_measurement() -> None:
         run.go(3)
         (final,) = run.results('final')
         assert not final.comparison.is_within_threshold
-        texts.append(final.describe_comparison())
+        texts.append(comparison_text(final))
     for text, cause in zip(
         texts, ('stamps jitter', 'samples are missing', 'processor time for 7 ms', 'aged'),
         strict=True,
@@ -480,8 +482,8 @@ def test_simulations_of_a_throw_are_distributed_over_steps(
         spent[run.session.step, id(stepper)] += time - float(stepper.state[TIME])
         return advance_to(stepper, time)
 
-    for part in (prepared_rig.CATCH_UP, 1e-3):
-        monkeypatch.setattr(prepared_rig, 'CATCH_UP', part)
+    for catch_up in (prepared_rig.CATCH_UP, 1e-3):
+        monkeypatch.setattr(prepared_rig, 'CATCH_UP', catch_up)
         run = Run(**MEASURED)
         run.send(rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6))
         with monkeypatch.context() as patch:
@@ -506,8 +508,8 @@ def test_noise_that_hides_a_rest_is_reported_with_its_size() -> None:
     run.measure(noise=30e-6, onset=2.0, duration=0.8)
     (notice,) = run.notices()
     assert 'measured.position_noise 5 um' in notice
-    told = float(notice.partition(' scatters by ')[2].split()[0])
-    assert told == pytest.approx(30.0, rel=0.25)
+    scatter = float(notice.partition(' scatters by ')[2].split()[0])
+    assert scatter == pytest.approx(30.0, rel=0.25)
 
 
 def test_engine_with_large_residuals_is_not_used() -> None:
@@ -578,8 +580,8 @@ def test_prediction_intervals_have_their_nominal_coverage() -> None:
         *(deviations_of_a_trial(seed, **kinds[seed % 2]) for seed in range(120)),
         strict=True,
     )
-    held = (np.abs(np.array(all_deviations)) < 1.96).mean(axis=0)
-    assert (held >= 0.9).all()
+    coverage = (np.abs(np.array(all_deviations)) < 1.96).mean(axis=0)
+    assert (coverage >= 0.9).all()
     # errors that are evenly likely between bounds never reach 1.96 of their standard deviations
     np.testing.assert_allclose(np.sqrt(np.square(all_deviations).mean(axis=0)), 1.0, atol=0.15)
     assert min(leads) > 1.5e-3
@@ -590,9 +592,9 @@ def test_throw_lost_at_any_moment_ends_with_its_known_results(factor) -> None:
     exact = Run(**MEASURED).rig
     rig = with_frequency(exact, factor * exact.engine.frequency)
     samples = rigs.measured_throw(rig, begin_ns=Run.begin_ns, noise=5e-6, duration=0.07)
-    for seen in range(1, 40, 3):  # samples after the onset
+    for count in range(1, 40, 3):  # samples after the onset
         run = Run(**MEASURED)
-        run.send(samples[: 250 + seen])
+        run.send(samples[: 250 + count])
         run.receive()
         run.go(1200)  # which is longer than samples may be late
         assert run.session.throws in (0, 1)
@@ -722,11 +724,12 @@ def test_arbitrary_samples_are_followed_or_refused_and_replayed(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
     last = len(samples) - 1
-    for place, values in invalid:
-        samples[int(place * last)] = samples[int(place * last)]._replace(**values)
+    for share, values in invalid:
+        index = int(share * last)
+        samples[index] = samples[index]._replace(**values)
     delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
-    for place, shift in moved:
-        index = int(place * last)
+    for share, shift in moved:
+        index = int(share * last)
         samples[index] = samples[index]._replace(stamp_ns=samples[index].stamp_ns + shift)
         delays[index] -= shift
     first = int(gap[0] * last)
@@ -748,6 +751,6 @@ def test_journal_of_samples_is_small_and_records_missing_samples() -> None:
     assert sum(map(len, run.journal)) < 25 * run.session.sample_counts.taken + 25_000
     silent = Run(**MEASURED)
     silent.go(450)
-    told = silent.entries('samples')
-    assert [entry['step'] for entry in told] == [101, 202, 303, 404]
-    assert [entry['count'] for entry in told] == [0] * 4
+    entries = silent.entries('samples')
+    assert [entry['step'] for entry in entries] == [101, 202, 303, 404]
+    assert [entry['count'] for entry in entries] == [0] * 4

@@ -38,13 +38,13 @@ from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT
 
 def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> PlateStates:
     """Feed samples to an estimator in batches and return all its states of the plate."""
-    found = []
+    motions = []
     for first in range(0, len(samples), batch):
         now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
         estimator.add_samples(samples[slice(first, first + batch)], now_ns)
-        found.append(estimator.advance(now_ns))
-    times, states, errors = (np.concatenate([motion[k] for motion in found]) for k in range(3))
-    return PlateStates(times, states, errors, max(motion.gap for motion in found))
+        motions.append(estimator.advance(now_ns))
+    times, states, errors = (np.concatenate([motion[k] for motion in motions]) for k in range(3))
+    return PlateStates(times, states, errors, max(motion.gap for motion in motions))
 
 
 def same(ours: PlateStates, theirs: PlateStates) -> bool:

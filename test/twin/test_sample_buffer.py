@@ -46,7 +46,8 @@ def test_buffer_agrees_with_a_sorted_list(seed) -> None:
             first = len(expected) - 15
             marks = random.uniform(size=10) < 0.3
             buffer.remove(first, marks)
-            kept = [each for each, mark in zip(expected[first:], marks, strict=False) if not mark]
+            pairs = zip(expected[first:], marks, strict=False)
+            kept = [sample for sample, is_removed in pairs if not is_removed]
             expected[first:] = kept + expected[first + 10:]
         assert len(buffer) == len(expected)
     assert to_samples(buffer.rows) == expected

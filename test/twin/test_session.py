@@ -29,6 +29,7 @@ from soft_throw_ros.configuration import motions, rig_of, TWIN, twin_config
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
@@ -239,9 +240,9 @@ def test_results_and_events_agree_with_the_exact_throw_and_loads_end_with_the_re
     assert release.plate_work > 0.5 * exact.rig.projectile.mass * exact.ejection_speed**2
     loads = ('peak_strain', 'peak_force', 'peak_acceleration', 'plate_work')
     assert all(getattr(final, name) == getattr(release, name) for name in loads)
-    for ours, theirs in zip(run.events()[:2], exact.events, strict=True):
-        assert ours.time == pytest.approx(theirs.time, rel=1e-6)
-        assert ours.velocity == pytest.approx(theirs.velocity, rel=1e-5)
+    for event, expected in zip(run.events()[:2], exact.events, strict=True):
+        assert event.time == pytest.approx(expected.time, rel=1e-6)
+        assert event.velocity == pytest.approx(expected.velocity, rel=1e-5)
 
 
 def test_result_has_first_and_last_release() -> None:
@@ -305,7 +306,7 @@ def test_strain_beyond_the_limit_is_reported_on_every_change() -> None:
     before, after = run.results('release')
     assert before.is_linear
     assert not after.is_linear
-    assert '10 %' in after.describe()
+    assert '10 %' in throw_text(after)
 
 
 def test_shocks_before_the_release_are_reported() -> None:
@@ -315,8 +316,8 @@ def test_shocks_before_the_release_are_reported() -> None:
     soft = Rig(layer=Layer(wave_speed=2.0, stress_strain_law='neo_hookean'))
     assert result.first.ejection_time > soft.shock_time
     assert not result.has_shocks
-    assert 'shocks' not in result.describe()
-    assert f'{1e3 * soft.shock_time:.3g} ms' in dataclasses.replace(result, rig=soft).describe()
+    assert 'shocks' not in throw_text(result)
+    assert f'{1e3 * soft.shock_time:.3g} ms' in throw_text(dataclasses.replace(result, rig=soft))
 
 
 # changes
@@ -479,7 +480,7 @@ def test_journal_replays_a_motion_file_without_the_file(write_motion) -> None:
     path.unlink()
     other.unlink()
     outputs = list(replay(run.journal, until=3000))
-    assert [each.state for each in outputs] == [each.state for each in run.outputs]
+    assert [output.state for output in outputs] == [output.state for output in run.outputs]
 
 
 @pytest.mark.parametrize(('period', 'lead'), [(0.0, 200), (1.0, 200), (0.4, 100)])
@@ -495,7 +496,7 @@ def test_motion_is_commanded_before_its_throw(write_motion, period, lead) -> Non
             run.session.request_throw()
     run.session.change({'layer.thickness': 0.02})  # waits until the commanded throw is over
     run.go(2500)
-    commands = [each for each in run.outputs if each.command is not None]
+    commands = [output for output in run.outputs if output.command is not None]
     starts = run.starts()
     assert len(commands) == len(starts) or len(commands) == len(starts) + 1
     for outputs, start in zip(commands, starts, strict=False):
@@ -503,7 +504,7 @@ def test_motion_is_commanded_before_its_throw(write_motion, period, lead) -> Non
         assert outputs.command.start_ns == run.schedule.deadline(start)
         assert outputs.command.motion == run.rig.engine.motion
     again = list(replay(run.journal, until=len(run.outputs)))
-    assert [each.state for each in again] == [each.state for each in run.outputs]
+    assert [output.state for output in again] == [output.state for output in run.outputs]
 
 
 def test_plate_in_slow_motion_or_of_an_engine_is_not_commanded(write_motion) -> None:
@@ -558,7 +559,7 @@ def test_motion_that_is_removed_and_set_again_is_replayed(write_motion) -> None:
     run.session.change({'engine.motion': 'file'})
     run.go(1200)
     outputs = list(replay(run.journal, until=run.session.step))
-    assert [each.state for each in outputs] == [each.state for each in run.outputs]
+    assert [output.state for output in outputs] == [output.state for output in run.outputs]
 
 
 def test_change_builds_one_rig_and_ticks_build_none(monkeypatch, write_motion) -> None:
@@ -601,4 +602,4 @@ def test_library_may_change_or_disappear_while_its_stack_is_thrown(tmp_path) -> 
     speeds = [result.rig.layer.sheets[0].wave_speed for result in run.results('release')]
     assert speeds == [9.0, 9.0]
     outputs = list(replay(run.journal, until=run.session.step))
-    assert [each.state for each in outputs] == [each.state for each in run.outputs]
+    assert [output.state for output in outputs] == [output.state for output in run.outputs]

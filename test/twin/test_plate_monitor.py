@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -24,16 +23,10 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.onset import (
-    find_start,
-    first_states,
-    Onset,
-    peak_speed,
-    time_since_start,
-)
+from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import SampleCounts
-from soft_throw_ros.twin.plate_monitor import PlateMonitor
-from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
+from soft_throw_ros.twin.plate_monitor import PlateMonitor, time_since_start
+from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
@@ -46,10 +39,6 @@ def noisy(samples: list[Sample], seed: int) -> list[Sample]:
         sample._replace(plate=sample.plate + error)
         for sample, error in zip(samples, noise.tolist(), strict=True)
     ]
-
-
-def rows_of(samples: Sequence[Sample]) -> Rows:
-    return SampleBuffer(samples).rows
 
 
 def detect(samples: list[Sample], *, engine_is_nominal: bool = False) -> tuple[Onset | None, int]:
@@ -112,67 +101,18 @@ def test_time_since_the_start_does_not_depend_on_the_amplitude(zeta, share, ampl
     plate = Underdamped(frequency=63.2, amplitude=amplitude, damping_ratio=zeta)
     since = share * plate.peak_velocity_time
     reference = replace(plate, amplitude=1.0)
-    found = time_since_start(plate.position(since), plate.velocity(since), reference)
-    assert found == pytest.approx(since, rel=1e-6)
+    time = time_since_start(plate.position(since), plate.velocity(since), reference)
+    assert time == pytest.approx(since, rel=1e-6)
 
 
 def test_start_is_found_as_well_as_the_noise_allows() -> None:
-    found = []
+    errors = []
     for seed in range(100):
         onset, _ = detect(noisy(make_samples(400, onset=0.025), seed))
         assert onset is not None
-        found.append((onset.onset_ns - BEGIN) / SECOND - 0.025)
+        errors.append((onset.onset_ns - BEGIN) / SECOND - 0.025)
     since = np.arange(0.0, 2.6e-3, 2e-4)
     sensitivity = np.column_stack((PLATE.velocity(since), PLATE.position(since)))
     bound = 5e-6 * math.sqrt(np.linalg.inv(sensitivity.T @ sensitivity)[0, 0])
-    assert np.mean(found) == pytest.approx(0.0, abs=4e-6)
-    assert np.std(found) < 1.5 * bound
-
-
-def test_start_is_found_near_its_estimate_without_later_samples() -> None:
-    samples = make_samples(20)
-    onset_ns = samples[-1].stamp_ns + SECOND // 100
-    start_ns = find_start(rows_of(samples), onset_ns, 0.3, MEASUREMENT)
-    assert abs(start_ns - onset_ns) <= 0.25 * MEASUREMENT.smoothing_window_ns
-    _, states = first_states(rows_of(samples), start_ns, 0.3, MEASUREMENT)
-    assert np.isfinite(states).all()
-
-
-def test_first_states_start_from_rest_with_a_jump_of_the_acceleration() -> None:
-    onset, _ = detect(make_samples(400, onset=0.02))
-    assert onset is not None
-    onset = replace(onset, onset_ns=BEGIN + SECOND // 50)
-    rows = rows_of(onset.samples)
-    times, states = first_states(rows, onset.onset_ns, onset.rest.plate, MEASUREMENT)
-    assert times == pytest.approx(0.25e-3 * np.arange(6))
-    assert states[:, 0] == pytest.approx(PLATE.position(times), abs=1e-12)
-    assert states[:, 1] == pytest.approx(PLATE.velocity(times), abs=1e-8)
-    start = PLATE.amplitude * (2.0 * math.pi * PLATE.frequency) ** 2
-    assert states[0] == pytest.approx([0.0, 0.0, start])
-
-
-@pytest.mark.parametrize('count', [0, 1])
-def test_first_states_follow_the_engine_where_samples_are_uninformative(count) -> None:
-    samples = [Sample(BEGIN + 500_000, float(PLATE.position(5e-4)))][:count]
-    times, states = first_states(rows_of(samples), BEGIN, 0.0, MEASUREMENT)
-    assert states[:, 0] == pytest.approx(PLATE.position(times), rel=1e-12)
-    assert states[:, 1] == pytest.approx(PLATE.velocity(times), rel=1e-12)
-
-
-def test_peak_speed_agrees_with_the_speed_without_noise() -> None:
-    times = 2.5e-4 * np.arange(60)
-    exact = PLATE.velocity(times)
-    assert peak_speed(times[:10], exact[:10], PLATE) == exact[9]  # while it still grows
-    for factor in (0.8, 1.25):  # where it was not expected
-        other = replace(PLATE, frequency=factor * PLATE.frequency)
-        found_there = peak_speed(times, other.velocity(times), PLATE)
-        assert found_there == pytest.approx(other.peak_velocity, rel=2e-3)
-    assert peak_speed(times, exact, PLATE) == pytest.approx(PLATE.peak_velocity, rel=1e-3)
-    random = np.random.default_rng(5)
-    found, largest = [], []
-    for _ in range(200):
-        noisy = exact + 7e-3 * random.standard_normal(times.size)
-        found.append(peak_speed(times, noisy, PLATE))
-        largest.append(noisy.max())
-    assert np.mean(found) == pytest.approx(PLATE.peak_velocity, rel=3e-3)
-    assert np.mean(largest) > 1.005 * PLATE.peak_velocity
+    assert np.mean(errors) == pytest.approx(0.0, abs=4e-6)
+    assert np.std(errors) < 1.5 * bound

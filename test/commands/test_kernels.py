@@ -22,9 +22,9 @@ import sys
 
 from numba.core import event
 import pytest
+from soft_throw_ros.commands.kernels import load_kernels, missing_parts, needed_parts, PARTS
 from soft_throw_ros.commands.warm_up import main
 from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.twin.kernels import load_kernels, missing_parts, needed_parts, PARTS
 from twin_runs import complete_settings, Run
 
 

@@ -15,7 +15,7 @@
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.sensor_clock import SensorClock, TOLERATED
+from soft_throw_ros.nodes.sensor_clock import SensorClock, TOLERATED
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 NOW = 1_700_000_000 * SECOND
@@ -25,13 +25,13 @@ MILLISECOND = SECOND // 1000
 def observe(clock: SensorClock, offset_ns: int, *, begin_ns: int = NOW, ticks: int = 3000) -> int:
     """Feed stamps with an offset to a clock and count its warnings."""
     random = np.random.default_rng(0)
-    told = 0
+    warnings = 0
     for tick in range(ticks):
         now_ns = begin_ns + tick * MILLISECOND
         delays = random.exponential(3e-4 * SECOND, 5).astype(int) + MILLISECOND // 10
         stamps = [now_ns - offset_ns - delay for delay in delays.tolist()]
-        told += clock.observe(stamps, now_ns, limit_ns=SECOND)
-    return told
+        warnings += clock.observe(stamps, now_ns, limit_ns=SECOND)
+    return warnings
 
 
 @pytest.mark.parametrize('offset_ns', [20 * MILLISECOND, -300 * MILLISECOND, 900 * MILLISECOND])

@@ -1,0 +1,110 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Sentences on a throw for the log and for /diagnostics."""
+
+from __future__ import annotations
+
+from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
+
+_EXPLAINED_SHARE = 0.5
+"""Smallest share of a residual that identifies its cause. [-]"""
+
+
+def throw_text(result: ThrowResult) -> str:
+    """Return the release of a throw with warnings, or the reason why the throw is invalid."""
+    if not result.is_valid:
+        return _invalid_text(result)
+    text = result.describe()
+    if result.first is None:
+        return text
+    if not result.is_linear:
+        strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
+        text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
+    if result.has_shocks:
+        text += f'; errors up to 4e-3, shocks form after {1e3 * result.rig.shock_time:.3g} ms'
+    if result.accuracy is not None and not result.accuracy.is_clean:
+        outliers, samples = result.accuracy.samples_left_out, result.accuracy.samples
+        text += f'; {outliers} of {samples} plate samples were rejected as outliers'
+    return text
+
+
+def comparison_text(result: ThrowResult) -> str:
+    """Return how well the projectile followed the model, and the likely cause of a deviation."""
+    comparison = result.comparison
+    if comparison is None:
+        return 'the projectile was not measured'
+    rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
+    if comparison.is_within_threshold:
+        return f'the projectile followed the model within {rms:.3g} um rms'
+    causes = _causes_text(
+        result.disturbances,
+        samples=comparison.samples,
+        speed=result.first.ejection_speed if result.first else result.peak_plate_speed,
+        residual=comparison.position_rms,
+    )
+    return (
+        f'the projectile deviated from the model by {rms:.3g} um rms, more than '
+        f'measured.residual_threshold {threshold:.3g} um: '
+        + (causes or 'the layer has aged or slipped, or the parameters are wrong')
+    )
+
+
+def lead_text(result: ThrowResult) -> str:
+    """Return how long before or after the release the first prediction was available."""
+    lead = 1e3 * (result.lead or 0.0)
+    side = 'before' if result.is_ahead else 'after'
+    return f'prediction available {abs(lead):.2f} ms {side} release'
+
+
+def _invalid_text(result: ThrowResult) -> str:
+    """Return why the plate could not be followed."""
+    text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
+    if result.ended_by == 'noise':
+        text = (
+            'the plate samples are too noisy; increase measured.smoothing_window or the '
+            'sample rate, or stamp the samples more precisely'
+        )
+    causes = _causes_text(
+        result.disturbances, samples=0, speed=result.peak_plate_speed, residual=0.0
+    )
+    return f'throw {result.throw} is invalid: {text}' + (f'; {causes}' if causes else '')
+
+
+def _causes_text(
+    disturbances: Disturbances | None, *, samples: int, speed: float, residual: float
+) -> str:
+    """
+    Return the disturbances that explain a residual, if any.
+
+    The arguments are the number of samples in the throw, and the speed [m/s] and the rms
+    residual [m] of the body.
+    """
+    if disturbances is None:
+        return ''
+    causes = []
+    if disturbances.stamp_error * abs(speed) > _EXPLAINED_SHARE * residual:
+        causes.append(
+            f'stamps jitter by {1e6 * disturbances.stamp_error:.3g} us (stamp samples when they '
+            'are measured)'
+        )
+    if disturbances.samples_missing > MOST_LEFT_OUT * samples:
+        causes.append(
+            f'{disturbances.samples_missing} samples are missing or came too late (see '
+            'measurement in /diagnostics)'
+        )
+    if disturbances.time_skipped > 0.0:
+        causes.append(
+            f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'
+        )
+    return ', '.join(causes)
