@@ -51,7 +51,9 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
     ENGINE,
     FitDescription,
+    FIXED,
     PARAMETERS,
+    parse_treatments,
     TREATMENTS,
 )
 from soft_throw_ros.identification.least_squares import FitError
@@ -126,7 +128,7 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
     known = _split_known(arguments)
     description = FitDescription()
     if arguments.one_camera:
-        description = description.change(dict.fromkeys(_OF_TWO_SENSORS, 'held'))
+        description = description.change(dict.fromkeys(_OF_TWO_SENSORS, FIXED))
     if arguments.fit_file:
         description = FitDescription.from_file(arguments.fit_file, description)
     fitted = {}
@@ -140,7 +142,7 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
     options |= {'fit': fitted, 'hold': dict.fromkeys(arguments.hold, 'held')}
     for option, changes in options.items():
         try:
-            description = description.change(changes)
+            description = description.change(parse_treatments(changes))
         except ValueError as error:
             raise ValueError(f'argument --{option}: {error}') from None
     return description
@@ -182,7 +184,7 @@ def _identify(
     throws, notes = read_all(arguments)
     has_projectile = any(throw.projectile is not None for throw in throws)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
-        description = description.change({'layer.wave_speed': 'held'})
+        description = description.change({'layer.wave_speed': FIXED})
     rig = rig_of(settings)
     result = fit_rig(throws, rig, description, on_progress=_show_progress)
     warnings = result.fit.warnings()

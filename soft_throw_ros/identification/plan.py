@@ -49,6 +49,7 @@ from soft_throw_ros.identification.fit_description import (
     LAYER,
     ParameterRole,
     PARAMETERS,
+    ThrowConditions,
     Treatment,
     values_of,
 )
@@ -260,15 +261,22 @@ class Planner:
     @cached_property
     def _model(self) -> RigModel:
         """Return a model of the rig and of all possible throws, as if they were measured."""
-        description, throws = replace(self.description, throws={}), []
-        result = {}
         simulator = ThrowSimulator()
-        for number, condition in enumerate((Condition.of(self.rig), *self.conditions)):
-            for name, treatment in condition.treatments(self.description).items():
-                description = description.set_condition(str(number), name, treatment)
-            throws.append(self._tracks(str(number), condition, simulator))
-            result[number] = condition.values()
-        return RigModel(tuple(throws), self.rig, description, simulator, start_values=result)
+        conditions = {
+            str(number): condition
+            for number, condition in enumerate((Condition.of(self.rig), *self.conditions))
+        }
+        throws = [
+            self._tracks(name, condition, simulator) for name, condition in conditions.items()
+        ]
+        description = replace(self.description, throws={
+            name: ThrowConditions(condition.treatments(self.description), {})
+            for name, condition in conditions.items()
+        })
+        start_values = {int(name): condition.values() for name, condition in conditions.items()}
+        return RigModel(
+            tuple(throws), self.rig, description, simulator, start_values=start_values
+        )
 
     def _tracks(self, name: str, condition: Condition, simulator: ThrowSimulator) -> ThrowTracks:
         """Return empty tracks at the times at which a throw would be seen."""

@@ -382,8 +382,8 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
     groups: dict[object, list[int]] = {}
     for number, throw in enumerate(model.throws):
         if throw.projectile is not None:
-            conditions = model.description.conditions(throw.name)
-            groups.setdefault(conditions.get('layer'), []).append(number)
+            parts = model.description.conditions(throw.name).parts
+            groups.setdefault(parts.get('layer'), []).append(number)
     result: dict[int, dict[str, float]] = {}
     for numbers in groups.values():
         throws = tuple(

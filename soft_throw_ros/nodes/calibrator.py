@@ -43,7 +43,7 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription
+from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import msg_to_throw_result, status_to_msg
@@ -70,7 +70,7 @@ _STOP_TIMEOUT = 0.3  # longest wait for the thread to end [s]
 # The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
 # linear layer.
 _HELD = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
-_DESCRIPTION = FitDescription(dict.fromkeys(_HELD, 'held'))
+_DESCRIPTION = FitDescription(dict.fromkeys(_HELD, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 

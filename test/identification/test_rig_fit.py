@@ -26,9 +26,13 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     ENGINE,
     FitDescription,
+    FIXED,
+    FREE,
     IDEAL_BENCH,
     LAYER,
     PARAMETERS,
+    parse_treatments,
+    ThrowConditions,
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
@@ -139,7 +143,7 @@ def test_heights_from_a_common_zero_determine_the_thickness(make_throw, heights,
     up = 0.025 if reference == 'centre' else 0.0
     seen = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
     known = replace(KNOWN, projectile=rig.projectile, layer=Layer(thickness=0.03))
-    description = FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free'}, heights, reference)
+    description = FitDescription({**IDEAL_BENCH, 'layer.thickness': FREE}, heights, reference)
     found = fit_rig([seen], known, description)
     assert_true(found, rig)
     assert found.fit['layer.thickness'].error < 5e-5
@@ -156,7 +160,7 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     )
     seen = make_throw(rig, rate=1000.0, duration=0.1)
     known = replace(rig, layer=Layer(thickness=2.6e-3))
-    found = fit_rig([seen], known, FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free'}))
+    found = fit_rig([seen], known, FitDescription({**IDEAL_BENCH, 'layer.thickness': FREE}))
     fit = found.fit
     for name, truth in (('layer.wave_speed', 3.0), ('layer.thickness', 2e-3)):
         low, high = found.intervals[name]
@@ -250,7 +254,7 @@ def test_second_mode_of_a_plate_is_within_the_errors(see, rig):
     plate = PlateWithWaves(Underdamped.of(rig.engine), mode=mode)
     found = fit_rig([followed(see, rig, plate=plate, seed=3)], rig)
     assert_true(found, rig, DEFAULT_FREE, errors=2.5)
-    held = {'plate.mode': 'held'}
+    held = {'plate.mode': FIXED}
     exact = fit_rig([followed(see, rig, seed=3)], rig, FitDescription(held))
     for name in DEFAULT_FREE:
         assert exact.estimate(name).error < found.estimate(name).error
@@ -314,7 +318,7 @@ def test_ringing_before_the_throw_leads_to_no_other_minimum(see, phase):
 
 
 def test_free_loss_may_be_zero(see):
-    description = FitDescription({**IDEAL_BENCH, LAYER[2]: 'free'})
+    description = FitDescription({**IDEAL_BENCH, LAYER[2]: FREE})
     found = fit_rig([followed(see, Rig())], KNOWN, description)
     assert_true(found, Rig())
     assert found.fit['layer.loss_tangent'].error < 0.01
@@ -358,9 +362,12 @@ def test_throws_of_two_masses_determine_thickness_and_wave_speed(make_throw):
         replace(make_throw(rig, rate=2500.0, duration=0.07, seed=seed), name=name)
         for seed, (rig, name) in enumerate(((light, 'light'), (heavy, 'heavy')))
     ]
-    parameters = {**IDEAL_BENCH, 'layer.thickness': 'free'}
+    parameters = {**IDEAL_BENCH, 'layer.thickness': FREE}
     masses = {'light': '0.7e-3', 'heavy': '2.4e-3'}
-    conditions = {name: {'projectile.mass': mass} for name, mass in masses.items()}
+    conditions = {
+        name: ThrowConditions(parse_treatments({'projectile.mass': mass}), {})
+        for name, mass in masses.items()
+    }
     both = fit_rig(throws, light, FitDescription(parameters, throws=conditions))
     one = fit_rig(throws[:1], light, FitDescription(parameters))
     assert_true(both, light)
