@@ -34,7 +34,9 @@ from soft_throw_ros.commands.identify_report import (
     fit_lines,
     IdentificationReport,
     layer_lines,
+    remark_lines,
     unit_of,
+    warning_lines,
     with_unit,
 )
 from soft_throw_ros.commands.options import (
@@ -187,8 +189,8 @@ def _identify(
         description = description.change({'layer.wave_speed': FIXED})
     rig = rig_of(settings)
     result = fit_rig(throws, rig, description, on_progress=_show_progress)
-    warnings = result.fit.warnings()
-    lines = [*budget_lines(result), '', *result.remarks, *layer_lines(result.layers)]
+    remarks = tuple(remark_lines(result))
+    lines = [*budget_lines(result), '', *remarks, *layer_lines(result.layers)]
     lines += fit_lines(result.fit)
     ejection = answer = None
     if has_projectile:
@@ -216,7 +218,7 @@ def _identify(
             'answer': answer and vars(answer),
             'fit': fit_data(result.fit),
             'terms': result.terms(),
-            'remarks': result.remarks,
+            'remarks': remarks,
             'layers': result.layers,
             'intervals': result.intervals,
             'throws': [
@@ -234,7 +236,7 @@ def _identify(
             'ejection': ejection_data(ejection),
         },
         notes=tuple(notes),
-        warnings=tuple(warnings),
+        warnings=tuple(warning_lines(result.fit)),
     )
 
 

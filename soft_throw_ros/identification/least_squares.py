@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-Least squares without outliers, with standard errors and warnings.
+Least squares without outliers, with standard errors.
 
 Notes
 -----
@@ -38,7 +38,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 import math
 from typing import NamedTuple
 
@@ -50,9 +49,6 @@ from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-INSEPARABLE = 0.99
-"""Correlation from which on two parameters cannot be separated. [-]"""
 
 OUTLIER_LIMIT = 6.0
 """Deviation of an outlier from its neighbours [noise]; noise alone exceeds it once in 1e8."""
@@ -71,7 +67,6 @@ _NOISE_ROUNDS = 2  # largest number of fits with a new estimate of the noise
 _NOISE_TOLERANCE = 0.1  # relative change of the noise below which no further fit is needed
 _STRAY = 5.0  # standard deviations beyond which a difference is excluded from the noise
 _JITTER_SIGNIFICANCE = 4.0  # significance of noise that grows with speed [standard errors]
-_CONTRADICTION = 4.0  # deviation from a prior beyond which chance is unlikely [errors]
 _SLOW_PART = 25  # number of residuals in a mean that shows systematic errors
 _CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # preserves the size of white noise
 
@@ -293,59 +288,6 @@ class Fit:
         for item in alternatives:
             covariance += np.outer(*2 * [0.5 * (item.values - self.values)])
         return replace(self, covariance=covariance, alternatives=tuple(alternatives))
-
-    def warnings(self) -> list[str]:
-        """Return warnings about the fit, each a sentence."""
-        result = []
-        for item in self.alternatives:
-            apart = np.abs(item.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
-            index = next(
-                (k for k, n in enumerate(self.names) if 'wave_speed' in n), int(apart.argmax())
-            )
-            result.append(
-                f'{self.names[index]} may as well be {item.values[index]:.5g} '
-                f'(chi squared is larger by {item.excess:.1f} there); the errors span both'
-            )
-        correlation = self.correlation
-        # Parameters of a single one of several throws have its number in brackets
-        free = [
-            index
-            for index, name in enumerate(self.names)
-            if not name.endswith(']') and index not in self.known
-        ]
-        for i, j in combinations(free, 2):
-            if abs(correlation[i, j]) > INSEPARABLE:
-                factor = 1.0 / math.sqrt(max(1.0 - correlation[i, j] ** 2, 1e-12))
-                result.append(
-                    f'{self.names[i]} and {self.names[j]} can hardly be told apart by these '
-                    f'tracks (correlation {correlation[i, j]:.4f}): the error of each is '
-                    f'{factor:.0f} times larger than with the other known; hold one'
-                )
-        for index, known in self.known.items():
-            off = abs(self.values[index] - known.value) / known.error
-            if off > _CONTRADICTION:
-                result.append(
-                    f'{self.names[index]} is found {off:.1f} errors from what is known of it, '
-                    f'{known}: a given value may be wrong'
-                )
-        if self.is_mismatch:
-            worst = max(self.residuals, key=lambda residual: residual.reduced_chi2)
-            start, end = worst.worst_part
-            result.append(
-                f'the residuals are {math.sqrt(self.reduced_chi2):.2g} times the noise: the model '
-                f'leaves out something that these tracks show, most of {worst.name} from '
-                f'{start:.4g} s to {end:.4g} s; errors are larger by as much, and may be too small'
-            )
-        coloured = [residual for residual in self.residuals if not residual.is_white]
-        if coloured:
-            worst = max(coloured, key=lambda residual: residual.inflation)
-            more = f' and {len(coloured) - 1} more' if len(coloured) > 1 else ''
-            result.append(
-                f'the residuals of {worst.name}{more} are no white noise (correlation of '
-                f'neighbours {worst.autocorrelation:.2f}): errors are up to '
-                f'{math.sqrt(max(worst.inflation, 1.0)):.2g} times larger'
-            )
-        return result
 
     @property
     def is_mismatch(self) -> bool:

@@ -30,7 +30,8 @@ import contextlib
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.identification.fit_description import LAYER
-from soft_throw_ros.identification.least_squares import Fit, FitError, INSEPARABLE
+from soft_throw_ros.identification.fit_warnings import INSEPARABLE
+from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.rig_model import RigModel
 
 Floats = NDArray[np.float64]

@@ -87,6 +87,13 @@ _LONG_RUN = 3
 """Number of consecutive equal heights from which on rounding errors are correlated."""
 
 
+class SkippedEffect(NamedTuple):
+    """An effect that the errors do not include, because its throws cannot be simulated."""
+
+    name: str
+    reason: str
+
+
 class UnseenEffect(NamedTuple):
     """Changes by one standard deviation of each of k independent causes."""
 
@@ -149,12 +156,8 @@ def release_shift(model: RigModel, values: Floats, throw: int) -> Floats:
 
 def unseen_effects(
     model: RigModel, values: Floats
-) -> tuple[list[UnseenEffect], list[str]]:
-    """
-    Compute the effects that the description of a fit leaves open, at the values of the fit.
-
-    Return the effects, and sentences about effects whose throws cannot be simulated.
-    """
+) -> tuple[list[UnseenEffect], list[SkippedEffect]]:
+    """Compute the effects that the description of a fit leaves open, at the values of the fit."""
     makers: dict[str, Callable[[], UnseenEffect]] = {}
     size = model.description.treatment(PLATE_MODE).error
     if size is not None:
@@ -180,11 +183,13 @@ def unseen_effects(
         try:
             effects.append(make())
         except ValueError as error:
-            skipped.append(f'the errors do not include the effect of {name}: {error}')
+            skipped.append(SkippedEffect(name, str(error)))
     return effects, skipped
 
 
-def add_unseen(model: RigModel, fit: Fit) -> tuple[Fit, list[UnseenEffect], list[str]]:
+def add_unseen(
+    model: RigModel, fit: Fit
+) -> tuple[Fit, list[UnseenEffect], list[SkippedEffect]]:
     """Add unseen effects to the covariance of a fit; see `unseen_effects`."""
     linear = LinearFit(model, fit)
     effects, skipped = unseen_effects(model, fit.values)

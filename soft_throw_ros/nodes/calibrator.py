@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.parameter import Parameter, parameter_value_to_python
+from soft_throw_ros.commands.identify_report import warning_lines
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
@@ -189,7 +190,7 @@ class Calibrator(RunnableNode):
 
     def _apply_fit(self, rig_fit: RigFit) -> None:
         """Set the fitted parameters of the twin, and give the rig the recommended layer."""
-        for warning in rig_fit.fit.warnings():
+        for warning in warning_lines(rig_fit.fit):
             self.get_logger().warning(warning)
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
@@ -217,7 +218,7 @@ class Calibrator(RunnableNode):
         if rig_fit is not None:
             values = {name: str(value) for name, value in rig_fit.estimates().items()}
             values['outliers'] = sum(len(residual.outliers) for residual in rig_fit.fit.residuals)
-            warnings = rig_fit.fit.warnings()
+            warnings = warning_lines(rig_fit.fit)
             values |= {f'warning {number}': text for number, text in enumerate(warnings, 1)}
             warn = bool(warnings)
         name = self.get_fully_qualified_name()
