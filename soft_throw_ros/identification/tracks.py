@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
+from soft_throw_ros.configuration.csv_rows import MIN_STEP
 from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
@@ -37,9 +38,6 @@ FEWEST = 12
 
 MAX_TIME, MAX_HEIGHT = 1e12, 1e6
 """Largest time and height; larger numbers have a wrong unit. [s], [m]"""
-
-MIN_STEP = 1e-12
-"""Smallest increase of time between two samples. [s]"""
 
 _STRAY_LIMIT = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
 _ROUNDING_TOLERANCE = 0.1  # largest deviation of rounded heights from multiples of a step [steps]
