@@ -146,7 +146,7 @@ def _try_term(linear: LinearFit, name: str) -> _Candidate:
         change = (wider.predict(moved) - base) / trial
         for index in wider.layout.indices_of(part):
             throws = [throw for throw, at in wider.layout.indices[part].items() if at == index]
-            columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
+            columns.append(np.where(np.isin(wider.throw_of_sample, throws), change, 0.0))
     gain, result = linear.gain(np.stack(columns, axis=1))
     if name == _LOSS and result.max() <= 0.0:
         gain = 0.0

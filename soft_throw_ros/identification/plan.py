@@ -340,7 +340,7 @@ class Planner:
             ]
             known = np.array([1.0 / self._model.known[k].error if k in self._model.known else 0.0
                               for k in own])
-            rows = self._model.rows == number
+            rows = self._model.throw_of_sample == number
             basis, _ = np.linalg.qr(
                 np.concatenate([columns[rows][:, own] / self.setup.noise, np.diag(known)])
             )

@@ -126,7 +126,7 @@ class RigFit:
         """Fitted tracks, without samples after a landing and without outliers."""
         tracks: list[dict[str, Track]] = [{} for _ in self.model.throws]
         for (throw, body, _), residual in zip(
-            self.model.channels, self.fit.residuals, strict=True
+            self.model.series, self.fit.residuals, strict=True
         ):
             tracks[throw][body] = residual.track
         return tuple(
@@ -190,8 +190,8 @@ class RigFit:
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
-        wanted = [(throw, body, time) for body in ('plate', 'projectile')]
-        plate, projectile = self.model.paths(self.fit.values, wanted)
+        requests = [(throw, body, time) for body in ('plate', 'projectile')]
+        plate, projectile = self.model.trajectories(self.fit.values, requests)
         return plate.height, projectile.height
 
     def releases(self, count: int, seed: int = 0) -> FirstReleases:
@@ -455,7 +455,7 @@ def _fit_until_landing(model: RigModel) -> RigFit:
     result = RigFit(model=cut, fit=cut.fit(cut.start()))
     for _ in range(_LANDING_ROUNDS - 1):
         cut = _in_flight(replace(model, rig=result.rig))
-        if cut.rows.size == result.model.rows.size:
+        if cut.throw_of_sample.size == result.model.throw_of_sample.size:
             break
         result = RigFit(model=cut, fit=cut.fit(cut.start()))
     return result

@@ -176,7 +176,7 @@ def unseen_effects(
             makers[STICKING] = partial(_sticking, model, values, size)
         if 'layer.stiffening' in model.layout:
             makers[STRESS_LAW] = partial(_stress_law, model, values)
-    if any(channel.track.rounding_step for channel in model.channels):
+    if any(item.track.rounding_step for item in model.series):
         makers[ROUNDING] = partial(_rounding, model)
     effects, skipped = [], []
     for name, make in makers.items():
@@ -203,7 +203,7 @@ def add_unseen(
 
 def _heights(model: RigModel, values: Floats, change: Change | None = None) -> Floats:
     """Predict all tracks of changed rigs in one series [m]."""
-    return np.concatenate([path.height for path in model.paths(values, change=change)])
+    return np.concatenate([item.height for item in model.trajectories(values, change=change)])
 
 
 def _of_changes(
@@ -262,7 +262,7 @@ def _undamped(size: float) -> list[Change]:
 def _sticking(model: RigModel, values: Floats, duration: float) -> UnseenEffect:
     """Return the effect of a layer that pulls the projectile for a while before it lets go."""
     columns = []
-    for throw, body, track in model.channels:
+    for throw, body, track in model.series:
         column = np.zeros(track.time.size)
         rig, motion = model.motion(values, throw)
         releases = ejections(_events(model, rig, motion))
@@ -313,11 +313,11 @@ def _stress_law(model: RigModel, values: Floats) -> UnseenEffect:
         slope = _heights(model, faster) - _heights(model, values)
         noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
         weighted = slope / noise**2
-        part = float(weighted @ column) / max(float(weighted @ slope), 1e-300)
-        column = column - part * slope
+        change = float(weighted @ column) / max(float(weighted @ slope), 1e-300)
+        column = column - change * slope
         plain = _release(model, rig, motion)
         quicker = _release(model, *model.motion(faster, 0), near=plain)
-        moved = moved - part * _difference(quicker, plain)
+        moved = moved - change * _difference(quicker, plain)
     return UnseenEffect(STRESS_LAW, column[None, :], moved[:1], moved[1:])
 
 
@@ -364,15 +364,15 @@ def _jerk(model: RigModel, rig: Rig, motion: PlateWithWaves, release: Event) -> 
 
 def _rounding(model: RigModel) -> UnseenEffect:
     """Return the effect of rounding on runs of equal heights, each of which shares one error."""
-    columns = [np.zeros((0, model.rows.size))]
+    columns = [np.zeros((0, model.throw_of_sample.size))]
     first = 0
-    for _, _, track in model.channels:
+    for _, _, track in model.series:
         starts = np.flatnonzero(np.diff(track.position, prepend=np.nan) != 0.0)
         sizes = np.diff(starts, append=track.time.size)
         if track.rounding_step > 0.0:
             for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
                 if size >= _LONG_RUN:
-                    column = np.zeros((1, model.rows.size))
+                    column = np.zeros((1, model.throw_of_sample.size))
                     run = slice(first + start, first + start + size)
                     column[0, run] = track.rounding_step / math.sqrt(12.0)
                     columns.append(column)
