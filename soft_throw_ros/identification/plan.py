@@ -387,8 +387,8 @@ class Planner:
         after = [known.after(information) for information in self.information]
         return sorted(enumerate(after), key=lambda item: item[1].log_det_covariance)
 
-    def energy_transfer(self, known: ParameterInformation) -> tuple[float, float]:
-        """Return alpha of the rig and its standard error over alpha, over drawn rigs as a fit."""
+    def energy_transfer_error(self, known: ParameterInformation) -> float:
+        """Return the relative standard error of alpha, from drawn rigs as in a fit [-]."""
         random = np.random.default_rng(0)
         steps = draw_normal(random, known.covariance, _DRAWS)
         first, slower = len(self.names), np.zeros(1 + _DRAWS)
@@ -411,7 +411,7 @@ class Planner:
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')
         change = np.nan_to_num(alpha[1:] / alpha[0] - 1.0, nan=1.0)
-        return float(alpha[0]), float(np.std(change))
+        return float(np.std(change))
 
     def _size(self, name: str) -> float:
         """Return the size that a parameter of a real rig has, 0 if it may well be 0."""
@@ -432,7 +432,7 @@ class Planner:
         return PlannedThrow(
             condition=condition,
             errors=known.errors(),
-            energy_transfer_error=self.energy_transfer(known)[1],
+            energy_transfer_error=self.energy_transfer_error(known),
             peak_strain=throw.peak_strain,
             leaves_linear_range=throw.leaves_linear_range,
         )

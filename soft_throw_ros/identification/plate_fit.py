@@ -71,12 +71,6 @@ class PlateFit:
     offset: float
 
     @property
-    def motion(self) -> Underdamped:
-        """The motion from its start on."""
-        frequency, damping_ratio, amplitude = (float(value) for value in self.fit.values[:3])
-        return Underdamped(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude)
-
-    @property
     def start_time(self) -> float:
         """Start of the motion, on the clock of the track [s]."""
         return self.fit['start_time'].value
