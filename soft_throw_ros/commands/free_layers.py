@@ -24,6 +24,7 @@ from soft_throw_ros.commands.identify_report import (
     fit_data,
     fit_lines,
     IdentificationReport,
+    warning_lines,
     with_unit,
 )
 from soft_throw_ros.commands.options import (
@@ -97,7 +98,7 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
     thicknesses, paths = [_thickness(text) for text in words[::2]], words[1::2]
     for thickness, path in zip(thicknesses, paths, strict=True):
         layers.append((thickness, _ringing(path, arguments)))
-        warnings += [f'{path}: {warning}' for warning in layers[-1][1].fit.warnings()]
+        warnings += [f'{path}: {warning}' for warning in warning_lines(layers[-1][1].fit)]
     speed = fit_wave_speed(
         [thickness for thickness, _ in layers],
         [ringing.period for _, ringing in layers],

@@ -34,7 +34,9 @@ from soft_throw_ros.commands.identify_report import (
     fit_lines,
     IdentificationReport,
     layer_lines,
+    remark_lines,
     unit_of,
+    warning_lines,
     with_unit,
 )
 from soft_throw_ros.commands.options import (
@@ -51,7 +53,9 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
     ENGINE,
     FitDescription,
+    FIXED,
     PARAMETERS,
+    parse_treatments,
     TREATMENTS,
 )
 from soft_throw_ros.identification.least_squares import FitError
@@ -126,7 +130,7 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
     known = _split_known(arguments)
     description = FitDescription()
     if arguments.one_camera:
-        description = description.change(dict.fromkeys(_OF_TWO_SENSORS, 'held'))
+        description = description.change(dict.fromkeys(_OF_TWO_SENSORS, FIXED))
     if arguments.fit_file:
         description = FitDescription.from_file(arguments.fit_file, description)
     fitted = {}
@@ -140,7 +144,7 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
     options |= {'fit': fitted, 'hold': dict.fromkeys(arguments.hold, 'held')}
     for option, changes in options.items():
         try:
-            description = description.change(changes)
+            description = description.change(parse_treatments(changes))
         except ValueError as error:
             raise ValueError(f'argument --{option}: {error}') from None
     return description
@@ -182,11 +186,11 @@ def _identify(
     throws, notes = read_all(arguments)
     has_projectile = any(throw.projectile is not None for throw in throws)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
-        description = description.change({'layer.wave_speed': 'held'})
+        description = description.change({'layer.wave_speed': FIXED})
     rig = rig_of(settings)
     result = fit_rig(throws, rig, description, on_progress=_show_progress)
-    warnings = result.fit.warnings()
-    lines = [*budget_lines(result), '', *result.remarks, *layer_lines(result.layers)]
+    remarks = tuple(remark_lines(result))
+    lines = [*budget_lines(result), '', *remarks, *layer_lines(result.layers)]
     lines += fit_lines(result.fit)
     ejection = answer = None
     if has_projectile:
@@ -214,7 +218,7 @@ def _identify(
             'answer': answer and vars(answer),
             'fit': fit_data(result.fit),
             'terms': result.terms(),
-            'remarks': result.remarks,
+            'remarks': remarks,
             'layers': result.layers,
             'intervals': result.intervals,
             'throws': [
@@ -232,7 +236,7 @@ def _identify(
             'ejection': ejection_data(ejection),
         },
         notes=tuple(notes),
-        warnings=tuple(warnings),
+        warnings=tuple(warning_lines(result.fit)),
     )
 
 

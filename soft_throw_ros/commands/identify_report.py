@@ -28,8 +28,18 @@ from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, 
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.identification.ejection import Answer, Ejection, GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import PARAMETERS
+from soft_throw_ros.identification.fit_warnings import (
+    Ambiguity,
+    Contradiction,
+    CorrelatedResiduals,
+    fit_warnings,
+    FitWarning,
+    InseparablePair,
+    Mismatch,
+)
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.model_choice import LayerModel
+from soft_throw_ros.identification.parameter_layout import RINGING
 from soft_throw_ros.identification.rig_fit import RigFit
 
 _UNITS_IN_TABLES = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
@@ -181,6 +191,61 @@ def with_unit(value: Estimate, unit: str) -> str:
     """Write a value with its error, in a unit of handy size."""
     shown, factor = _handy_unit(unit)
     return f'{Estimate(factor * value.value, factor * value.error)} {shown}'.rstrip()
+
+
+def warning_lines(fit: Fit) -> list[str]:
+    """Return a sentence for each reason to doubt a fit."""
+    return [warning_text(warning) for warning in fit_warnings(fit)]
+
+
+def warning_text(warning: FitWarning) -> str:
+    """Return a sentence about a reason to doubt a fit."""
+    match warning:
+        case Ambiguity(name, value, excess):
+            return (
+                f'{name} may as well be {value:.5g} (chi squared is larger by {excess:.1f} '
+                'there); the errors span both'
+            )
+        case InseparablePair((first, second), correlation):
+            return (
+                f'{first} and {second} can hardly be told apart by these tracks (correlation '
+                f'{correlation:.4f}): the error of each is {warning.error_ratio:.0f} times '
+                'larger than with the other known; hold one'
+            )
+        case Contradiction(name, deviation, prior):
+            return (
+                f'{name} is found {deviation:.1f} errors from what is known of it, {prior}: a '
+                'given value may be wrong'
+            )
+        case Mismatch(ratio, track, start, end):
+            return (
+                f'the residuals are {ratio:.2g} times the noise: the model leaves out something '
+                f'that these tracks show, most of {track} from {start:.4g} s to {end:.4g} s; '
+                'errors are larger by as much, and may be too small'
+            )
+        case CorrelatedResiduals(track, others, autocorrelation, inflation):
+            more = f' and {others} more' if others else ''
+            return (
+                f'the residuals of {track}{more} are no white noise (correlation of neighbours '
+                f'{autocorrelation:.2f}): errors are up to '
+                f'{math.sqrt(max(inflation, 1.0)):.2g} times larger'
+            )
+
+
+def remark_lines(result: RigFit) -> Iterator[str]:
+    """Yield sentences about added terms and about omissions of a fit."""
+    for term in result.added_terms:
+        if term.name == RINGING:  # a loss has its own row in the table
+            yield (
+                'a plate that rings before the throw explains these throws (chi squared '
+                f'{term.reduced_chi2:.2f} per degree of freedom); without it they are not '
+                f'explained ({term.reduced_chi2_before:.2f}). {term.name}: '
+                f'{", ".join(map(str, term.values))}'
+            )
+    if not result.is_complete:
+        yield 'the search for effects of the bench is incomplete: the fit takes too long'
+    for effect in result.skipped_effects:
+        yield f'the errors do not include the effect of {effect.name}: {effect.reason}'
 
 
 def budget_lines(result: RigFit) -> Iterator[str]:

@@ -129,7 +129,7 @@ def _run(arguments: argparse.Namespace) -> int:
         start = planner.start()
         candidates = planner.rank(start)
         goal = 0.01 * arguments.goal
-        before = planner.energy_transfer(start)[1]
+        before = planner.energy_transfer_error(start)
         chosen: list[PlannedThrow] = []
         for throw in itertools.islice(
             planner.choose(start), 0 if before <= goal else _MOST_THROWS

@@ -11,24 +11,43 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rows and column labels of CSV files, as spreadsheets and measuring programs write them."""
+"""Numbers in CSV files, as spreadsheets and measuring programs write them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
 import re
 from typing import NamedTuple
 
-from soft_throw_ros.configuration.table import float_of
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.configuration.table import float_of, quote
+
+Floats = NDArray[np.float64]
+
+MIN_STEP = 1e-12
+"""Smallest increase of time between two rows. [s]"""
 
 _SEPARATORS = (';', '\t', ',')
+_MISSING = ('', 'nan')
 
 
-class Label(NamedTuple):
-    """The name of a column in small letters, and its unit, empty if none is given."""
+class Column(NamedTuple):
+    """Labels, units and range of a column of numbers."""
 
-    name: str
-    unit: str
+    labels: tuple[str, ...]
+    """Accepted labels, in small letters."""
+    units: Mapping[str, float]
+    """SI values of the accepted units."""
+    default_unit: str
+    """Unit of a column whose label has none."""
+    largest: float = math.inf
+    """Largest absolute value. [SI]"""
+    may_have_gaps: bool = False
+    """Whether a value may be missing: the cell is empty or nan, and the value NaN."""
+    needs_label: bool = False
+    """Whether a file without labels never has this column."""
 
 
 def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
@@ -61,20 +80,125 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
         yield number, [cell.strip().strip('"\'') for cell in cells]
 
 
-def is_header(cells: Sequence[str]) -> bool:
-    """Return whether a row contains the labels of columns: no cell is a number."""
-    return all(float_of(cell) is None for cell in cells)
-
-
-def parse_label(cell: str) -> Label:
+def _parse_label(cell: str) -> tuple[str, str]:
     """
-    Return the label of a column from a cell of the header.
+    Return the label of a column in small letters, and its unit, which may be empty.
 
     Examples
     --------
-    >>> parse_label('Height [\N{MICRO SIGN}m]')
-    Label(name='height', unit='um')
+    >>> _parse_label('Height [\N{MICRO SIGN}m]')
+    ('height', 'um')
 
     """
     name, _, unit = re.sub(r'[\[(]', '\n', cell, count=1).partition('\n')
-    return Label(name.strip().lower(), unit.rstrip(' )]').replace('\N{MICRO SIGN}', 'u'))
+    return name.strip().lower(), unit.rstrip(' )]').replace('\N{MICRO SIGN}', 'u')
+
+
+def read_columns(
+    lines: Iterable[str], name: str, columns: Mapping[str, Column]
+) -> dict[str, Floats]:
+    """
+    Read columns of numbers.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        Lines of text, see `read_rows`. A first line may label the columns, with an optional unit
+        in brackets; other columns are skipped then. Without labels, the columns are in the order
+        of `columns`.
+    name : str
+        Name of the text in errors.
+    columns : mapping of str to Column
+        The first one is the time, which increases. The first two are required.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        Values of the columns of the text, in SI units.
+
+    Raises
+    ------
+    ValueError
+        With the number of the line, if something is wrong.
+
+    """
+    rows = list(read_rows(lines))
+    time, second, *_ = columns
+    if not rows:
+        raise ValueError(f'{name}: is empty; columns {time} and {second} are needed')
+    (first, head), *_ = rows
+    if all(float_of(cell) is None for cell in head):
+        del rows[0]
+        sources = _find_columns(head, columns, f'{name}:{first}')
+    else:
+        bare = [
+            (key, column.units[column.default_unit])
+            for key, column in columns.items()
+            if not column.needs_label
+        ]
+        sources = {key: (n, unit) for n, (key, unit) in enumerate(bare[: len(head)])}
+    if not rows:
+        raise ValueError(f'{name}:{first}: names columns, but no line with numbers follows')
+    if second not in sources:
+        raise ValueError(
+            f'{name}:{first}: must have columns {time} and {second}, got {quote(head[0])} alone'
+        )
+    table: dict[str, list[float]] = {key: [] for key in sources}
+    for number, cells in rows:
+        where = f'{name}:{number}'
+        if len(cells) == len(head) + 1 and not cells[-1]:
+            del cells[-1]  # the line ends with a separator
+        if len(cells) != len(head):
+            hint = '; the same sign must separate the values of all lines' * (len(cells) == 1)
+            raise ValueError(
+                f'{where}: must have {len(head)} values as line {first} has, '
+                f'got {len(cells)}{hint}'
+            )
+        for key, (index, unit) in sources.items():
+            table[key].append(_number(cells[index], unit, f'{where}: {key}', columns[key]))
+        last = table[time][-2:]
+        if last[-1] - last[0] < MIN_STEP and len(last) > 1:
+            raise ValueError(
+                f'{where}: {time} must increase, got {last[-1]:g} after {last[0]:g}'
+            )
+    return {key: np.array(values) for key, values in table.items()}
+
+
+def _number(text: str, unit: float, subject: str, column: Column) -> float:
+    """Return a value in SI units; raise ValueError about the subject."""
+    if column.may_have_gaps and text.lower() in _MISSING:
+        return math.nan
+    value = float_of(text)
+    if value is None or not math.isfinite(value):
+        raise ValueError(f'{subject} must be a finite number, got {quote(text)}')
+    if abs(unit * value) > column.largest:
+        limit = column.largest / unit
+        raise ValueError(f'{subject} must be within +- {limit:g}, got {quote(text)}')
+    return unit * value
+
+
+def _find_columns(
+    cells: Sequence[str], columns: Mapping[str, Column], where: str
+) -> dict[str, tuple[int, float]]:
+    """Return index and SI value of the unit of each column that has a label."""
+    sources: dict[str, tuple[int, float]] = {}
+    for index, cell in enumerate(cells):
+        label, unit_name = _parse_label(cell)
+        for key, column in columns.items():
+            if label not in column.labels:
+                continue
+            unit = column.units.get(unit_name or column.default_unit)
+            if unit is None:
+                raise ValueError(
+                    f'{where}: {key} must be in {" or ".join(column.units)}, got {quote(cell)}'
+                )
+            if key in sources:
+                raise ValueError(f'{where}: {key} must be there once, got {quote(cell)} too')
+            sources[key] = index, unit
+    for key in list(columns)[:2]:
+        if key not in sources:
+            raise ValueError(
+                f'{where}: no column is named {" or ".join(columns[key].labels)}, '
+                f'got {quote(", ".join(cells))}; lines above the names must begin with #'
+            )
+    return sources

@@ -21,19 +21,18 @@ of its files, see `encode`, and a repetition of the run takes them from there.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
-import math
 from pathlib import Path
 from typing import TypeAlias
 import zlib
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration.csv_rows import is_header, parse_label, read_rows
+from soft_throw_ros.configuration.csv_rows import Column, read_columns
 from soft_throw_ros.configuration.recorded_motion import MAX_END_SPEED, motion_from_record
 from soft_throw_ros.configuration.regular_file import open_regular_file, read_regular_file
-from soft_throw_ros.configuration.table import float_of, ParameterError, quote
+from soft_throw_ros.configuration.table import ParameterError, quote
 from soft_throw_ros.core.plate import SampledMotion
 
 Floats = NDArray[np.float64]
@@ -41,16 +40,16 @@ Floats = NDArray[np.float64]
 PARAMETER = 'engine.motion_file'
 
 _COLUMNS = {
-    'time': (('t', 'time'), {'s': 1.0, 'ms': 1e-3}),
-    'height': (
+    'time': Column(('t', 'time'), {'s': 1.0, 'ms': 1e-3}, 's'),
+    'height': Column(
         ('z', 'height', 'position', 'plate', 'z_plate', 'zp', 'z_p'),
         {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
+        'm',
     ),
-    'velocity': (('velocity',), {'m/s': 1.0}),
-    'acceleration': (('acceleration',), {'m/s2': 1.0}),
+    'velocity': Column(('velocity',), {'m/s': 1.0}, 'm/s', needs_label=True),
+    'acceleration': Column(('acceleration',), {'m/s2': 1.0}, 'm/s2', needs_label=True),
 }
-"""Accepted names of columns, and their units; the first unit is the default."""
-
+_STATES = ('height', 'velocity', 'acceleration')
 _JOINT = 'plate'
 _BAGS = ('.mcap', '.zstd')
 _STILL = 0.05
@@ -79,7 +78,7 @@ def read(path: str | Path) -> SampledMotion:
     Parameters
     ----------
     path : path_like
-        A CSV file, see `csv_rows`, with a time [s] and a height [m] in each line. A first line
+        A CSV file, see `read_columns`, with a time [s] and a height [m] in each line. A first line
         may name the columns, and other columns are skipped then: `t` or `time`, and `z`,
         `height`, `position` or `plate`, with an optional unit in brackets; with the columns
         `velocity` and `acceleration`, the motion is exact. Or a bag, as a folder or an `.mcap`
@@ -130,9 +129,13 @@ def _read(name: str) -> SampledMotion:
         return _motion(name, times, heights[:, None])
     try:
         lines = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig').splitlines()
+        columns = read_columns(lines, name, _COLUMNS)
     except UnicodeDecodeError:
         raise ParameterError(f'{name}: is no UTF-8 text', PARAMETER) from None
-    return _motion(name, *_read_csv(lines, name))
+    except ValueError as error:
+        raise ParameterError(str(error), PARAMETER) from None
+    states = _STATES if set(_STATES) <= set(columns) else _STATES[:1]
+    return _motion(name, columns['time'], np.stack([columns[key] for key in states], axis=1))
 
 
 def _motion(name: str, times: Floats, states: Floats) -> SampledMotion:
@@ -151,61 +154,6 @@ def _require_rest(states: Floats) -> None:
     start, end = states[[0, -1], 1].tolist()
     if start != 0.0 or abs(end) > MAX_END_SPEED * np.abs(states[:, 1]).max():
         raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
-
-
-def _read_csv(lines: Iterable[str], name: str) -> tuple[Floats, Floats]:
-    """Return times, and heights with their derivatives if the file has them."""
-    rows = list(read_rows(lines))
-    columns = {'time': (0, 1.0), 'height': (1, 1.0)}
-    if rows and is_header(rows[0][1]):
-        number, cells = rows.pop(0)
-        columns = dict(_named_columns(cells, f'{name}:{number}'))
-    table = np.empty((len(rows), len(columns)))
-    for n, (number, cells) in enumerate(rows):
-        for m, (column, (index, unit)) in enumerate(columns.items()):
-            cell = cells[index] if index < len(cells) else ''
-            value = float_of(cell)
-            if value is None or not math.isfinite(value):
-                raise ParameterError(
-                    f'{name}:{number}: {column} must be a finite number, got {quote(cell)}',
-                    PARAMETER,
-                )
-            table[n, m] = value * unit
-        if n and table[n, 0] <= table[n - 1, 0]:
-            raise ParameterError(
-                f'{name}:{number}: time must increase, got {table[n, 0]:g} after '
-                f'{table[n - 1, 0]:g}',
-                PARAMETER,
-            )
-    return table[:, 0], table[:, 1:]
-
-
-def _named_columns(cells: list[str], where: str) -> Iterator[tuple[str, tuple[int, float]]]:
-    """
-    Yield the name of each column, its index in the file, and the SI value of its unit.
-
-    The two derivatives are read only together.
-    """
-    labels = list(map(parse_label, cells))
-    names = [label.name for label in labels]
-    has_derivatives = {'velocity', 'acceleration'} <= set(names)
-    for name, (accepted, units) in _COLUMNS.items():
-        if name in ('velocity', 'acceleration') and not has_derivatives:
-            continue
-        index = next((names.index(label) for label in accepted if label in names), None)
-        if index is None:
-            raise ParameterError(
-                f'{where}: no column is named {" or ".join(accepted)}, '
-                f'got {quote(", ".join(cells))}',
-                PARAMETER,
-            )
-        unit = labels[index].unit or next(iter(units))
-        if unit not in units:
-            raise ParameterError(
-                f'{where}: {name} must be in {" or ".join(units)}, got {quote(cells[index])}',
-                PARAMETER,
-            )
-        yield name, (index, units[unit])
 
 
 def _read_bag(path: Path) -> tuple[Floats, Floats]:

@@ -19,7 +19,7 @@ with a model: of the plate alone (`plate_fit`), of whole throws (`rig_model` as 
 says, run by `rig_fit`), or of a free layer (`ringing`). A fit of whole throws is started by
 `layer_search`, which also tries other minima; then other models (`model_choice`) are tried to
 first order (`linear_fit`), and effects that the tracks hardly show are added to the errors
-(`unseen`).
+(`unseen`). `fit_warnings` finds reasons to doubt a fit.
 `forward` is the only module that calls the steppers of the core. `ejection` computes the first
 release.
 """

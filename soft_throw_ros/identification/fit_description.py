@@ -24,7 +24,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from fnmatch import fnmatchcase
-from functools import cache
 import math
 from operator import attrgetter
 from pathlib import Path
@@ -72,38 +71,6 @@ UNSEEN = (PLATE_MODE, STICKING)
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
 
-DEFAULTS: Mapping[str, str] = dict.fromkeys(
-    (*PARAMETERS, *NUISANCE_PARAMETERS, *UNSEEN), 'held'
-) | {
-    'engine.frequency': 'free',
-    'engine.damping_ratio': 'free',
-    'engine.amplitude': 'free per throw',
-    'layer.wave_speed': 'free',
-    'layer.thickness': '+- 1e-4',
-    'layer.diameter': '+- 1e-4',
-    'layer.loss_tangent': 'free if seen',
-    'layer.stiffening': '+- 0.4',
-    'projectile.mass': '+- 1 %',
-    'projectile.scale': '+- 0.5 %',
-    'projectile.delay': '+- 1e-4',
-    STICKING: '+- 2e-4',
-    'plate.drift': '+- 0.02 per throw',
-    'projectile.drift': '+- 0.02 per throw',
-    'plate.ringing': '+- 0.02 per throw if seen',
-    PLATE_MODE: '+- 0.01',
-}
-"""
-Default treatments; errors of lengths and mass are those of the paper.
-
-With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
-error.
-"""
-
-IDEAL_BENCH: Mapping[str, str] = {
-    name: 'held' for name in DEFAULTS if name not in ENGINE and name != 'layer.wave_speed'
-} | {'engine.amplitude': 'free'}
-"""Treatments for a bench without faults, where all but `DEFAULT_FREE` are known exactly."""
-
 Heights = Literal['own', 'common', 'absolute']
 """
 From where heights count: each track from a zero of its own; both from the same; or both from the
@@ -122,7 +89,8 @@ TREATMENTS = (
 )
 """Allowed treatments of a parameter, for messages."""
 
-_PARTS = ('layer', 'projectile')  # bodies that may be replaced between throws
+PARTS = ('layer', 'projectile')
+"""Parts of a rig that may be replaced between throws, and have names then."""
 
 _MAX_NAMES = 8
 """Names of throws that a message lists, so that it stays readable."""
@@ -166,47 +134,57 @@ class Treatment(NamedTuple):
         """Whether the fit changes it."""
         return self.role is not ParameterRole.FIXED and not self.only_if_significant
 
-    @classmethod
-    @cache
-    def parse(cls, text: str) -> Treatment:
-        """
-        Parse a treatment; raise ValueError if it is none.
 
-        It is `free`; `held`; a value at which the parameter is held; or a value with a standard
-        error, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of the
-        rig. `per throw` may follow `free` or an error, if each throw has its own value; then `if
-        seen`, if the parameter is held unless it improves the fit of the tracks much.
-        """
-        match = _TEXT.fullmatch(text.strip())
-        given = match.groupdict() if match else {}
-        word, value, error = (given.get(name) for name in ('word', 'value', 'error'))
-        if (word is None) == (value is None and error is None):
-            raise ValueError(f'must be {TREATMENTS}, got {text!r}')
-        if value is not None and not math.isfinite(float(value)):
-            raise ValueError(f'must have a value that is finite, got {text!r}')
-        if error is not None and not 0.0 < float(error) < math.inf:
-            raise ValueError(f'must have an error that is finite and positive, got {text!r}')
-        role = ParameterRole(word) if word else ParameterRole.FIXED
-        if error is not None:
-            role = ParameterRole.PRIOR
-        is_per_throw, is_if_seen = given['own'] is not None, given['seen'] is not None
-        if (is_per_throw or is_if_seen) and role is ParameterRole.FIXED:
-            raise ValueError(
-                f"must be free or have an error to be 'per throw' or 'if seen', got {text!r}"
-            )
-        is_relative = given['percent'] is not None
-        return cls(
-            role=role,
-            value=None if value is None else float(value),
-            error=None if error is None else float(error) * (0.01 if is_relative else 1.0),
-            is_relative=is_relative,
-            is_per_throw=is_per_throw,
-            only_if_significant=is_if_seen,
-        )
-
+FREE = Treatment(ParameterRole.FREE)
+"""Treatment of a parameter that the fit determines."""
 
 FIXED = Treatment(ParameterRole.FIXED)
 """Treatment of a parameter that is known exactly, at the value of the rig."""
+
+
+def _prior(error: float, **flags: bool) -> Treatment:
+    """Return the treatment of a parameter that is known with an error."""
+    return Treatment(ParameterRole.PRIOR, error=error, **flags)
+
+
+DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
+    (*PARAMETERS, *NUISANCE_PARAMETERS, *UNSEEN), FIXED
+) | {
+    'engine.frequency': FREE,
+    'engine.damping_ratio': FREE,
+    'engine.amplitude': FREE._replace(is_per_throw=True),
+    'layer.wave_speed': FREE,
+    'layer.thickness': _prior(1e-4),
+    'layer.diameter': _prior(1e-4),
+    'layer.loss_tangent': FREE._replace(only_if_significant=True),
+    'layer.stiffening': _prior(0.4),
+    'projectile.mass': _prior(0.01, is_relative=True),
+    'projectile.scale': _prior(0.005, is_relative=True),
+    'projectile.delay': _prior(1e-4),
+    STICKING: _prior(2e-4),
+    'plate.drift': _prior(0.02, is_per_throw=True),
+    'projectile.drift': _prior(0.02, is_per_throw=True),
+    'plate.ringing': _prior(0.02, is_per_throw=True, only_if_significant=True),
+    PLATE_MODE: _prior(0.01),
+}
+"""
+Default treatments; errors of lengths and mass are those of the paper.
+
+With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
+error.
+"""
+
+IDEAL_BENCH: Mapping[str, Treatment] = {
+    name: FIXED for name in DEFAULTS if name not in DEFAULT_FREE
+} | {'engine.amplitude': FREE}
+"""Treatments for a bench without faults, where all but `DEFAULT_FREE` are known exactly."""
+
+
+class ThrowConditions(NamedTuple):
+    """Treatments of parameters for some throws only, and names of the `PARTS` in these throws."""
+
+    treatments: Mapping[str, Treatment]
+    parts: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -216,49 +194,43 @@ class FitDescription:
 
     Parameters
     ----------
-    parameters : mapping of str to Treatment or str
-        Treatments of some of `DEFAULTS`; a text is parsed by `Treatment.parse`. The others have
-        the treatment in `DEFAULTS`.
+    parameters : mapping of str to Treatment
+        Treatments of some of `DEFAULTS`, see `parse_treatments`. The others have the treatment in
+        `DEFAULTS`.
     heights : {'own', 'common', 'absolute'}
         Origin of the heights, see `Heights`.
     reference : {'face', 'centre'}
         Point of the projectile whose heights the tracks have; it matters if heights are not of
         their own.
-    throws : mapping of str to mapping of str to Treatment or str
-        Treatments of parameters for some throws only, and under `layer` and `projectile` any
-        names of parts. A key is a name, or a pattern of names, of throws or of their files.
-        Throws with the same treatment or part share its value.
+    throws : mapping of str to ThrowConditions
+        Differences of some throws. A key is a name, or a pattern of names, of throws or of their
+        files. Throws with the same treatment or part share its value.
 
     Raises
     ------
     ValueError
-        If a name or a treatment is unknown.
+        If a name is unknown.
 
     Examples
     --------
-    >>> fit = FitDescription({**IDEAL_BENCH, 'layer.thickness': '12e-3 +- 1 %'})
+    >>> fit = FitDescription({**IDEAL_BENCH, **parse_treatments({'layer.thickness': '+- 1 %'})})
     >>> [name for name in DEFAULTS if fit.treatment(name).is_varied]
     ['engine.frequency', 'engine.damping_ratio', 'engine.amplitude', 'layer.wave_speed', \
 'layer.thickness']
 
     """
 
-    parameters: Mapping[str, Treatment | str] = field(default_factory=dict)
+    parameters: Mapping[str, Treatment] = field(default_factory=dict)
     heights: Heights = 'own'
     reference: Reference = 'face'
-    throws: Mapping[str, Mapping[str, Treatment | str]] = field(default_factory=dict)
+    throws: Mapping[str, ThrowConditions] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        parameters = {name: _parse(name, text) for name, text in self.parameters.items()}
-        throws = {
-            throw: {
-                name: item if name in _PARTS else _parse_condition(name, item)
-                for name, item in conditions.items()
-            }
-            for throw, conditions in self.throws.items()
-        }
-        object.__setattr__(self, 'parameters', parameters)
-        object.__setattr__(self, 'throws', throws)
+        for name in (*self.parameters, *(n for item in self.throws.values() for n in item[0])):
+            if name not in DEFAULTS:
+                raise ValueError(
+                    f'what is fitted must be some of {", ".join(DEFAULTS)}, got {name!r}'
+                )
         for name, value, choices in (
             ('heights', self.heights, HEIGHTS),
             ('reference', self.reference, REFERENCES),
@@ -272,8 +244,8 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `parameters` (a mapping of names to treatments), `heights`,
-        `reference`, and `throws` (names of throws to such mappings). All keys are optional; the
-        defaults are those of `base`.
+        `reference`, and `throws` (names of throws to such mappings, in which the names of `PARTS`
+        may stand, too). All keys are optional; the defaults are those of `base`.
 
         Raises
         ------
@@ -288,51 +260,51 @@ class FitDescription:
                 for throw, conditions in _items(node):
                     for key, item in _items(conditions):
                         with _located(item):
-                            description = description.set_condition(throw, key, str(item.value))
+                            description = description._with_condition(throw, key, str(item.value))
             elif name == 'parameters':
                 for key, item in _items(node):
                     with _located(item):
-                        description = description.change({key: str(item.value)})
+                        description = description.change(parse_treatments({key: str(item.value)}))
             elif name in ('heights', 'reference'):
+                text = str(node.value)
                 with _located(node):
-                    description = description.change({name: str(node.value)})
+                    if name == 'heights':
+                        description = replace(description, heights=cast(Heights, text))
+                    else:
+                        description = replace(description, reference=cast(Reference, text))
             else:
                 raise ValueError(
                     f'{node.where}: must be parameters, heights, reference or throws, got {name!r}'
                 )
         return description
 
-    def change(self, changes: Mapping[str, Treatment | str]) -> FitDescription:
-        """Change the treatment of some parameters, or `heights` or `reference`."""
-        parameters = {**self.parameters, **changes}
-        heights = parameters.pop('heights', self.heights)
-        reference = parameters.pop('reference', self.reference)
-        return replace(
-            self,
-            parameters=parameters,
-            heights=cast(Heights, heights),
-            reference=cast(Reference, reference),
-        )
-
-    def set_condition(self, throw: str, name: str, treatment: Treatment | str) -> FitDescription:
-        """Change the treatment of a parameter of some throws, or the name of a part."""
-        conditions = {**self.throws.get(throw, {}), name: treatment}
+    def _with_condition(self, throw: str, name: str, text: str) -> FitDescription:
+        """Add the text of a treatment, or the name of a part, to the conditions of some throws."""
+        treatments, parts = self.throws.get(throw, ({}, {}))
+        if name in PARTS:
+            conditions = ThrowConditions(treatments, {**parts, name: text})
+        else:
+            conditions = ThrowConditions({**treatments, name: _parse_condition(name, text)}, parts)
         return replace(self, throws={**self.throws, throw: conditions})
+
+    def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
+        """Change the treatment of some parameters."""
+        return replace(self, parameters={**self.parameters, **changes})
 
     def treatment(self, name: str, throw: str | None = None) -> Treatment:
         """Return the treatment of a parameter; of a throw, if its name is given."""
-        result = None if throw is None else self.conditions(throw).get(name)
-        if result is None:
-            result = self.parameters.get(name, DEFAULTS[name])
-        return Treatment.parse(result) if isinstance(result, str) else result
+        own = {} if throw is None else self.conditions(throw).treatments
+        return own.get(name) or self.parameters.get(name) or DEFAULTS[name]
 
-    def conditions(self, throw: str) -> dict[str, Treatment | str]:
-        """Return the treatments that hold for a throw only."""
-        result: dict[str, Treatment | str] = {}
+    def conditions(self, throw: str) -> ThrowConditions:
+        """Return the treatments and parts that hold for a throw only."""
+        treatments: dict[str, Treatment] = {}
+        parts: dict[str, str] = {}
         for pattern, conditions in self.throws.items():
             if _matches(throw, pattern):
-                result |= conditions
-        return result
+                treatments |= conditions.treatments
+                parts |= conditions.parts
+        return ThrowConditions(treatments, parts)
 
     def check_throws(self, throws: Sequence[str]) -> None:
         """Raise `FitError` if a name or pattern of `throws` matches none of the given throws."""
@@ -346,11 +318,11 @@ class FitDescription:
 
     def group(self, name: str, throw: str, number: int) -> Hashable:
         """Return a key that is equal for throws that share a parameter; None if all do."""
-        conditions = self.conditions(throw)
         if self.treatment(name, throw).is_per_throw:
             return number
-        part = conditions.get(name.partition('.')[0])
-        return (conditions.get(name), part) if name in conditions or part else None
+        treatments, parts = self.conditions(throw)
+        own, part = treatments.get(name), parts.get(name.partition('.')[0])
+        return (own, part) if own or part else None
 
     def is_free(self, name: str) -> bool:
         """Return whether a parameter is fitted without a prior."""
@@ -387,44 +359,88 @@ class FitDescription:
 
     def prepare(self, rig: Rig, throw: str | None = None) -> Rig:
         """Return a rig with the values of the description; raise FitError for invalid ones."""
-        said = {name: self.treatment(name, throw).value for name in PARAMETERS}
+        values = {name: self.treatment(name, throw).value for name in PARAMETERS}
         try:
-            return changed_rig(rig, {n: value for n, value in said.items() if value is not None})
+            return changed_rig(rig, {n: value for n, value in values.items() if value is not None})
         except ValueError as error:
             raise FitError(str(error)) from None
 
 
-def _parse(name: str, given: Treatment | str) -> Treatment:
-    """Parse the treatment of a parameter, or refuse it or the name."""
-    if name not in DEFAULTS:
-        raise ValueError(f'what is fitted must be some of {", ".join(DEFAULTS)}, got {name!r}')
+def parse_treatments(texts: Mapping[str, str]) -> dict[str, Treatment]:
+    """
+    Parse the treatments of some parameters.
+
+    A treatment is `free`; `held`; a value at which the parameter is held; or a value with a
+    standard error, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of
+    the rig. `per throw` may follow `free` or an error, if each throw has its own value; then `if
+    seen`, if the parameter is held unless it improves the fit of the tracks much.
+
+    Raises
+    ------
+    ValueError
+        If a text is no treatment, or is not allowed for its parameter.
+
+    """
+    return {name: _parse(name, text) for name, text in texts.items()}
+
+
+def _parse(name: str, text: str) -> Treatment:
+    """Parse the treatment of a parameter; raise ValueError with its name."""
     try:
-        treatment = Treatment.parse(given) if isinstance(given, str) else given
+        treatment = _parse_text(text)
     except ValueError as error:
         raise ValueError(f'{name} {error}') from None
-    if name in UNSEEN:
-        size = treatment.error if treatment.role is ParameterRole.PRIOR else None
-        if treatment != FIXED._replace(role=treatment.role, error=size) or (
-            treatment.role is ParameterRole.FREE
-        ):
-            raise ValueError(
-                f"{name} cannot be fitted, because tracks hardly show it: it must be 'held', or "
-                f"'+- ERROR' to be part of the errors, got {given!r}"
-            )
+    if name in UNSEEN and treatment not in (FIXED, FIXED._replace(
+        role=ParameterRole.PRIOR, error=treatment.error
+    )):
+        raise ValueError(
+            f"{name} cannot be fitted, because tracks hardly show it: it must be 'held', or "
+            f"'+- ERROR' to be part of the errors, got {text!r}"
+        )
     return treatment
 
 
-def _parse_condition(name: str, given: Treatment | str) -> Treatment:
+def _parse_text(text: str) -> Treatment:
+    """Parse a treatment, see `parse_treatments`."""
+    match = _TEXT.fullmatch(text.strip())
+    groups = match.groupdict() if match else {}
+    word, value, error = (groups.get(name) for name in ('word', 'value', 'error'))
+    if (word is None) == (value is None and error is None):
+        raise ValueError(f'must be {TREATMENTS}, got {text!r}')
+    if value is not None and not math.isfinite(float(value)):
+        raise ValueError(f'must have a value that is finite, got {text!r}')
+    if error is not None and not 0.0 < float(error) < math.inf:
+        raise ValueError(f'must have an error that is finite and positive, got {text!r}')
+    role = ParameterRole(word) if word else ParameterRole.FIXED
+    if error is not None:
+        role = ParameterRole.PRIOR
+    is_per_throw, only_if_significant = groups['own'] is not None, groups['seen'] is not None
+    if (is_per_throw or only_if_significant) and role is ParameterRole.FIXED:
+        raise ValueError(
+            f"must be free or have an error to be 'per throw' or 'if seen', got {text!r}"
+        )
+    is_relative = groups['percent'] is not None
+    return Treatment(
+        role=role,
+        value=None if value is None else float(value),
+        error=None if error is None else float(error) * (0.01 if is_relative else 1.0),
+        is_relative=is_relative,
+        is_per_throw=is_per_throw,
+        only_if_significant=only_if_significant,
+    )
+
+
+def _parse_condition(name: str, text: str) -> Treatment:
     """Parse the treatment of a parameter of some throws."""
-    treatment = _parse(name, given)
+    treatment = _parse(name, text)
     if name in UNSEEN:
         raise ValueError(
-            f'{name} is the same for all throws: it must stand below `parameters`, got {given!r} '
+            f'{name} is the same for all throws: it must stand below `parameters`, got {text!r} '
             'below `throws`'
         )
     if treatment.only_if_significant:
         raise ValueError(
-            f"{name} of some throws must not be 'if seen', got {given!r}; say so below "
+            f"{name} of some throws must not be 'if seen', got {text!r}; say so below "
             '`parameters`, for all throws'
         )
     return treatment
@@ -437,7 +453,7 @@ def _matches(throw: str, pattern: str) -> bool:
 
 @contextmanager
 def _located(node: Located) -> Iterator[None]:
-    """Add the place in the file to an error."""
+    """Add file and line to an error."""
     try:
         yield
     except ValueError as error:

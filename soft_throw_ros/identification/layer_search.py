@@ -98,7 +98,7 @@ def find_layers(model: RigModel) -> list[Rig]:
 
     """
     free = {name for name in LAYER if model.description.is_free(name)}
-    used = [channel.throw for channel in model.projectiles[:_THROWS]]
+    used = [series.throw for series in model.projectiles[:_THROWS]]
     throws = tuple(
         throw.apply(Track.without_spikes) if number in used else replace(throw, projectile=None)
         for number, throw in enumerate(model.throws)

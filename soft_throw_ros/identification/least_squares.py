@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 r"""
-Least squares without outliers, with standard errors and warnings.
+Least squares without outliers, with standard errors.
 
 Notes
 -----
@@ -36,11 +36,10 @@ A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +49,6 @@ from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-INSEPARABLE = 0.99
-"""Correlation from which on two parameters cannot be separated. [-]"""
 
 OUTLIER_LIMIT = 6.0
 """Deviation of an outlier from its neighbours [noise]; noise alone exceeds it once in 1e8."""
@@ -71,7 +67,6 @@ _NOISE_ROUNDS = 2  # largest number of fits with a new estimate of the noise
 _NOISE_TOLERANCE = 0.1  # relative change of the noise below which no further fit is needed
 _STRAY = 5.0  # standard deviations beyond which a difference is excluded from the noise
 _JITTER_SIGNIFICANCE = 4.0  # significance of noise that grows with speed [standard errors]
-_CONTRADICTION = 4.0  # deviation from a prior beyond which chance is unlikely [errors]
 _SLOW_PART = 25  # number of residuals in a mean that shows systematic errors
 _CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # preserves the size of white noise
 
@@ -170,15 +165,15 @@ class TrackResidual:
         """From when to when the residuals are least like noise [s]."""
         width = min(_SLOW_PART, self.track.time.size)
         slow = np.abs(uniform_filter1d(self.values / self.noise, width, mode='constant'))
-        part = self.track.time[max(0, int(np.argmax(slow)) - width // 2):][:width]
-        return float(part[0]), float(part[-1])
+        times = self.track.time[max(0, int(np.argmax(slow)) - width // 2):][:width]
+        return float(times[0]), float(times[-1])
 
     def _autocorrelations(self, lags: int) -> Floats:
         """Correlate the residuals with themselves, 1 to `lags` samples later."""
-        left = self.values / self.noise
-        left = left - np.mean(left)
-        power = max(float(left @ left), 1e-300)
-        return np.array([left[lag:] @ left[:-lag] for lag in range(1, lags + 1)]) / power
+        residuals = self.values / self.noise
+        residuals = residuals - np.mean(residuals)
+        power = max(float(residuals @ residuals), 1e-300)
+        return np.array([residuals[lag:] @ residuals[:-lag] for lag in range(1, lags + 1)]) / power
 
 
 class Alternative(NamedTuple):
@@ -293,59 +288,6 @@ class Fit:
         for item in alternatives:
             covariance += np.outer(*2 * [0.5 * (item.values - self.values)])
         return replace(self, covariance=covariance, alternatives=tuple(alternatives))
-
-    def warnings(self) -> list[str]:
-        """Return warnings about the fit, each a sentence."""
-        result = []
-        for item in self.alternatives:
-            apart = np.abs(item.values - self.values) / np.maximum(np.abs(self.values), 1e-300)
-            index = next(
-                (k for k, n in enumerate(self.names) if 'wave_speed' in n), int(apart.argmax())
-            )
-            result.append(
-                f'{self.names[index]} may as well be {item.values[index]:.5g} '
-                f'(chi squared is larger by {item.excess:.1f} there); the errors span both'
-            )
-        correlation = self.correlation
-        # Parameters of a single one of several throws have its number in brackets
-        free = [
-            index
-            for index, name in enumerate(self.names)
-            if not name.endswith(']') and index not in self.known
-        ]
-        for i, j in combinations(free, 2):
-            if abs(correlation[i, j]) > INSEPARABLE:
-                factor = 1.0 / math.sqrt(max(1.0 - correlation[i, j] ** 2, 1e-12))
-                result.append(
-                    f'{self.names[i]} and {self.names[j]} can hardly be told apart by these '
-                    f'tracks (correlation {correlation[i, j]:.4f}): the error of each is '
-                    f'{factor:.0f} times larger than with the other known; hold one'
-                )
-        for index, known in self.known.items():
-            off = abs(self.values[index] - known.value) / known.error
-            if off > _CONTRADICTION:
-                result.append(
-                    f'{self.names[index]} is found {off:.1f} errors from what is known of it, '
-                    f'{known}: a given value may be wrong'
-                )
-        if self.is_mismatch:
-            worst = max(self.residuals, key=lambda residual: residual.reduced_chi2)
-            start, end = worst.worst_part
-            result.append(
-                f'the residuals are {math.sqrt(self.reduced_chi2):.2g} times the noise: the model '
-                f'leaves out something that these tracks show, most of {worst.name} from '
-                f'{start:.4g} s to {end:.4g} s; errors are larger by as much, and may be too small'
-            )
-        coloured = [residual for residual in self.residuals if not residual.is_white]
-        if coloured:
-            worst = max(coloured, key=lambda residual: residual.inflation)
-            more = f' and {len(coloured) - 1} more' if len(coloured) > 1 else ''
-            result.append(
-                f'the residuals of {worst.name}{more} are no white noise (correlation of '
-                f'neighbours {worst.autocorrelation:.2f}): errors are up to '
-                f'{math.sqrt(max(worst.inflation, 1.0)):.2g} times larger'
-            )
-        return result
 
     @property
     def is_mismatch(self) -> bool:
@@ -589,33 +531,36 @@ class _LeastSquares:
 
     def reweigh(self, values: Floats) -> bool:
         """Estimate the noise of tracks where it is not known; return whether it changes much."""
-        left = self._position - self._model.predict(values)
-        speed = self._model.speed(values) if self._model.speed else np.zeros_like(left)
+        residuals = self._position - self._model.predict(values)
+        speeds = self._model.speed(values) if self._model.speed else np.zeros_like(residuals)
         noises = []
-        for (_, track), *parts in zip(
-            self._tracks,
-            *(np.split(item, self._ends) for item in (left, speed, self._kept, self._noise)),
-            strict=True,
+        for (_, track), residual, speed, kept, noise in self._by_track(
+            residuals, speeds, self._kept, self._noise
         ):
-            item, moving, kept, noise = parts
-            if not track.known_noise:
-                height, stamp = estimate_noise(item[kept], moving[kept])
-                noise = np.hypot(max(height, track.least_noise, 1e-15), stamp * moving)
-            noises.append(noise)
-        result = np.concatenate(noises)
-        change = float(np.max(np.abs(np.log(result / self._noise))))
-        self._noise = result
-        return change > _NOISE_TOLERANCE
+            if track.known_noise:
+                noises.append(noise)
+            else:
+                height, stamp = estimate_noise(residual[kept], speed[kept])
+                noises.append(np.hypot(max(height, track.least_noise, 1e-15), stamp * speed))
+        before, self._noise = self._noise, np.concatenate(noises)
+        return float(np.max(np.abs(np.log(self._noise / before)))) > _NOISE_TOLERANCE
+
+    def _by_track(self, *series: NDArray[Any]) -> Iterator[Any]:
+        """Yield each track with its name, and its samples of each series."""
+        samples = (np.split(item, self._ends) for item in series)
+        return zip(self._tracks, *samples, strict=True)
 
     def _find_outliers(self, values: Floats) -> Flags:
         """Return which samples are outliers of a model with such values."""
         residuals = (self._model.predict(values) - self._position) / self._noise
         flags = []
-        for left in np.split(residuals, self._ends):
-            low, high = (rank_filter(left, rank, _NEIGHBOURHOOD, mode='mirror') for rank in _RANKS)
-            apart = np.maximum(left - high, low - left).clip(0.0)
-            scale = max(1.0, 1.4826 * float(np.median(np.abs(left - 0.5 * (low + high)))))
-            flagged = apart > OUTLIER_LIMIT * scale
+        for residual in np.split(residuals, self._ends):
+            low, high = (
+                rank_filter(residual, rank, _NEIGHBOURHOOD, mode='mirror') for rank in _RANKS
+            )
+            deviation = np.maximum(residual - high, low - residual).clip(0.0)
+            scale = max(1.0, 1.4826 * float(np.median(np.abs(residual - 0.5 * (low + high)))))
+            flagged = deviation > OUTLIER_LIMIT * scale
             flags.append(flagged & (flagged.mean() < _MAX_OUTLIER_SHARE))
         return np.concatenate(flags)
 
@@ -624,13 +569,23 @@ class _LeastSquares:
         squares = self._residuals(values) ** 2
         dof = squares.size - values.size
         chi2 = float(squares.sum())
-        fitted = self._model.predict(values)
         residuals = tuple(
-            self._residual_of(name, track, *parts)
-            for (name, track), *parts in zip(
-                self._tracks,
-                *(np.split(item, self._ends) for item in (fitted, self._noise, self._kept)),
-                strict=True,
+            TrackResidual(
+                name=name,
+                track=track if kept.all() else track.where(kept),
+                fitted=fitted[kept],
+                noise=noise[kept],
+                outliers=tuple(
+                    Outlier(time, deviation)
+                    for time, deviation in zip(
+                        track.time[~kept].tolist(),
+                        (track.position - fitted)[~kept].tolist(),
+                        strict=True,
+                    )
+                ),
+            )
+            for (name, track), fitted, noise, kept in self._by_track(
+                self._model.predict(values), self._noise, self._kept
             )
         )
         fit = Fit(
@@ -651,25 +606,11 @@ class _LeastSquares:
         jacobian[: sum(sizes)] /= np.repeat(scales, sizes)[:, None]
         return replace(fit, covariance=_covariance(jacobian))
 
-    @staticmethod
-    def _residual_of(
-        name: str, track: Track, fitted: Floats, noise: Floats, kept: Flags
-    ) -> TrackResidual:
-        """Return the residual of a track, and its outliers."""
-        left_out = zip(track.time[~kept], (track.position - fitted)[~kept], strict=True)
-        return TrackResidual(
-            name=name,
-            track=track if kept.all() else track.where(kept),
-            fitted=fitted[kept],
-            noise=noise[kept],
-            outliers=tuple(Outlier(float(at), float(apart)) for at, apart in left_out),
-        )
-
     def _residuals(self, values: Floats) -> Floats:
         """Return the weighted residuals of the samples and of the priors."""
-        left = (self._model.predict(values) - self._position) / self._noise
+        residuals = (self._model.predict(values) - self._position) / self._noise
         known = (values[self._known] - self._known_values) / self._known_errors
-        return np.concatenate([left[self._kept], known])
+        return np.concatenate([residuals[self._kept], known])
 
     def _jacobian(self, values: Floats) -> Floats:
         """Differentiate the residuals."""

@@ -30,7 +30,8 @@ import contextlib
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.identification.fit_description import LAYER
-from soft_throw_ros.identification.least_squares import Fit, FitError, INSEPARABLE
+from soft_throw_ros.identification.fit_warnings import INSEPARABLE
+from soft_throw_ros.identification.least_squares import Fit, FitError
 from soft_throw_ros.identification.rig_model import RigModel
 
 Floats = NDArray[np.float64]
@@ -71,11 +72,11 @@ class LinearFit:
 
     def adapt(self, values: Floats) -> tuple[Floats, float]:
         """Adapt the others to such values; return all, and chi squared to first order."""
-        left = self._left(values)
-        change, *_ = np.linalg.lstsq(self._triangle, self._basis.T @ left, rcond=1e-12)
+        residuals = self._weighted_residuals(values)
+        change, *_ = np.linalg.lstsq(self._triangle, self._basis.T @ residuals, rcond=1e-12)
         adapted: Floats = values.copy()
         adapted[self._others] += change / self._sizes
-        return adapted, float(np.sum(self._project(left) ** 2))
+        return adapted, float(np.sum(self._project(residuals) ** 2))
 
     def gain(self, columns: Floats) -> tuple[float, Floats]:
         """Return the fall of chi squared by further parameters, and their values, in any units."""
@@ -83,9 +84,10 @@ class LinearFit:
         unseen = np.zeros((len(self._known), extra.shape[1]))
         extra = self._project(np.concatenate([extra, unseen]))
         extra /= np.maximum(np.linalg.norm(extra, axis=0), 1e-300)
-        left = self._project(self._left(self.fit.values))
-        result, *_ = np.linalg.lstsq(extra, left, rcond=1e-6)
-        return float(left @ left - np.sum((left - extra @ result) ** 2)), np.asarray(result)
+        residuals = self._project(self._weighted_residuals(self.fit.values))
+        result, *_ = np.linalg.lstsq(extra, residuals, rcond=1e-6)
+        remainder = residuals - extra @ result
+        return float(residuals @ residuals - np.sum(remainder**2)), np.asarray(result)
 
     def gradients(self, heights: Floats) -> Floats:
         """Return the gradients of half of chi squared by sizes of columns, from shape (k, n)."""
@@ -102,7 +104,7 @@ class LinearFit:
         columns[:, : self._slopes.shape[0]] = self._weigh(heights)
         columns -= columns @ self._basis @ self._basis.T
         scale = max(self.fit.variance_scale, 1e-300)
-        residual = self._left(self.fit.values)
+        residual = self._weighted_residuals(self.fit.values)
         return np.sum(columns**2, axis=1) / scale, np.asarray(columns @ residual) / scale
 
     def shifts(self, gradients: Floats) -> Floats:
@@ -117,16 +119,16 @@ class LinearFit:
         """Divide heights of all samples by their noise, and leave out outliers."""
         return np.asarray((heights / self.fit.noise)[..., self.fit.kept])
 
-    def _left(self, values: Floats) -> Floats:
+    def _weighted_residuals(self, values: Floats) -> Floats:
         """Return the weighted residuals of such values."""
         known = self.model.known
-        left = self._weigh(self._position - self.model.predict(values))
+        residuals = self._weigh(self._position - self.model.predict(values))
         priors = [(known[p].value - values[p]) / known[p].error for p in self._known]
-        return np.append(left, priors)
+        return np.append(residuals, priors)
 
-    def _project(self, left: Floats) -> Floats:
+    def _project(self, residuals: Floats) -> Floats:
         """Subtract the part that the parameters can explain."""
-        return np.asarray(left - self._basis @ (self._basis.T @ left))
+        return np.asarray(residuals - self._basis @ (self._basis.T @ residuals))
 
 
 def profile_intervals(model: RigModel, fit: Fit) -> dict[str, tuple[float, float]]:

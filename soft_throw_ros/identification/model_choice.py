@@ -39,9 +39,9 @@ from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import changed_rig, FIXED
 from soft_throw_ros.identification.layer_search import find_best_minimum
-from soft_throw_ros.identification.least_squares import Fit, FitError
+from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.linear_fit import LinearFit
-from soft_throw_ros.identification.parameter_layout import RINGING, WAVES
+from soft_throw_ros.identification.parameter_layout import WAVES
 from soft_throw_ros.identification.rig_model import RigModel
 
 Floats = NDArray[np.float64]
@@ -56,7 +56,6 @@ _WITHOUT_LOSS, _WITH_LOSS, _LARGE_STRAIN = 'without loss', 'with loss', 'of larg
 _FIRST_LOSS = 0.05  # initial loss tangent of a fit with loss
 _TRIALS = {_LOSS: 0.01}  # step of the score test of a term
 _TRIAL = 1e-3  # step of the score test of all other terms
-_EXPLANATIONS = {RINGING: 'a plate that rings before the throw explains these throws'}
 
 
 class LayerModel(NamedTuple):
@@ -69,6 +68,18 @@ class LayerModel(NamedTuple):
     """The Bayesian information criterion, above the lowest one."""
 
 
+class AddedTerm(NamedTuple):
+    """A term that the tracks need."""
+
+    name: str
+    values: tuple[Estimate, ...]
+    """Values of its parts, of all throws."""
+    reduced_chi2: float
+    """Chi squared per degree of freedom with the term. [-]"""
+    reduced_chi2_before: float
+    """Chi squared per degree of freedom without the term. [-]"""
+
+
 class _Candidate(NamedTuple):
     """A model with one more term, and the decrease of the criterion to first order."""
 
@@ -77,13 +88,9 @@ class _Candidate(NamedTuple):
     gain: float
 
 
-def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[str]]:
-    """
-    Add the terms that the tracks need, one by one, the best first.
-
-    Return the extended model, its fit, and a sentence for each term.
-    """
-    remarks = []
+def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[AddedTerm]]:
+    """Add the terms that the tracks need, one by one, the best first."""
+    terms = []
     for _ in range(_MOST_TERMS):
         try:
             best = _best_term(model, fit)
@@ -98,10 +105,11 @@ def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[str]]:
             break  # the model with this term cannot be fitted
         if result.reduced_chi2 >= fit.reduced_chi2:
             break  # the fit ended in a worse minimum
-        if best.name in _EXPLANATIONS:
-            remarks.append(_remark(best.name, fit, result))
+        parts = WAVES.get(best.name, (best.name,))
+        values = tuple(result[n] for n in result.names if n.partition('[')[0] in parts)
+        terms.append(AddedTerm(best.name, values, result.reduced_chi2, fit.reduced_chi2))
         model, fit = best.model, find_best_minimum(best.model, result)
-    return model, fit, remarks
+    return model, fit, terms
 
 
 def _best_term(model: RigModel, fit: Fit) -> _Candidate | None:
@@ -138,23 +146,13 @@ def _try_term(linear: LinearFit, name: str) -> _Candidate:
         change = (wider.predict(moved) - base) / trial
         for index in wider.layout.indices_of(part):
             throws = [throw for throw, at in wider.layout.indices[part].items() if at == index]
-            columns.append(np.where(np.isin(wider.rows, throws), change, 0.0))
+            columns.append(np.where(np.isin(wider.throw_of_sample, throws), change, 0.0))
     gain, result = linear.gain(np.stack(columns, axis=1))
     if name == _LOSS and result.max() <= 0.0:
         gain = 0.0
     if fit.is_mismatch:
         gain /= max(1.0, fit.reduced_chi2)
     return _Candidate(name, wider, gain - _penalty(fit, len(columns)))
-
-
-def _remark(name: str, before: Fit, fit: Fit) -> str:
-    """Return a sentence about an added term, and how much better the fit is."""
-    parts = WAVES[name]
-    size = ', '.join(str(fit[item]) for item in fit.names if item.partition('[')[0] in parts)
-    return (
-        f'{_EXPLANATIONS[name]} (chi squared {fit.reduced_chi2:.2f} per degree of freedom); '
-        f'without it they are not explained ({before.reduced_chi2:.2f}). {name}: {size}'
-    )
 
 
 def compare_layers(

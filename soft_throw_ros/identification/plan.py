@@ -49,6 +49,7 @@ from soft_throw_ros.identification.fit_description import (
     LAYER,
     ParameterRole,
     PARAMETERS,
+    ThrowConditions,
     Treatment,
     values_of,
 )
@@ -260,15 +261,22 @@ class Planner:
     @cached_property
     def _model(self) -> RigModel:
         """Return a model of the rig and of all possible throws, as if they were measured."""
-        description, throws = replace(self.description, throws={}), []
-        result = {}
         simulator = ThrowSimulator()
-        for number, condition in enumerate((Condition.of(self.rig), *self.conditions)):
-            for name, treatment in condition.treatments(self.description).items():
-                description = description.set_condition(str(number), name, treatment)
-            throws.append(self._tracks(str(number), condition, simulator))
-            result[number] = condition.values()
-        return RigModel(tuple(throws), self.rig, description, simulator, start_values=result)
+        conditions = {
+            str(number): condition
+            for number, condition in enumerate((Condition.of(self.rig), *self.conditions))
+        }
+        throws = [
+            self._tracks(name, condition, simulator) for name, condition in conditions.items()
+        ]
+        description = replace(self.description, throws={
+            name: ThrowConditions(condition.treatments(self.description), {})
+            for name, condition in conditions.items()
+        })
+        start_values = {int(name): condition.values() for name, condition in conditions.items()}
+        return RigModel(
+            tuple(throws), self.rig, description, simulator, start_values=start_values
+        )
 
     def _tracks(self, name: str, condition: Condition, simulator: ThrowSimulator) -> ThrowTracks:
         """Return empty tracks at the times at which a throw would be seen."""
@@ -332,7 +340,7 @@ class Planner:
             ]
             known = np.array([1.0 / self._model.known[k].error if k in self._model.known else 0.0
                               for k in own])
-            rows = self._model.rows == number
+            rows = self._model.throw_of_sample == number
             basis, _ = np.linalg.qr(
                 np.concatenate([columns[rows][:, own] / self.setup.noise, np.diag(known)])
             )
@@ -379,8 +387,8 @@ class Planner:
         after = [known.after(information) for information in self.information]
         return sorted(enumerate(after), key=lambda item: item[1].log_det_covariance)
 
-    def energy_transfer(self, known: ParameterInformation) -> tuple[float, float]:
-        """Return alpha of the rig and its standard error over alpha, over drawn rigs as a fit."""
+    def energy_transfer_error(self, known: ParameterInformation) -> float:
+        """Return the relative standard error of alpha, from drawn rigs as in a fit [-]."""
         random = np.random.default_rng(0)
         steps = draw_normal(random, known.covariance, _DRAWS)
         first, slower = len(self.names), np.zeros(1 + _DRAWS)
@@ -403,7 +411,7 @@ class Planner:
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')
         change = np.nan_to_num(alpha[1:] / alpha[0] - 1.0, nan=1.0)
-        return float(alpha[0]), float(np.std(change))
+        return float(np.std(change))
 
     def _size(self, name: str) -> float:
         """Return the size that a parameter of a real rig has, 0 if it may well be 0."""
@@ -424,7 +432,7 @@ class Planner:
         return PlannedThrow(
             condition=condition,
             errors=known.errors(),
-            energy_transfer_error=self.energy_transfer(known)[1],
+            energy_transfer_error=self.energy_transfer_error(known),
             peak_strain=throw.peak_strain,
             leaves_linear_range=throw.leaves_linear_range,
         )

@@ -71,12 +71,6 @@ class PlateFit:
     offset: float
 
     @property
-    def motion(self) -> Underdamped:
-        """The motion from its start on."""
-        frequency, damping_ratio, amplitude = (float(value) for value in self.fit.values[:3])
-        return Underdamped(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude)
-
-    @property
     def start_time(self) -> float:
         """Start of the motion, on the clock of the track [s]."""
         return self.fit['start_time'].value
@@ -118,11 +112,11 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
-    left = best.residuals[0].rms
-    if left > max(_MAX_MISMATCH * best.values[2], 5.0 * track.noise):
+    residual = best.residuals[0].rms
+    if residual > max(_MAX_MISMATCH * best.values[2], 5.0 * track.noise):
         raise FitError(
             f'the plate does not move as a damped step: the best of {best.values[2]:.2g} m leaves '
-            f'{left:.2g} m; its track must begin before it moves'
+            f'{residual:.2g} m; its track must begin before it moves'
         )
     return PlateFit(fit=best, offset=best['offset'].value if offset is None else offset)
 

@@ -26,8 +26,8 @@ The tracks constrain three time scales of the layer: :math:`t_s = L_s / c_s`, :m
 (\rho_s S c_s)`, and that of the loss. Mass, density and section enter by :math:`\tau` alone, so
 they must be known, and their errors are part of the error of the wave speed. Wave speed and
 thickness are separate only if the tracks show waves. A thin, light layer is a spring and shows no
-more than :math:`t_s \tau`; a thick, heavy one shows :math:`t_s`. `least_squares.Fit.warnings`
-reports parameters that are not separate.
+more than :math:`t_s \tau`; a thick, heavy one shows :math:`t_s`. `fit_warnings` reports
+parameters that are not separate.
 
 """
 
@@ -62,6 +62,7 @@ from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.linear_fit import profile_intervals
 from soft_throw_ros.identification.model_choice import (
     add_terms,
+    AddedTerm,
     compare_layers,
     LayerModel,
 )
@@ -69,7 +70,12 @@ from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
-from soft_throw_ros.identification.unseen import add_unseen, release_shift, UnseenEffect
+from soft_throw_ros.identification.unseen import (
+    add_unseen,
+    release_shift,
+    SkippedEffect,
+    UnseenEffect,
+)
 
 Floats = NDArray[np.float64]
 
@@ -93,14 +99,18 @@ class RigFit:
     at rest `plate_offset` and `projectile_offset`. The name of a parameter that only some throws
     share ends with the number of its first throw in brackets, from 1.
     """
-    remarks: tuple[str, ...] = ()
-    """Sentences about the terms that the fit has added."""
+    added_terms: tuple[AddedTerm, ...] = ()
+    """Terms that the tracks need besides the requested ones."""
+    is_complete: bool = True
+    """Whether all terms and kinds of layers were tried within the time of the fit."""
     layers: tuple[LayerModel, ...] = ()
     """Fitted kinds of layers, the best first."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Intervals of 95 % where standard errors are inaccurate, see `profile_intervals`."""
     effects: tuple[UnseenEffect, ...] = ()
     """Unseen effects, of the sizes that the fit leaves open."""
+    skipped_effects: tuple[SkippedEffect, ...] = ()
+    """Unseen effects that the errors do not include."""
 
     @cached_property
     def rig(self) -> Rig:
@@ -116,7 +126,7 @@ class RigFit:
         """Fitted tracks, without samples after a landing and without outliers."""
         tracks: list[dict[str, Track]] = [{} for _ in self.model.throws]
         for (throw, body, _), residual in zip(
-            self.model.channels, self.fit.residuals, strict=True
+            self.model.series, self.fit.residuals, strict=True
         ):
             tracks[throw][body] = residual.track
         return tuple(
@@ -180,8 +190,8 @@ class RigFit:
 
     def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
         """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
-        wanted = [(throw, body, time) for body in ('plate', 'projectile')]
-        plate, projectile = self.model.paths(self.fit.values, wanted)
+        requests = [(throw, body, time) for body in ('plate', 'projectile')]
+        plate, projectile = self.model.trajectories(self.fit.values, requests)
         return plate.height, projectile.height
 
     def releases(self, count: int, seed: int = 0) -> FirstReleases:
@@ -307,13 +317,13 @@ def fit_rig(
     simulator = ThrowSimulator(seconds)
     try:
         on_progress('fitting the plate')
-        model, remarks = _fit_plates(throws, rig, description, simulator)
+        model, terms = _fit_plates(throws, rig, description, simulator)
         others: list[Rig] = []
         if free:
             on_progress('searching the layers')
             model, others = _find_layers(model, free)
         on_progress('fitting')
-        result = replace(_fit_until_landing(model), remarks=remarks)
+        result = replace(_fit_until_landing(model), added_terms=tuple(terms))
     except DeadlineExceeded:
         raise FitError(
             f'the fit takes more than {seconds:g} s; leave out late samples of the tracks, or fit '
@@ -325,8 +335,7 @@ def fit_rig(
         on_progress('searching for effects of the bench, and comparing layers')
         result = _choose_layer(result)
     except DeadlineExceeded:
-        remark = 'the search for effects of the bench is incomplete: the fit takes too long'
-        result = replace(result, remarks=(*result.remarks, remark))
+        result = replace(result, is_complete=False)
     on_progress('computing the errors')
     model = replace(result.model, simulator=ThrowSimulator())
     fit, effects, skipped = add_unseen(model, result.fit)
@@ -336,7 +345,7 @@ def fit_rig(
         fit=fit,
         intervals=profile_intervals(model, result.fit),
         effects=tuple(effects),
-        remarks=(*result.remarks, *skipped),
+        skipped_effects=tuple(skipped),
     )
 
 
@@ -345,7 +354,7 @@ def _fit_plates(
     rig: Rig,
     description: FitDescription,
     simulator: ThrowSimulator,
-) -> tuple[RigModel, tuple[str, ...]]:
+) -> tuple[RigModel, list[AddedTerm]]:
     """Fit the plates alone, with their ringing, which no layer changes; return the whole model."""
     throws = _with_like_noise(throws)
     plates = tuple(_fit_plate(throw, description) for throw in throws)
@@ -354,26 +363,30 @@ def _fit_plates(
         tuple(replace(throw, projectile=None) for throw in throws),
         rig, description, simulator, plates,
     )
-    alone, fit, remarks = add_terms(alone, alone.fit(alone.start()))
+    alone, fit, terms = add_terms(alone, alone.fit(alone.start()))
     # Waves that the tracks of the plates do not show must not explain a projectile later
     waves = [name for name in alone.description.if_seen if name.startswith('plate')]
     description = alone.description.change(dict.fromkeys(waves, FIXED))
     model = RigModel(
         tuple(throws), rig, description, simulator, plates, initial=fit.by_name
     )
-    return model, tuple(remarks)
+    return model, terms
 
 
 def _choose_layer(result: RigFit) -> RigFit:
     """Add the terms that the tracks show, and choose the law of the layer that explains them."""
     simple = result.model
-    model, fit, remarks = add_terms(simple, result.fit)
+    model, fit, terms = add_terms(simple, result.fit)
     layers, strained = compare_layers(model, fit)
     if strained is not None:
         other = replace(simple, rig=strained[0])
-        model, fit, remarks = add_terms(other, other.fit(other.start(strained[1])))
+        model, fit, terms = add_terms(other, other.fit(other.start(strained[1])))
     return replace(
-        result, model=model, fit=fit, layers=tuple(layers), remarks=(*result.remarks, *remarks)
+        result,
+        model=model,
+        fit=fit,
+        layers=tuple(layers),
+        added_terms=(*result.added_terms, *terms),
     )
 
 
@@ -382,8 +395,8 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
     groups: dict[object, list[int]] = {}
     for number, throw in enumerate(model.throws):
         if throw.projectile is not None:
-            conditions = model.description.conditions(throw.name)
-            groups.setdefault(conditions.get('layer'), []).append(number)
+            parts = model.description.conditions(throw.name).parts
+            groups.setdefault(parts.get('layer'), []).append(number)
     result: dict[int, dict[str, float]] = {}
     for numbers in groups.values():
         throws = tuple(
@@ -442,7 +455,7 @@ def _fit_until_landing(model: RigModel) -> RigFit:
     result = RigFit(model=cut, fit=cut.fit(cut.start()))
     for _ in range(_LANDING_ROUNDS - 1):
         cut = _in_flight(replace(model, rig=result.rig))
-        if cut.rows.size == result.model.rows.size:
+        if cut.throw_of_sample.size == result.model.throw_of_sample.size:
             break
         result = RigFit(model=cut, fit=cut.fit(cut.start()))
     return result

@@ -94,8 +94,8 @@ _EVALUATIONS = 60
 """Largest number of evaluations of the model in one run of the solver."""
 
 
-class Channel(NamedTuple):
-    """The track of one body in one throw, which is counted from 0."""
+class Series(NamedTuple):
+    """The track of one body in one throw; throws count from 0."""
 
     throw: int
     body: str
@@ -155,25 +155,28 @@ class RigModel:
         ]
 
     @cached_property
-    def channels(self) -> list[Channel]:
+    def series(self) -> list[Series]:
         """All tracks, throw by throw."""
         return [
-            Channel(number, body, track)
+            Series(number, body, track)
             for number, throw in enumerate(self.throws)
             for body, track in (('plate', throw.plate), ('projectile', throw.projectile))
             if track is not None
         ]
 
     @property
-    def projectiles(self) -> list[Channel]:
+    def projectiles(self) -> list[Series]:
         """Tracks of projectiles alone."""
-        return [channel for channel in self.channels if channel.body == 'projectile']
+        return [item for item in self.series if item.body == 'projectile']
 
     @cached_property
-    def rows(self) -> Integers:
+    def throw_of_sample(self) -> Integers:
         """Return the throw of each sample of all tracks."""
-        sizes = [item.track.time.size for item in self.channels]
-        return np.repeat([item.throw for item in self.channels], sizes)
+        return self._by_sample([item.throw for item in self.series])
+
+    def _by_sample(self, values: Sequence[int]) -> Integers:
+        """Repeat the value of each track for all its samples."""
+        return np.repeat(values, [item.track.time.size for item in self.series])
 
     @cached_property
     def layout(self) -> ParameterLayout:
@@ -231,36 +234,37 @@ class RigModel:
         several = len(self.throws) > 1
         return [
             (f'{body} of {self.throws[throw].name}' if several else body, track)
-            for throw, body, track in self.channels
+            for throw, body, track in self.series
         ]
 
     def predict(self, values: Floats) -> Floats:
         """Heights of all tracks in one series."""
-        return np.concatenate([path.height for path in self.paths(values)])
+        return np.concatenate([item.height for item in self.trajectories(values)])
 
     def speed(self, values: Floats) -> Floats:
         """Speeds of all bodies in one series."""
-        return np.asarray(np.abs(np.concatenate([path.velocity for path in self.paths(values)])))
+        velocities = [item.velocity for item in self.trajectories(values)]
+        return np.asarray(np.abs(np.concatenate(velocities)))
 
-    def paths(
+    def trajectories(
         self,
         values: Floats,
-        wanted: Sequence[tuple[int, str, Floats]] | None = None,
+        requests: Sequence[tuple[int, str, Floats]] | None = None,
         change: Change | None = None,
     ) -> list[Trajectory]:
         """
         Compute trajectories of bodies, or raise FitError if a throw cannot be followed.
 
         They are those of throws, bodies, and times on the clock of the tracks; by default those
-        of all channels. `change` returns another rig and motion to follow.
+        of all tracks. `change` returns another rig and motion to follow.
         """
-        if wanted is None:
-            wanted = [(throw, body, track.time) for throw, body, track in self.channels]
+        if requests is None:
+            requests = [(throw, body, track.time) for throw, body, track in self.series]
         result = []
-        motions = {throw: self.motion(values, throw) for throw in {item[0] for item in wanted}}
+        motions = {throw: self.motion(values, throw) for throw in {item[0] for item in requests}}
         if change is not None:
             motions = {throw: change(*motion) for throw, motion in motions.items()}
-        for throw, body, time in wanted:
+        for throw, body, time in requests:
             rig, motion = motions[throw]
             since = self.since(values, throw, body, time)
             if body == 'plate':
@@ -291,9 +295,9 @@ class RigModel:
     def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Height that drift adds, none at the middle of a record [m]."""
         plate = self.throws[throw].plate
-        part = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
+        share = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
         size = self.value(values, f'{body}.drift', throw) * self.rig.engine.amplitude
-        return np.asarray(size * part)
+        return np.asarray(size * share)
 
     def _projectile_rest(self, values: Floats, throw: int, rig: Rig) -> float:
         """Height of the resting projectile as its track has it [m]."""
@@ -305,20 +309,19 @@ class RigModel:
 
     def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
         """Return the derivatives of `predict` by all or some parameters."""
-        rows = self.rows
-        sizes = [item.track.time.size for item in self.channels]
-        is_plate = np.repeat([item.body == 'plate' for item in self.channels], sizes)
-        velocity = np.concatenate([path.velocity for path in self.paths(values)])
-        jacobian = np.zeros((rows.size, values.size))
+        throws = self.throw_of_sample
+        is_projectile = self._by_sample([item.body == 'projectile' for item in self.series])
+        velocity = np.concatenate([item.velocity for item in self.trajectories(values)])
+        jacobian = np.zeros((throws.size, values.size))
         for name, by_throw in self.layout.indices.items():
             if only and name not in only:
                 continue
             if name in (START, 'projectile.delay'):
-                slope = -velocity * (1.0 if name == START else ~is_plate)
+                slope = -velocity * (1.0 if name == START else is_projectile)
             else:
                 slope = self._slope(values, name)
             for throw, index in by_throw.items():
-                jacobian[rows == throw, index] = slope[rows == throw]
+                jacobian[throws == throw, index] = slope[throws == throw]
         return jacobian
 
     def _slope(self, values: Floats, name: str) -> Floats:
@@ -334,7 +337,8 @@ class RigModel:
         width = np.ones(len(self.throws))
         for throw, index in self.layout.indices[name].items():
             width[throw] = ends[0][index] - ends[1][index]
-        return np.asarray((self.predict(ends[0]) - self.predict(ends[1])) / width[self.rows])
+        change = self.predict(ends[0]) - self.predict(ends[1])
+        return np.asarray(change / width[self.throw_of_sample])
 
     def start(self, before: Fit | None = None) -> Floats:
         """Return start values, from a fit of fewer or more parameters, `initial` or the plates."""
@@ -347,15 +351,15 @@ class RigModel:
                     values[index] = self.description.value(name, self.rig, self.throws[throw].name)
         for throw, plate in enumerate(self.plates):
             engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
-            result = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
-            for (name, key), throws in self.layout.groups.items():
-                if key is not None and throw in throws and name in result:
-                    values[self.layout.indices[name][throw]] = result[name]
+            own = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
+            for index, ((name, key), throws) in enumerate(self.layout.groups.items()):
+                if key is not None and throw in throws and name in own:
+                    values[index] = own[name]
         if PROJECTILE_ZERO in self.layout:
-            paths = self.paths(values)
-            for (throw, body, track), path in zip(self.channels, paths, strict=True):
+            trajectories = self.trajectories(values)
+            for (throw, body, track), trajectory in zip(self.series, trajectories, strict=True):
                 if body == 'projectile':
-                    zero = float(np.median(track.position - path.height))
+                    zero = float(np.median(track.position - trajectory.height))
                     values[self.layout.indices[PROJECTILE_ZERO][throw]] = zero
         fitted = before.by_name if before else self.initial
         for index, name in enumerate(self.layout.names):

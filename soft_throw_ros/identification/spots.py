@@ -104,17 +104,15 @@ class Spot:
     """Centre of the spot in each picture, counted from the upper left. [px]"""
     error: float
     """Standard error of each centre due to the noise of the pictures. [px]"""
+    start: tuple[float, float]
+    """Row and column in the first picture. [px]"""
     has_left: bool = False
     """Whether the spot left the view in the end."""
-    start: tuple[float, float] | None = None
-    """Row and column in the first picture, for messages. [px]"""
 
     @property
     def location(self) -> str:
         """Description of the first position, for messages."""
-        if self.start is None and not self.row.size:
-            return 'the edge'
-        row, column = self.start or (self.row[0], self.column[0])
+        row, column = self.start
         return f'column {column:.0f} row {row:.0f}'
 
     @property
@@ -164,13 +162,13 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
     search = _LateSearch()
     for number, picture in enumerate(pictures):
         if exposure is None:
-            exposure = _Exposure(picture, light=light)
-            levels = exposure.normalise(picture)
-            noise = _noise(levels)
+            levels = picture * (-1.0 if light else 1.0)
             detected = find_spots(levels)
             if not detected:
                 raise _no_spots(levels, light)
-            exposure.set_spots(detected)
+            smallest = min(spot.diameter for spot in detected)
+            exposure = _Exposure(picture, 0.25 * math.pi * smallest**2 if light else None)
+            noise = _noise(levels)
             trackers = [_SpotTracker(spot, noise) for spot in detected]
         if picture.shape != exposure.shape:
             raise TrackError(
@@ -178,7 +176,7 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
             )
         levels = exposure.normalise(picture)
         acceleration = max(item.acceleration for item in trackers)
-        taken: list[_Circle] = []
+        assigned: list[_Circle] = []
         for spot in sorted(trackers, key=attrgetter('uncertainty')):
             # In a shared search region, a candidate cannot be assigned to one of two spots
             hidden = [
@@ -186,9 +184,9 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
                 for item in trackers
                 if item is not spot and item.uncertainty and spot.uncertainty
             ]
-            spot.update(number, levels, acceleration, taken + hidden)
+            spot.update(number, levels, acceleration, assigned + hidden)
             if not spot.uncertainty:
-                taken.append(spot.search_region)
+                assigned.append(spot.search_region)
         search.update(number, levels, trackers)
     if exposure is None:
         raise TrackError('contains no picture')
@@ -202,26 +200,26 @@ class _Exposure:
     With dark spots, the background determines the brightness pixel by pixel, since most of the
     background does not move. With light spots, the brightest region of a picture does. Its area is
     half of the smallest spot, so that covered spots do not matter.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (rows, columns)
+        The first picture, to whose brightness others are scaled.
+    light_area : float or None
+        Area of the smallest spot if spots are light. [px]
+
     """
 
-    def __init__(self, picture: Picture, *, light: bool) -> None:
+    def __init__(self, picture: Picture, light_area: float | None) -> None:
         self.shape = picture.shape
-        self._area: float | None = None if light else 0.0
+        self._bright_pixels = light_area and max(1, round(0.5 * light_area))
         self._first = picture
         self._is_background = picture >= max(float(np.median(picture)), 1.0)
-        self._reference = 0.0
-
-    def set_spots(self, spots: Sequence[DetectedSpot]) -> None:
-        """Store the size of the spots of the first picture."""
-        if self._area is None:
-            self._area = min(0.25 * math.pi * spot.diameter**2 for spot in spots)
-            self._reference = self._peak(self._first)
+        self._reference = self._peak(picture)
 
     def normalise(self, picture: Picture) -> Floats:
         """Return grey levels at the brightness of the first picture, with dark spots."""
-        if self._area is None:
-            return -picture.astype(np.float64)
-        if self._area:
+        if self._bright_pixels:
             return picture * (-self._reference / max(self._peak(picture), 1e-12))
         if not self._is_background.any():
             return picture.astype(np.float64)
@@ -230,8 +228,8 @@ class _Exposure:
 
     def _peak(self, picture: Picture) -> float:
         """Return the level that the brightest part exceeds."""
+        count = self._bright_pixels or 1
         levels = ndimage.gaussian_filter(picture.astype(np.float32), _SMOOTHING).ravel()
-        count = max(1, round(0.5 * (self._area or 0.0)))
         return float(np.partition(levels, -count)[-count])
 
 
@@ -395,10 +393,10 @@ def close_by_area(levels: NDArray[np.uint8], area: int) -> NDArray[np.uint8]:
     closed: NDArray[np.uint8] = levels.copy()
     is_open = np.ones(levels.shape, np.bool_)
     for level in np.unique(levels):
-        parts, _ = ndimage.label(levels <= level)
-        is_large = np.bincount(parts.ravel()) >= area
+        regions, _ = ndimage.label(levels <= level)
+        is_large = np.bincount(regions.ravel()) >= area
         is_large[0] = False  # pixels above this level
-        reached = is_open & is_large[parts]
+        reached = is_open & is_large[regions]
         closed[reached] = level
         is_open &= ~reached
     closed[is_open] = levels.max()
@@ -538,10 +536,10 @@ class _SpotTracker:
             for early, late in ((one, end), (start, other))
         ]
         pictures = start[0] - end[0]
-        off = start[1].position - end[1].position - 0.5 * pictures * (speeds[0] + speeds[1])
+        deviation = start[1].position - end[1].position - 0.5 * pictures * (speeds[0] + speeds[1])
         most = 0.5 * self.diameter + _BEND * self.acceleration * pictures**2
         up, aside = np.abs(start[1].position - end[1].position)
-        return bool(np.linalg.norm(off) < most and aside < _ASIDE + _TILT * up)
+        return bool(np.linalg.norm(deviation) < most and aside < _ASIDE + _TILT * up)
 
     def _find(self, picture: Picture, others: Sequence[_Circle]) -> SpotMeasurement | None:
         """Search the spot; return None if it is covered or missing, or for two candidates."""
@@ -551,22 +549,22 @@ class _SpotTracker:
         reach = self.diameter + _MARGIN + self.uncertainty + self._velocity_uncertainty + smear
         corner = np.maximum(np.floor(self._expected - reach).astype(int), 0)
         end = np.maximum(np.ceil(self._expected + reach).astype(int), 0)
-        part = picture[corner[0]:end[0], corner[1]:end[1]].astype(np.float64)
-        if min(part.shape) < 2 * _MARGIN:
+        window = picture[corner[0]:end[0], corner[1]:end[1]].astype(np.float64)
+        if min(window.shape) < 2 * _MARGIN:
             return None
-        smooth = _smooth(part)
+        smooth = _smooth(window)
         usual = self._seen[-1][1].area if self._seen else 0.25 * math.pi * self.diameter**2
         candidates = [
             region
             for region in regionprops(label(smooth < self._level))
             if usual / _MAX_CHANGE < region.area < usual * _MAX_CHANGE
             and min(region.bbox[:2]) > 0
-            and (np.array(region.bbox[2:]) < part.shape).all()
+            and (np.array(region.bbox[2:]) < window.shape).all()
             and _is_round(region, smeared=smear > _SMEARED * self.diameter)
             and not any(other.has(corner + region.centroid) for other in others)
         ]
-        sightings = [self._measure(region, part, smooth, smear) for region in candidates]
-        whole = [item for item in sightings if item is not None and self._is_like(item)]
+        measurements = [self._measure(region, window, smooth, smear) for region in candidates]
+        whole = [item for item in measurements if item is not None and self._is_like(item)]
         if len(whole) > 1 and self.uncertainty > 0.0:
             return None
         middle = self._expected - corner
@@ -591,27 +589,27 @@ class _SpotTracker:
         return change < _MAX_CHANGE and unlike < _MAX_ASYMMETRY + noise
 
     def _measure(
-        self, region: Any, part: Floats, smooth: Floats, smear: float
+        self, region: Any, window: Floats, smooth: Floats, smear: float
     ) -> SpotMeasurement | None:
         """Measure the centre of a spot; return None if the circle leaves the picture."""
         position = np.array(region.centroid)
         longer = smear if smear > _SMEARED * self.diameter else 0.0
         reach = 0.5 * (self.diameter + longer) + _BLUR
-        pixels = np.indices(part.shape).reshape(2, -1).T
-        levels = part.ravel()
-        lowest, highest = reach + 1.0, np.subtract(part.shape, reach + 2.0)
+        pixels = np.indices(window.shape).reshape(2, -1).T
+        levels = window.ravel()
+        lowest, highest = reach + 1.0, np.subtract(window.shape, reach + 2.0)
         for _ in range(_ROUNDS):
             if (position < lowest).any() or (position > highest).any():
                 return None
             distance = np.linalg.norm(pixels - position, axis=1)
-            around = float(np.median(levels[np.abs(distance - reach - _RING) < _RING]))
+            background = float(np.median(levels[np.abs(distance - reach - _RING) < _RING]))
             within = np.clip(reach + 0.5 - distance, 0.0, 1.0)
-            darkness = within * (around - levels)
+            darkness = within * (background - levels)
             total = float(darkness.sum())
             if total <= 0.0:
                 return None
             position = darkness @ pixels / total
-        depth = around - float(smooth[region.slice][region.image].min())
+        depth = background - float(smooth[region.slice][region.image].min())
         error = self._noise * math.sqrt(0.5 * float(np.sum((within * distance) ** 2))) / total
         size = math.ceil(0.5 * self.diameter + _BLUR)
         grid = np.indices((2 * size + 1, 2 * size + 1)).reshape(2, -1) - float(size)
@@ -625,7 +623,7 @@ class _SpotTracker:
             error=error,
             area=float(region.area),
             depth=depth,
-            level=around - 0.5 * depth,
+            level=background - 0.5 * depth,
             mass=total,
             mass_error=self._noise * math.sqrt(float(np.sum(within**2))),
             asymmetry=(this - turned) / max(depth, 1e-12),
@@ -633,10 +631,8 @@ class _SpotTracker:
 
 
 def _smooth(picture: Picture) -> Floats:
-    from skimage.filters import gaussian
-
     levels = picture.astype(np.float64)
-    return np.asarray(gaussian(levels, _SMOOTHING, mode='nearest', preserve_range=True))
+    return np.asarray(ndimage.gaussian_filter(levels, _SMOOTHING, mode='nearest'))
 
 
 def _noise(picture: Picture) -> float:

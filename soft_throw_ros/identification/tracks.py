@@ -26,20 +26,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
+from soft_throw_ros.configuration.csv_rows import MIN_STEP
 from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Places = NDArray[np.intp]
+Indices = NDArray[np.intp]
 
 FEWEST = 12
 """Smallest number of samples of a track."""
 
 MAX_TIME, MAX_HEIGHT = 1e12, 1e6
 """Largest time and height; larger numbers have a wrong unit. [s], [m]"""
-
-MIN_STEP = 1e-12
-"""Smallest increase of time between two samples. [s]"""
 
 _STRAY_LIMIT = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
 _ROUNDING_TOLERANCE = 0.1  # largest deviation of rounded heights from multiples of a step [steps]
@@ -173,7 +171,7 @@ class Track:
         )
         return np.asarray(after - before < _MIN_DENSITY * 2.0 * _NEIGHBOURS)
 
-    def where(self, kept: Flags | Places) -> Track:
+    def where(self, kept: Flags | Indices) -> Track:
         """Return some of the samples, by flags or indices, with the noise of the whole track."""
         return replace(
             self, time=self.time[kept], position=self.position[kept], least_noise=self.noise
@@ -201,12 +199,12 @@ class Track:
         least = max(self.noise, _SPIKE_SHARE * float(np.ptp(self.position)))
         kept = np.arange(self.time.size)
         for _ in range(_SPIKE_ROUNDS):
-            apart = np.abs(_beside_neighbours(self.time[kept], self.position[kept])[0])
-            largest = maximum_filter1d(apart, 5)
-            peaks = np.flatnonzero((apart > _SPIKE_LIMIT * least) & (apart >= largest))
+            deviation = np.abs(_beside_neighbours(self.time[kept], self.position[kept])[0])
+            largest = maximum_filter1d(deviation, 5)
+            peaks = np.flatnonzero((deviation > _SPIKE_LIMIT * least) & (deviation >= largest))
             sides = np.clip(peaks[:, None] + _SPIKE_SIDES[:, None, :], 0, kept.size - 1)
-            usual = np.median(apart[sides], axis=-1).max(axis=0)
-            spikes = peaks[apart[peaks] > _SPIKE_LIMIT * usual]
+            usual = np.median(deviation[sides], axis=-1).max(axis=0)
+            spikes = peaks[deviation[peaks] > _SPIKE_LIMIT * usual]
             if not spikes.size:
                 break
             if spikes[0] == 2:  # which one of the first it is cannot be told
@@ -262,8 +260,8 @@ def noise_of(time: Floats, position: Floats) -> float:
     The result is never 0, so that weights are finite.
 
     """
-    apart, spread = _beside_neighbours(time, position)
-    steps = (apart / spread)[2:-2]
+    deviation, spread = _beside_neighbours(time, position)
+    steps = (deviation / spread)[2:-2]
     noise = _rms_without_strays(steps)
     step = _rounding_step(position)
     if step > 0.0:
@@ -300,18 +298,18 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
 
     The second series is how noisy that is, over the noise of a single sample.
     """
-    apart, variance = np.zeros_like(position), np.ones_like(position)
+    deviation, variance = np.zeros_like(position), np.ones_like(position)
     inner = np.arange(2, time.size - 2)
-    apart[inner] = position[inner]
+    deviation[inner] = position[inner]
     beside = [inner + offset for offset in (-2, -1, 1, 2)]
     for item in beside:  # Lagrange's polynomials
         weight = np.ones(inner.size)
         for other in beside:
             if other is not item:
                 weight *= (time[inner] - time[other]) / (time[item] - time[other])
-        apart[inner] -= weight * position[item]
+        deviation[inner] -= weight * position[item]
         variance[inner] += weight**2
-    return apart, np.sqrt(variance)
+    return deviation, np.sqrt(variance)
 
 
 def names_of(throw: str) -> tuple[str, ...]:

@@ -87,6 +87,13 @@ _LONG_RUN = 3
 """Number of consecutive equal heights from which on rounding errors are correlated."""
 
 
+class SkippedEffect(NamedTuple):
+    """An effect that the errors do not include, because its throws cannot be simulated."""
+
+    name: str
+    reason: str
+
+
 class UnseenEffect(NamedTuple):
     """Changes by one standard deviation of each of k independent causes."""
 
@@ -149,12 +156,8 @@ def release_shift(model: RigModel, values: Floats, throw: int) -> Floats:
 
 def unseen_effects(
     model: RigModel, values: Floats
-) -> tuple[list[UnseenEffect], list[str]]:
-    """
-    Compute the effects that the description of a fit leaves open, at the values of the fit.
-
-    Return the effects, and sentences about effects whose throws cannot be simulated.
-    """
+) -> tuple[list[UnseenEffect], list[SkippedEffect]]:
+    """Compute the effects that the description of a fit leaves open, at the values of the fit."""
     makers: dict[str, Callable[[], UnseenEffect]] = {}
     size = model.description.treatment(PLATE_MODE).error
     if size is not None:
@@ -173,18 +176,20 @@ def unseen_effects(
             makers[STICKING] = partial(_sticking, model, values, size)
         if 'layer.stiffening' in model.layout:
             makers[STRESS_LAW] = partial(_stress_law, model, values)
-    if any(channel.track.rounding_step for channel in model.channels):
+    if any(item.track.rounding_step for item in model.series):
         makers[ROUNDING] = partial(_rounding, model)
     effects, skipped = [], []
     for name, make in makers.items():
         try:
             effects.append(make())
         except ValueError as error:
-            skipped.append(f'the errors do not include the effect of {name}: {error}')
+            skipped.append(SkippedEffect(name, str(error)))
     return effects, skipped
 
 
-def add_unseen(model: RigModel, fit: Fit) -> tuple[Fit, list[UnseenEffect], list[str]]:
+def add_unseen(
+    model: RigModel, fit: Fit
+) -> tuple[Fit, list[UnseenEffect], list[SkippedEffect]]:
     """Add unseen effects to the covariance of a fit; see `unseen_effects`."""
     linear = LinearFit(model, fit)
     effects, skipped = unseen_effects(model, fit.values)
@@ -198,7 +203,7 @@ def add_unseen(model: RigModel, fit: Fit) -> tuple[Fit, list[UnseenEffect], list
 
 def _heights(model: RigModel, values: Floats, change: Change | None = None) -> Floats:
     """Predict all tracks of changed rigs in one series [m]."""
-    return np.concatenate([path.height for path in model.paths(values, change=change)])
+    return np.concatenate([item.height for item in model.trajectories(values, change=change)])
 
 
 def _of_changes(
@@ -257,7 +262,7 @@ def _undamped(size: float) -> list[Change]:
 def _sticking(model: RigModel, values: Floats, duration: float) -> UnseenEffect:
     """Return the effect of a layer that pulls the projectile for a while before it lets go."""
     columns = []
-    for throw, body, track in model.channels:
+    for throw, body, track in model.series:
         column = np.zeros(track.time.size)
         rig, motion = model.motion(values, throw)
         releases = ejections(_events(model, rig, motion))
@@ -308,11 +313,11 @@ def _stress_law(model: RigModel, values: Floats) -> UnseenEffect:
         slope = _heights(model, faster) - _heights(model, values)
         noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
         weighted = slope / noise**2
-        part = float(weighted @ column) / max(float(weighted @ slope), 1e-300)
-        column = column - part * slope
+        change = float(weighted @ column) / max(float(weighted @ slope), 1e-300)
+        column = column - change * slope
         plain = _release(model, rig, motion)
         quicker = _release(model, *model.motion(faster, 0), near=plain)
-        moved = moved - part * _difference(quicker, plain)
+        moved = moved - change * _difference(quicker, plain)
     return UnseenEffect(STRESS_LAW, column[None, :], moved[:1], moved[1:])
 
 
@@ -359,15 +364,15 @@ def _jerk(model: RigModel, rig: Rig, motion: PlateWithWaves, release: Event) -> 
 
 def _rounding(model: RigModel) -> UnseenEffect:
     """Return the effect of rounding on runs of equal heights, each of which shares one error."""
-    columns = [np.zeros((0, model.rows.size))]
+    columns = [np.zeros((0, model.throw_of_sample.size))]
     first = 0
-    for _, _, track in model.channels:
+    for _, _, track in model.series:
         starts = np.flatnonzero(np.diff(track.position, prepend=np.nan) != 0.0)
         sizes = np.diff(starts, append=track.time.size)
         if track.rounding_step > 0.0:
             for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
                 if size >= _LONG_RUN:
-                    column = np.zeros((1, model.rows.size))
+                    column = np.zeros((1, model.throw_of_sample.size))
                     run = slice(first + start, first + start + size)
                     column[0, run] = track.rounding_step / math.sqrt(12.0)
                     columns.append(column)

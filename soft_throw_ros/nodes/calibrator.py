@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.parameter import Parameter, parameter_value_to_python
+from soft_throw_ros.commands.identify_report import warning_lines
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
@@ -48,7 +49,7 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription
+from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
 from soft_throw_ros.identification.flight import flight_speed
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
@@ -78,8 +79,8 @@ _MIN_SPEED_RATIO = 0.5  # smallest measured speed of a throw that was played, by
 _STOP_TIMEOUT = 0.3  # longest wait for the thread to end [s]
 # The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
 # linear layer.
-_FIXED = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
-_DESCRIPTION = FitDescription(dict.fromkeys(_FIXED, 'held'))
+_KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
+_DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 
@@ -304,7 +305,7 @@ class Calibrator(RunnableNode):
 
     def _apply_fit(self, rig_fit: RigFit) -> None:
         """Set the fitted parameters of the twin, and give the rig the recommended layer."""
-        for warning in rig_fit.fit.warnings():
+        for warning in warning_lines(rig_fit.fit):
             self.get_logger().warning(warning)
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
@@ -317,7 +318,7 @@ class Calibrator(RunnableNode):
         self.get_logger().info(message)
         estimates = {name: str(value) for name, value in rig_fit.estimates().items()}
         outliers = sum(len(residual.outliers) for residual in rig_fit.fit.residuals)
-        warnings = {f'warning {n}': text for n, text in enumerate(rig_fit.fit.warnings(), 1)}
+        warnings = {f'warning {n}': text for n, text in enumerate(warning_lines(rig_fit.fit), 1)}
         self._set_status(
             message, estimates | {'outliers': str(outliers)} | warnings, warn=bool(warnings)
         )

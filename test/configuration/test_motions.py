@@ -87,10 +87,11 @@ def test_written_motion_is_read_back_exactly(write):
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        ('', ':.* at least 4'),
+        ('', ': is empty'),
+        ('0,0\n1,1\n', ':.* at least 4'),
         ('0,0\n1e-3,up\n', r":2: height .* got 'up'"),
         ('0,0\n1e-3,nan\n', r":2: height .* got 'nan'"),
-        ('0,0\n1e-3\n', r":2: height .* got ''"),
+        ('0,0\n1e-3\n', ':2: must have 2 values as line 1 has, got 1'),
         ('t,z\n0,0\n0,1\n', r':3: time must increase, got 0 after 0'),
         ('when,z\n0,0\n', r":1: no column is named t or time, got 'when, z'"),
         ('t,z [furlong]\n0,0\n', r':1: height must be in m or .*furlong'),

@@ -32,6 +32,7 @@ from soft_throw_ros.identification.ejection import (
 from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     FitDescription,
+    FIXED,
     IDEAL_BENCH,
     values_of,
 )
@@ -135,7 +136,7 @@ def release_of(*, error=0.02, other=None):
 def fits(make_throw):
     """Return the fits of one throw with unknown stiffening and with a linear layer."""
     throw = make_throw(Rig(), rate=2500.0, duration=0.06)
-    linear = FitDescription({'layer.stiffening': 'held'})
+    linear = FitDescription({'layer.stiffening': FIXED})
     return fit_rig([throw], Rig()), fit_rig([throw], Rig(), linear)
 
 

@@ -17,7 +17,13 @@ import re
 
 import pytest
 from soft_throw_ros.core.rig import Layer, Projectile, Rig
-from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription
+from soft_throw_ros.identification.fit_description import (
+    DEFAULT_FREE,
+    FitDescription,
+    FIXED,
+    parse_treatments,
+    ThrowConditions,
+)
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 
 RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
@@ -36,7 +42,7 @@ RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
     ],
 )
 def test_parameter_is_free_or_held_or_known_with_an_error(text, known, value):
-    description = FitDescription({'layer.thickness': text})
+    description = FitDescription(parse_treatments({'layer.thickness': text}))
     treatment = description.treatment('layer.thickness')
     assert description.known('layer.thickness', RIG, 'a throw') == known
     assert description.prepare(RIG).layer.thickness == value
@@ -58,8 +64,8 @@ def test_measured_quantities_have_the_errors_of_the_paper():
 def test_throws_share_equal_descriptions():
     description = FitDescription(
         throws={
-            'heavy_*': {'projectile.mass': '0.002 +- 1 %'},
-            'heavy_2.csv': {'layer': 'old'},
+            'heavy_*': ThrowConditions(parse_treatments({'projectile.mass': '0.002 +- 1 %'}), {}),
+            'heavy_2.csv': ThrowConditions({}, {'layer': 'old'}),
         }
     )
     names = ('light.csv', 'heavy_1.csv', 'heavy_2.csv', 'heavy_3.csv')
@@ -88,15 +94,16 @@ def test_throws_share_equal_descriptions():
 )
 def test_pattern_is_of_a_throw_or_of_its_file(throw, patterns):
     for pattern in patterns:
-        description = FitDescription(throws={pattern: {'layer': 'old'}})
+        description = FitDescription(throws={pattern: ThrowConditions({}, {'layer': 'old'})})
         description.check_throws(['other.csv', throw])
-        assert description.conditions(throw) == {'layer': 'old'}
-        assert description.conditions('other') == {}
+        assert description.conditions(throw).parts == {'layer': 'old'}
+        assert description.conditions('other').parts == {}
 
 
 @pytest.mark.parametrize('throws', [['light.csv, throw 1', 'light.csv, throw 2'], []])
 def test_pattern_that_matches_no_throw_is_refused_with_the_names_of_all(throws):
-    description = FitDescription(throws={'heavy_*.csv': {'projectile.mass': '0.002'}})
+    conditions = ThrowConditions({'projectile.mass': FIXED}, {})
+    description = FitDescription(throws={'heavy_*.csv': conditions})
     with pytest.raises(FitError) as refusal:
         description.check_throws(throws)
     for value in ('heavy_*.csv', *throws):
@@ -110,9 +117,10 @@ def test_file_agrees_with_the_python_description(tmp_path):
         'heights: common\nreference: centre\n'
         'throws:\n  a.csv: {layer: soft, layer.thickness: 0.01}\n'
     )
-    parameters = {'projectile.mass': '0.0012 +- 1 %', 'engine.amplitude': 'free per throw'}
-    throws = {'a.csv': {'layer': 'soft', 'layer.thickness': '0.01'}}
-    expected = FitDescription(parameters, 'common', 'centre', throws)
+    texts = {'projectile.mass': '0.0012 +- 1 %', 'engine.amplitude': 'free per throw'}
+    thickness = parse_treatments({'layer.thickness': '0.01'})
+    throws = {'a.csv': ThrowConditions(thickness, {'layer': 'soft'})}
+    expected = FitDescription(parse_treatments(texts), 'common', 'centre', throws)
     assert FitDescription.from_file(path) == expected
 
 
@@ -128,6 +136,7 @@ def test_file_agrees_with_the_python_description(tmp_path):
         ('throws:\n  a.csv:\n    layer.thickness: often', 3, "'often'"),
         ('throws:\n  a.csv: 1', 2, '1'),
         ('throws:\n  a.csv:\n    layer.loss_tangent: free if seen', 3, "'free if seen'"),
+        ('throws:\n  a.csv:\n    plate.mode: held', 3, "'held'"),
         ('heights: any', 1, "'any'"),
         ('reference: top', 1, "'top'"),
         ('depths: own', 1, "'depths'"),

@@ -14,7 +14,13 @@
 """The order of the values of a fit."""
 
 import numpy as np
-from soft_throw_ros.identification.fit_description import FitDescription, IDEAL_BENCH
+from soft_throw_ros.identification.fit_description import (
+    FitDescription,
+    FREE,
+    IDEAL_BENCH,
+    parse_treatments,
+    ThrowConditions,
+)
 from soft_throw_ros.identification.parameter_layout import ParameterLayout
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
@@ -23,7 +29,8 @@ TRACK = Track(time=np.arange(20.0), position=np.sin(np.arange(20.0)))
 
 def layout_of(*names, **options):
     throws = [ThrowTracks(name=name, plate=TRACK, projectile=TRACK) for name in names]
-    description = FitDescription({**IDEAL_BENCH, 'engine.amplitude': 'free per throw'}, **options)
+    amplitude = FREE._replace(is_per_throw=True)
+    description = FitDescription({**IDEAL_BENCH, 'engine.amplitude': amplitude}, **options)
     return ParameterLayout.of(throws, description)
 
 
@@ -46,7 +53,7 @@ def test_one_throw_needs_no_numbers():
 
 
 def test_throws_with_another_layer_have_their_own_wave_speed():
-    layout = layout_of('a', 'b', 'c', throws={'b': {'layer': 'old'}})
+    layout = layout_of('a', 'b', 'c', throws={'b': ThrowConditions({}, {'layer': 'old'})})
     speeds = layout.indices['layer.wave_speed']
     assert speeds[0] == speeds[2] != speeds[1]
     assert {'layer.wave_speed', 'layer.wave_speed[2]'} <= set(layout.names)
@@ -54,8 +61,9 @@ def test_throws_with_another_layer_have_their_own_wave_speed():
 
 def test_ringing_has_two_values_for_each_throw():
     throw = ThrowTracks(name='a', plate=TRACK)
+    ringing = parse_treatments({'plate.ringing': '+- 0.02 per throw'})
     layout = ParameterLayout.of(
-        [throw], FitDescription({**IDEAL_BENCH, 'plate.ringing': '+- 0.02 per throw'})
+        [throw], FitDescription({**IDEAL_BENCH, **ringing})
     )
     assert [layout.names[index] for index in layout.waves_of(0)] == [
         'plate.ringing_cosine', 'plate.ringing_sine'

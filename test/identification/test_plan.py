@@ -27,8 +27,11 @@ from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
+    FIXED,
+    FREE,
     IDEAL_BENCH,
     LAYER,
+    parse_treatments,
 )
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plan import (
@@ -45,7 +48,7 @@ RIG = Rig(
     projectile=Projectile(mass=1.2e-3),
 )
 SETUP = MeasurementSetup(rate=5000.0, noise=2e-5, duration=0.03)
-FREE = FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free'})
+THICKNESS_FREE = FitDescription({**IDEAL_BENCH, 'layer.thickness': FREE})
 LIGHT, USUAL, HEAVY, SMALL = (
     Condition(mass, 16.8e-3, amplitude)
     for mass, amplitude in ((0.6e-3, 1.2e-3), (1.2e-3, 1.2e-3), (2.4e-3, 1.2e-3), (2.4e-3, 6e-4))
@@ -92,7 +95,7 @@ def scatter(conditions, *, repeats=20):
 
 @pytest.mark.parametrize('conditions', [(HEAVY,), (HEAVY, LIGHT)], ids=['one', 'two'])
 def test_planned_errors_agree_with_the_scatter_of_fits_of_simulated_throws(conditions):
-    planner = Planner(RIG, conditions, SETUP, FREE)
+    planner = Planner(RIG, conditions, SETUP, THICKNESS_FREE)
     errors = planner.start().after(sum(planner.information)).errors()
     expected = scatter(conditions)
     # the spread of 20 fits is known to 16 %
@@ -123,7 +126,7 @@ def test_plan_after_a_throw_begins_with_the_errors_of_its_fit(make_throw):
 
 
 def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
-    planner = Planner(RIG, (SMALL, LIGHT, USUAL, HEAVY), SETUP, FREE)
+    planner = Planner(RIG, (SMALL, LIGHT, USUAL, HEAVY), SETUP, THICKNESS_FREE)
     chosen = list(itertools.islice(planner.choose(planner.start()), 6))
     assert chosen[0].condition == HEAVY == planner.rank(planner.start())[0].condition
     errors = [[each.errors['layer.wave_speed'], each.energy_transfer_error] for each in chosen]
@@ -132,10 +135,10 @@ def test_best_throw_is_the_largest_one_and_errors_fall_with_every_throw():
 
 
 def test_earlier_measurements_count_like_a_throw():
-    planner = Planner(RIG, (HEAVY,), SETUP, FREE)
+    planner = Planner(RIG, (HEAVY,), SETUP, THICKNESS_FREE)
     (first,) = planner.rank(planner.start())
     after = planner.start().after(planner.information[0])
-    again = Planner(RIG, (HEAVY,), SETUP, FREE, after)
+    again = Planner(RIG, (HEAVY,), SETUP, THICKNESS_FREE, after)
     assert again.start().errors()['layer.wave_speed'] == pytest.approx(
         first.errors['layer.wave_speed'], rel=0.01
     )
@@ -143,7 +146,8 @@ def test_earlier_measurements_count_like_a_throw():
 
 def test_mass_uncertainty_limits_wave_speed_and_thickness_of_many_throws():
     # Throws show t_s and tau alone, so that c_s and L_s are known no better than the mass
-    fit = FitDescription({**IDEAL_BENCH, 'layer.thickness': 'free', 'projectile.mass': '+- 5 %'})
+    known = parse_treatments({'layer.thickness': 'free', 'projectile.mass': '+- 5 %'})
+    fit = FitDescription({**IDEAL_BENCH, **known})
     planner = Planner(RIG, (USUAL,), SETUP, fit)
     left = planner.start().after(1e6 * planner.information[0]).errors()
     assert left['layer.wave_speed'] / 7.8 == pytest.approx(0.05, rel=0.01)
@@ -152,7 +156,7 @@ def test_mass_uncertainty_limits_wave_speed_and_thickness_of_many_throws():
 
 def test_layers_of_one_material_share_its_wave_speed_but_not_their_thickness():
     thin = Condition(1.2e-3, 8e-3, 1.2e-3)
-    planner = Planner(RIG, (thin, USUAL), SETUP, FREE)
+    planner = Planner(RIG, (thin, USUAL), SETUP, THICKNESS_FREE)
     assert set(planner.names) >= {'layer.wave_speed', 'layer.thickness', 'layer.thickness[0.008]'}
     errors = {each.condition: each.errors for each in planner.rank(planner.start())}
     assert errors[thin]['layer.thickness'] == pytest.approx(16.8e-3, rel=0.01)  # as before
@@ -172,10 +176,10 @@ def test_bench_uncertainties_are_in_the_planned_errors():
 
 def test_empty_plan_is_refused():
     with pytest.raises(FitError, match='no throw to choose'):
-        Planner(RIG, (), SETUP, FREE)
+        Planner(RIG, (), SETUP, THICKNESS_FREE)
     with pytest.raises(FitError, match=r'one of layer\.wave_speed, '):
-        Planner(RIG, (USUAL,), SETUP, FitDescription({**IDEAL_BENCH, 'layer.wave_speed': 'held'}))
+        Planner(RIG, (USUAL,), SETUP, FitDescription({**IDEAL_BENCH, 'layer.wave_speed': FIXED}))
     with pytest.raises(FitError, match=re.escape('-0.001')):
-        Planner(RIG, (Condition(-1e-3, 0.01, 1e-3),), SETUP, FREE).start()
+        Planner(RIG, (Condition(-1e-3, 0.01, 1e-3),), SETUP, THICKNESS_FREE).start()
     with pytest.raises(ValueError, match=r'rate must be .*, got 0'):
         MeasurementSetup(rate=0.0)

@@ -225,7 +225,13 @@ def test_pictures_without_spots_are_refused():
 
 def spot(row, count=20):
     rows = row + np.arange(count) ** 2 / 100.0
-    return Spot(picture=np.arange(count), row=rows, column=np.full(count, 5.0), error=0.02)
+    return Spot(
+        picture=np.arange(count),
+        row=rows,
+        column=np.full(count, 5.0),
+        error=0.02,
+        start=(row, 5.0),
+    )
 
 
 def test_tracks_are_heights_in_metres_over_seconds():
@@ -252,7 +258,11 @@ def test_pictures_without_the_spot_are_missing_in_its_track():
     hidden = np.delete(np.arange(20), [4, 5, 6])
     whole = spot(90.0)
     partly = Spot(
-        picture=hidden, row=whole.row[hidden] - 20.0, column=whole.column[hidden], error=0.02
+        picture=hidden,
+        row=whole.row[hidden] - 20.0,
+        column=whole.column[hidden],
+        error=0.02,
+        start=(70.0, 5.0),
     )
     assert partly.gaps == [(4, 6)]
     tracks = tracks_of([whole, partly], rate=100.0, scale=1.0)
@@ -271,7 +281,7 @@ def test_pictures_without_the_spot_are_missing_in_its_track():
         ([spot(9.0)], {'bodies': ['ball']}, "'ball'"),
         ([spot(9.0), spot(3.0)], {'bodies': ['plate']}, 'column 5 row 9, column 5 row 3'),
         ([spot(9.0), spot(3.0, 4)], {}, 'column 5 row 3, on the projectile, is seen in 4 '),
-        ([spot(9.0, 0)], {}, 'the edge, on the plate, is seen in 0 '),
+        ([spot(9.0, 0)], {}, 'column 5 row 9, on the plate, is seen in 0 '),
     ],
 )
 def test_impossible_tracks_of_spots_are_refused(spots, options, value):
