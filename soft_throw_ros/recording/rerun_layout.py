@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.configuration.interface import ENERGIES, TWIN_TOPICS
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording.rerun_canvas import BLUE, Colour, GREEN, GREY, ORANGE, RED
@@ -52,10 +52,11 @@ LINES = {
     'position': Lines(BODIES, (GREY, BLUE), 1e3),
     'velocity': Lines(BODIES, (GREY, BLUE)),
     'force': Lines(('at the plate', 'at the projectile'), (GREY, BLUE)),
-    'energy/plate_work': Lines(('work of the plate',), (GREY,), 1e3, 4.0),
-    'energy/projectile': Lines(('projectile',), (BLUE,), 1e3),
-    'energy/layer': Lines(('layer',), (ORANGE,), 1e3),
-    'energy/total': Lines(('projectile + layer',), (GREEN,), 1e3),
+    'energy': Lines(
+        ('work of the plate', *ENERGIES[2:4], 'projectile + layer'),
+        (GREY, BLUE, ORANGE, GREEN),
+        1e3,
+    ),
     'position/measured': Lines(
         ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3, 1.0
     ),
@@ -92,7 +93,7 @@ COLUMNS = (
         Panel('position', 'plot', 'Position z (mm)', 3.0),
         Panel('velocity', 'plot', 'Velocity v (m/s)', 3.0),
         Panel('force', 'plot', 'Compressive force F (N)', 3.0),
-        Panel('energy', 'plot', 'Energy (mJ)', 3.0),
+        Panel('energy', 'plot', 'Energy (mJ)', 3.0, is_optional=True),
         Panel('residual', 'plot', 'Model less measurement (µm)', 3.0, is_optional=True),
     )),
     (4.2, (

@@ -233,7 +233,7 @@ class _TwinView:
         self._side = RigPicture(canvas, self._path('side'))
         self._recommendation: tuple[Rig | None, series.Values] = (None, {})
         self._track: dict[str, str] = {}  # texts by the task of the node
-        self._has_residuals = False
+        self._has_residuals = self._has_energies = False
         self._period = 0.0  # of the layout [s]
         self._maps: list[tuple[int, Future[EnergyMap]]] = []
         self._map_rig: Rig | None = None
@@ -295,8 +295,6 @@ class _TwinView:
         self._draw_lines('position', stamps, states.position)
         self._draw_lines('velocity', stamps, states.velocity)
         self._draw_lines('force', stamps, states.force * [-1.0, 1.0])
-        self._draw_lines('energy/plate_work', stamps, states.plate_work)
-        self._draw_lines('energy/projectile', stamps, states.projectile_energy)
         self._side.draw_positions(stamps, states.position)
 
     def draw_positions(self, messages: Sequence[Message], topic: Topic) -> None:
@@ -346,14 +344,21 @@ class _TwinView:
             radii=rr.Radius.ui_points([1.0] * stamps.size),
         ).partition([1] * stamps.size + [0])
         self._canvas.log_columns(self._path('strain/now'), gone, columns)
-        throw = self._reader.see_throw(field)
+        throw = self._reader.interpolate_throw(field)
         if throw is not None:
-            position, layer, energies = throw
+            position, layer = throw
             self._side.draw_positions(stamps, position)
             self._side.draw_layer(layer)
-            after = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
-            for name, energy in zip(('layer', 'total'), energies.T, strict=True):
-                self._draw_lines(f'energy/{name}', after, np.append(energy, math.nan))
+
+    def draw_energies(self, message: Message) -> None:
+        energies = self._reader.read_energies(message)
+        if energies is None:
+            return
+        stamps, values = energies
+        self._has_energies = True
+        stamps = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
+        values = np.vstack([values, np.full(values.shape[1], math.nan)])
+        self._draw_lines('energy', stamps, values)
 
     # words
 
@@ -436,7 +441,12 @@ class _TwinView:
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
         """Return the state of the layout; sizes that have hardly changed stay the same."""
         throw = self._canvas.throw
-        present = {'residual': self._has_residuals, 'track': self._track, layout.LOG: has_log}
+        present = {
+            'energy': self._has_energies,
+            'residual': self._has_residuals,
+            'track': self._track,
+            layout.LOG: has_log,
+        }
         period = self._period_of_stamps * (1.0 if throw is None else throw.time_scale)
         self._period = layout.with_hysteresis(period, self._period)
         return layout.TwinLayout(
@@ -459,6 +469,7 @@ _READERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.throw_result: _TwinView.draw_result,
     TWIN_TOPICS.recommendation: _TwinView.draw_recommendation,
     TWIN_TOPICS.throw_field: _TwinView.draw_field,
+    TWIN_TOPICS.throw_energies: _TwinView.draw_energies,
 }
 """Methods that draw the messages of each topic; later methods need the data of earlier ones."""
 

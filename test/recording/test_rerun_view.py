@@ -88,13 +88,21 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
         np.testing.assert_array_equal(values, expected)
 
 
-def test_sparse_layer_energy_is_shown_in_throws_only(
-    recording,
-) -> None:
-    times, values = recording.scalars('/twin/energy/layer')
+def test_energies_are_shown_up_to_the_release(twin, recording) -> None:
+    times, values = recording.scalars('/twin/energy')
     ends = np.flatnonzero(np.isnan(values[:, 0]))
-    assert ends.tolist() == [200, 401]  # after the 200 times of each throw
-    assert np.diff(times)[:199].max() < 1e5
+    published = [outputs.throw_field.energies for outputs in twin.outputs if outputs.throw_field]
+    assert np.diff(ends, prepend=-1).tolist() == [len(energies) + 1 for energies in published]
+    np.testing.assert_array_equal(values[:ends[0]], 1e3 * published[0][:, 1:])
+    duration = 1e-9 * (times[ends[0]] - times[0])
+    assert duration == pytest.approx(simulate(Rig()).ejection_time, rel=0.05)
+
+
+def test_bag_without_energies_has_no_plot_of_them(twin, tmp_path) -> None:
+    older = [item for item in twin.messages if item.channel.topic != '/twin/throw_energies']
+    recording = record(tmp_path / 'scene.rrd', Scene('test'), older)
+    assert 'Compressive force F (N)' in recording.views
+    assert 'Energy (mJ)' not in recording.views
 
 
 def test_side_view_is_to_scale(twin, recording) -> None:
@@ -258,7 +266,7 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
         assert len(recording.scalars(f'{root}/position')[0]) == 150
     assert '/rig1/twin/landscape' not in recording.entities
     assert r'/rig\ 2/twin/landscape' in recording.entities
-    assert recording.views.count('Energy (mJ)') == 2
+    assert recording.views.count('Position z (mm)') == 2
 
 
 def test_layout_is_not_sent_again_for_a_small_correction_of_the_rig(tmp_path) -> None:
@@ -271,7 +279,7 @@ def test_layout_is_not_sent_again_for_a_small_correction_of_the_rig(tmp_path) ->
             twin.go(150)
         scene = Scene('test', is_live=True)
         path = tmp_path / f'{len(sent)}.rrd'
-        sent.append(record(path, scene, twin.messages, batch=10).views.count('Energy (mJ)'))
+        sent.append(record(path, scene, twin.messages, batch=10).views.count('Position z (mm)'))
     assert sent[1] == sent[0] < sent[2]
 
 
