@@ -21,7 +21,7 @@ from typing import NamedTuple
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.configuration.interface import ENERGIES, TWIN_TOPICS
-from soft_throw_ros.recording import charts
+from soft_throw_ros.recording import charts, energy_map
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording.rerun_canvas import BLUE, Colour, GREEN, GREY, ORANGE, RED
 
@@ -168,7 +168,7 @@ def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
             bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'strain' | 'map':
-            width, height = charts.FRAME_SIZE if panel.kind == 'strain' else charts.MAP_SIZE
+            width, height = charts.FRAME_SIZE if panel.kind == 'strain' else energy_map.MAP_SIZE
             bounds = rrb.VisualBounds2D(x_range=[0.0, width], y_range=[0.0, height])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'phase':

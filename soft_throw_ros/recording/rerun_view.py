@@ -317,38 +317,45 @@ class _TwinView:
         field = self._reader.read_field(message)
         if field is None:
             return
-        time, stamps, start = field.ejection_time, field.stamps, int(field.stamps[0])
-        contact = field.strain[field.times <= (time or field.times[-1])]
+        contact = field.strain[field.times <= (field.ejection_time or field.times[-1])]
         limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
-        duration, thickness = _MILLI * float(field.times[-1]), _MILLI * field.thickness
-        left, top, width, height = charts.FRAME_BOX
-        frame = drawing.encoded_image(charts.strain_frame(duration, thickness, 100.0 * limit))
-        pixels = charts.signed_colours(field.strain.T[::-1], limit)
-        picture = drawing.picture(pixels, x=left, y=top, w=width, h=height)
-        self._canvas.log_latched(self._path('strain/frame'), start, frame)
-        self._canvas.log_latched(self._path('strain/picture'), start, *picture)
-        places = left + width * field.times / field.times[-1]
-        x = [] if time is None else [float(np.interp(time, field.times, places))]
-        line = drawing.lines([[(at, top), (at, top + height)] for at in x], drawing.BLACK)
-        titles = [Text(at, top - 37.0, f'tₑ {_MILLI * (time or 0.0):.2f} ms') for at in x]
-        self._canvas.log_latched(self._path('strain/ejection'), start, line)
-        self._canvas.log_latched(self._path('strain/ejection/text'), start, drawing.texts(titles))
-        strips = np.zeros((stamps.size, 2, 2), np.float32)
-        strips[:, :, 0] = places[:, None]
-        strips[:, :, 1] = top, top + height
-        gone = np.append(stamps, 2 * stamps[-1] - stamps[-2])
-        columns = rr.LineStrips2D.columns(
-            strips=strips,
-            colors=[drawing.RED] * stamps.size,
-            radii=rr.Radius.ui_points([1.0] * stamps.size),
-        ).partition([1] * stamps.size + [0])
-        self._canvas.log_columns(self._path('strain/now'), gone, columns)
+        self._draw_strain(field, limit)
         throw = self._reader.interpolate_throw(field)
         if throw is not None:
             position, layer = throw
-            self._side.draw_positions(stamps, position)
+            self._side.draw_positions(field.stamps, position)
             self._side.draw_layer(layer)
+
+    def _draw_strain(self, field: series.StrainField, limit: float) -> None:
+        """Draw strain in colours up to a limit, with axes, the ejection and a moving cursor."""
+        log, stamps = self._canvas.log_latched, field.stamps
+        start, end = int(stamps[0]), float(field.times[-1])
+        x, y, width, height = charts.FRAME_BOX
+        frame = charts.strain_frame(_MILLI * end, _MILLI * field.thickness, 100.0 * limit)
+        log(self._path('strain/frame'), start, drawing.encoded_image(frame))
+        pixels = charts.signed_colours(field.strain.T[::-1], limit)
+        picture = drawing.picture(pixels, x=x, y=y, w=width, h=height)
+        log(self._path('strain/picture'), start, *picture)
+        ejection = [time for time in (field.ejection_time,) if time is not None]
+        heights = y, y + height
+        strips = [[(x + width * time / end, level) for level in heights] for time in ejection]
+        log(self._path('strain/ejection'), start, drawing.lines(strips, drawing.BLACK))
+        titles = [
+            Text(x + width * time / end, y - 37.0, f'tₑ {_MILLI * time:.2f} ms')
+            for time in ejection
+        ]
+        log(self._path('strain/ejection/text'), start, drawing.texts(titles))
+        cursors = np.zeros((stamps.size, 2, 2), np.float32)
+        cursors[:, :, 0] = (x + width * field.times / end)[:, None]
+        cursors[:, :, 1] = heights
+        columns = rr.LineStrips2D.columns(
+            strips=cursors,
+            colors=[drawing.RED] * stamps.size,
+            radii=rr.Radius.ui_points([1.0] * stamps.size),
+        ).partition([1] * stamps.size + [0])
+        after = np.append(stamps, 2 * stamps[-1] - stamps[-2])  # where the cursor disappears
+        self._canvas.log_columns(self._path('strain/now'), after, columns)
 
     def draw_energies(self, message: Message) -> None:
         energies = self._reader.read_energies(message)
@@ -423,17 +430,7 @@ class _TwinView:
         """Draw the maps that are complete; with `is_waiting` wait for all."""
         while self._maps and (is_waiting or self._maps[0][1].done()):
             stamp, future = self._maps.pop(0)
-            energy_map = future.result()
-            figure = charts.energy_figure(
-                (
-                    charts.MapAxis('Lₛ (mm)', _MILLI * energy_map.thickness),
-                    charts.MapAxis('cₛ (m/s)', energy_map.wave_speed),
-                ),
-                energy_map.energy_transfer,
-                label=energy_map.title,
-                marks=[(text, _MILLI * length, speed) for length, speed, text in energy_map.marks],
-            )
-            image = drawing.encoded_image(charts.to_png(figure))
+            image = drawing.encoded_image(charts.to_png(future.result().draw()))
             self._canvas.log_latched(self._path('landscape'), stamp, image)
 
     # layout

@@ -38,6 +38,7 @@ rr = pytest.importorskip('rerun')
 from test.recording.recordings import record, Recording, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording import charts  # noqa: E402
+from soft_throw_ros.recording.energy_map import EnergyMap  # noqa: E402
 from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
 
 
@@ -165,13 +166,13 @@ def table_of(text: str) -> list[list[str]]:
 def maps(monkeypatch) -> list[Any]:
     """Return a list that gets the figures of all maps that are drawn."""
     figures: list[Any] = []
-    draw = charts.energy_figure
+    draw = EnergyMap.draw
 
-    def draw_and_keep(*args: Any, **options: Any) -> Any:
-        figures.append(draw(*args, **options))
+    def draw_and_keep(energy_map: EnergyMap) -> Any:
+        figures.append(draw(energy_map))
         return figures[-1]
 
-    monkeypatch.setattr(charts, 'energy_figure', draw_and_keep)
+    monkeypatch.setattr(EnergyMap, 'draw', draw_and_keep)
     return figures
 
 
