@@ -420,7 +420,7 @@ def _published(message: Message) -> int:
 def _read_array(message: Message) -> Floats:
     """Read an array of at least two rows and columns."""
     array = decode(message)
-    values = np.reshape(array.data, [each.size for each in array.layout.dim])
+    values = np.reshape(array.data, [axis.size for axis in array.layout.dim])
     if values.ndim != 2 or min(values.shape) < 2 or values.size > _LARGEST:
         raise MessageError(f'an array of 2 dimensions, not {values.shape}')
     _check_numbers(values)
