@@ -43,7 +43,7 @@ class Lines(NamedTuple):
     names: tuple[str, ...]
     colours: tuple[Colour, ...]
     factor: float = 1.0  # from SI units to the units of the plot
-    width: float = 1.5
+    width: float | tuple[float, ...] = 1.5  # of all lines, or of each
 
 
 BODIES = ('plate', 'projectile')
@@ -56,6 +56,7 @@ LINES = {
         ('work of the plate', *ENERGIES[2:4], 'projectile + layer'),
         (GREY, BLUE, ORANGE, GREEN),
         1e3,
+        (4.0, 1.5, 1.5, 1.5),
     ),
     'position/measured': Lines(
         ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3, 1.0

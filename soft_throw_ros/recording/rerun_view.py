@@ -280,7 +280,8 @@ class _TwinView:
         """Draw lines of a plot, of values in SI units."""
         self.is_drawn = True
         names, colours, factor, width = layout.LINES[name]
-        style = rr.SeriesLines(names=names, colors=colours, widths=[width] * len(names))
+        widths = np.broadcast_to(width, len(names))
+        style = rr.SeriesLines(names=names, colors=colours, widths=widths)
         self._canvas.log_style(self._path(name), style)
         columns = rr.Scalars.columns(scalars=factor * values)
         self._canvas.log_columns(self._path(name), stamps, columns)

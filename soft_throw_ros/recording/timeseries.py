@@ -334,12 +334,11 @@ class TwinReader:
         return LayerStates(read.stamps, read.position, strain)
 
     def read_field(self, message: Message) -> StrainField | None:
-        """Read the field of the throw under way; None while the rig is not known."""
-        strain, stamp = _read_array(message), self.stamp_of(message)
-        if self.rig is None:
+        """Read the field of the throw under way; None while no throw is known."""
+        strain, throw = _read_array(message), self.throw
+        if self.rig is None or throw is None:
             return None
-        throw = self.throw or ThrowStart(stamp=stamp, number=0, time_scale=self.time_scale)
-        span = max(throw.seconds_to(stamp), throw.time_scale / SECOND)
+        span = max(throw.seconds_to(self.stamp_of(message)), throw.time_scale / SECOND)
         if self.ejection_time is not None:
             span = _FIELD_SPAN * self.ejection_time
         times = np.linspace(0.0, span, strain.shape[0])

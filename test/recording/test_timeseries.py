@@ -132,9 +132,9 @@ AUXILIARY = (
 )
 
 
-def joined(found: Sequence[Any], name: str | int) -> Any:
+def joined(items: Sequence[Any], name: str | int) -> Any:
     return np.concatenate(
-        [item[name] if isinstance(name, int) else getattr(item, name) for item in found]
+        [item[name] if isinstance(name, int) else getattr(item, name) for item in items]
     )
 
 
@@ -151,9 +151,9 @@ def test_energies_of_a_throw_have_its_times(slow) -> None:
 
 
 def test_layer_agrees_with_the_session(slow) -> None:
-    rows = [(step, each.layer) for step, each in enumerate(slow.outputs) if each.layer is not None]
+    rows = [(step, item.layer) for step, item in enumerate(slow.outputs) if item.layer is not None]
     stamps = stamps_of_steps(slow, [step for step, _ in rows])
-    height, _, force = (np.array([layer[place] for _, layer in rows]) for place in range(3))
+    height, _, force = (np.array([layer[index] for _, layer in rows]) for index in range(3))
     strain = -force / (Rig().layer.youngs_modulus * Rig().layer.section)
     layers = slow.read.layers
     assert joined(layers, 'stamps').tolist() == stamps
@@ -240,20 +240,20 @@ def test_invalid_journal_lines_are_refused_like_damage(real, line) -> None:
 
 
 def test_measured_throw_and_states_have_the_same_zero_height(measured) -> None:
-    found = measured.read.positions
-    (truth, predicted) = (found[topic] for topic in AUXILIARY[:2])
+    positions_read = measured.read.positions
+    (truth, predicted) = (positions_read[topic] for topic in AUXILIARY[:2])
     times, positions = joined(predicted, 0), joined(predicted, 1)
     stamps, heights = joined(truth, 0), joined(truth, 1)
-    there = (times[0] < stamps) & (stamps < times[20])
-    assert there.sum() > 50
-    expected = np.interp(stamps[there], times, positions[:, 0])
-    assert heights[there, 1] == pytest.approx(expected, abs=5e-5)  # the prediction is a polygon
+    is_compared = (times[0] < stamps) & (stamps < times[20])
+    assert is_compared.sum() > 50
+    expected = np.interp(stamps[is_compared], times, positions[:, 0])  # the prediction is a polygon
+    assert heights[is_compared, 1] == pytest.approx(expected, abs=5e-5)
 
 
 def test_measured_throw_starts_with_the_plate_and_the_journal_replaces_a_lost_result(
     measured,
 ) -> None:
-    results = [each for each in measured.messages if each.channel.topic != '/twin/throw_result']
+    results = [item for item in measured.messages if item.channel.topic != '/twin/throw_result']
     (field,), (whole,) = Read(results).fields, measured.read.fields
     assert field.stamps[0] == pytest.approx(measured.pace.time_ns + 50_000_000, abs=5000)
     assert field.times[-1] == pytest.approx(1.5 * field.ejection_time)
