@@ -246,7 +246,8 @@ def test_measured_throw_and_states_have_the_same_zero_height(measured) -> None:
     stamps, heights = joined(truth, 0), joined(truth, 1)
     is_compared = (times[0] < stamps) & (stamps < times[20])
     assert is_compared.sum() > 50
-    expected = np.interp(stamps[is_compared], times, positions[:, 0])  # the prediction is a polygon
+    # The prediction is a polygon
+    expected = np.interp(stamps[is_compared], times, positions[:, 0])
     assert heights[is_compared, 1] == pytest.approx(expected, abs=5e-5)
 
 
