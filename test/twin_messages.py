@@ -168,7 +168,12 @@ class TwinMessages:
             self._send('phase_change', data, 4)
             self._send('phase', serialize_message(String(data=phase.value)), 4)
         if outputs.throw_field is not None:
-            self._send('throw_field', encode_array(('t', 'y'), outputs.throw_field.strain), 5)
+            for name, values in (
+                ('throw_field', outputs.throw_field.strain),
+                ('throw_energies', outputs.throw_field.energies),
+            ):
+                axes = getattr(TWIN_TOPICS, name).axes
+                self._send(name, encode_array(axes, values), 5)
         for result in outputs.results:
             beside = other_models_values(result.rig, self._settings)
             status = throw_result_to_msg(result, self.node, beside)

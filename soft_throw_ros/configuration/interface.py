@@ -41,6 +41,9 @@ JOINTS = ('plate', 'projectile')
 FIELD_POINTS = 64
 """Number of published points of the layer, evenly spaced from plate to top."""
 
+ENERGIES = ('time', 'plate_work', 'projectile', 'layer', 'total')
+"""Columns of `~/throw_energies`."""
+
 LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
 """Joints of the layer, from plate to top."""
 
@@ -148,6 +151,11 @@ class TwinTopics(NamedTuple):
         '~/throw_field', MULTI_ARRAY,
         'Strain of the layer over time and height, from start to after release, once per throw',
         is_latched=True, axes=('t', 'y'))
+    throw_energies: Topic = Topic(
+        '~/throw_energies', MULTI_ARRAY,
+        'Time since the start [s], work of the plate, and energy of projectile, layer and both '
+        'relative to rest [J], up to the first release, once per throw',
+        is_latched=True, axes=('t', 'energy'))
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
         depth=_SEVERAL, is_latched=True)

@@ -39,7 +39,7 @@ from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.child_process import RestartedProcess
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.recording.message import LOSSES, Message, MISSED_BEFORE_JOIN
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin import journal
 
@@ -76,8 +76,8 @@ class Recording:
         self, recorder: Node, settings: Settings, arguments: Sequence[str] = ()
     ) -> None:
         self._wanted = [full_name(recorder, name) for name in settings['topics']]
-        self._is_silence_told = False
-        self._is_failure_told = False
+        self._are_silent_topics_reported = False
+        self._is_viewer_failure_reported = False
         self._node = recorder
         self._states_received = 0  # by the last call of `watch_states`
         self._silent_seconds = 0
@@ -139,18 +139,18 @@ class Recording:
 
     def take_silent_topics(self) -> list[str]:
         """Return, once, the wanted topics without a publisher after `PUBLISHER_TIMEOUT`."""
-        if self._is_silence_told or time.monotonic() - self._began < PUBLISHER_TIMEOUT:
+        if self._are_silent_topics_reported or time.monotonic() - self._began < PUBLISHER_TIMEOUT:
             return []
-        self._is_silence_told = True
+        self._are_silent_topics_reported = True
         topics = [item.channel.topic for item in self.subscriptions]
         return [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
 
     def take_viewer_failure(self) -> str:
         """Return, once, the reason why the viewer is given up; empty otherwise."""
         reason = self.viewer.failure if self.viewer is not None else ''
-        if not reason or self._is_failure_told:
+        if not reason or self._is_viewer_failure_reported:
             return ''
-        self._is_failure_told = True
+        self._is_viewer_failure_reported = True
         return f'the viewer is not started any more: {reason}; recording goes on without it'
 
     def losses(self) -> dict[str, int]:
@@ -194,9 +194,9 @@ class Recording:
         self.subscriptions.close()
         if self.writer is not None:
             losses = self.losses()
-            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
+            self._note(self.writer, LOSSES, {'total': sum(losses.values()), **losses})
             if missed := self.missed_before_join():
-                self._note(self.writer, 'published before recording', missed)
+                self._note(self.writer, MISSED_BEFORE_JOIN, missed)
             self.writer.close(on_stall)
         if self.viewer is not None:
             self.viewer.close()
@@ -239,12 +239,13 @@ class Recording:
         )
 
     def _run(self) -> None:
-        """Drain received messages until `stop` is called, and then once more."""
+        """Record messages until `stop` is called, and then once more."""
         while not self._is_stopping.wait(DRAIN_TIME):
-            self._take()
-        self._take()
+            self._record_messages()
+        self._record_messages()
 
-    def _take(self) -> None:
+    def _record_messages(self) -> None:
+        """Hand the received messages over to the writer."""
         messages = self.subscriptions.drain()
         if not messages:
             return

@@ -120,10 +120,10 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
         default=False,
         help='repeat the run from its journal and compare; exit code 1 if a message differs',
     )
-    given = vars(parser.parse_args(arguments))
-    if given['check'] and (options := sorted(given.keys() - {'bag', 'check'})):
-        parser.error(f'argument --{options[0]}: not allowed with argument --check')
-    return given
+    options = vars(parser.parse_args(arguments))
+    if options['check'] and (others := sorted(options.keys() - {'bag', 'check'})):
+        parser.error(f'argument --{others[0]}: not allowed with argument --check')
+    return options
 
 
 def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) -> int:

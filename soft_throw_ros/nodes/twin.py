@@ -217,6 +217,7 @@ class Twin(RealTimeNode):
             send(TWIN_TOPICS.phase, phase.value)
         if outputs.throw_field is not None:
             send(TWIN_TOPICS.throw_field, outputs.throw_field.strain)
+            send(TWIN_TOPICS.throw_energies, outputs.throw_field.energies)
         for result in outputs.results:
             self._publish_result(result, due)
 

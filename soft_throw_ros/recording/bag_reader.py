@@ -31,7 +31,7 @@ from mcap import records as mcap
 from soft_throw_ros.recording.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.recording.bag_writer import is_being_written
 from soft_throw_ros.recording.mcap_file import McapFile, UnfinishedError
-from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, OVERHEAD, Shared
+from soft_throw_ros.recording.mcap_records import CONVERSION, MAX_KEPT, Shared
 from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
@@ -94,7 +94,7 @@ class BagReader:
     path : Path
         Path of the bag, as passed to the reader.
     channels : tuple of Channel
-        The topics; one object each, in all files.
+        The topics; all files share one object for each.
     counts : dict of Channel to int
         Numbers of messages.
     start_time, end_time : int
@@ -198,7 +198,7 @@ class BagReader:
         for number, file, chunk in chunks:
             while waiting and waiting[0][0] < chunk.message_start_time:
                 message = heapq.heappop(waiting)[-1]
-                kept -= len(message.data) + OVERHEAD
+                kept -= message.memory
                 yield message
             for index, message in enumerate(file.read_chunk(chunk)):
                 is_wanted = wanted is None or message.channel.topic in wanted
@@ -209,7 +209,7 @@ class BagReader:
                     continue
                 key = message.log_time, number, chunk.chunk_start_offset, index
                 heapq.heappush(waiting, (*key, message))
-                kept += len(message.data) + OVERHEAD
+                kept += message.memory
                 if kept > MAX_KEPT:
                     raise BagError(
                         f'{self.path}: more than {MAX_KEPT} bytes of its messages are of about '
@@ -233,6 +233,6 @@ def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.M
 def _by_number(path: Path) -> list[tuple[int, str]]:
     """Sort `bag_2` before `bag_10`."""
     return [
-        (int(part), '') if part.isdecimal() else (0, part)
-        for part in re.split(r'(\d+)', path.name, flags=re.ASCII)
+        (int(word), '') if word.isdecimal() else (0, word)
+        for word in re.split(r'(\d+)', path.name, flags=re.ASCII)
     ]

@@ -62,7 +62,7 @@ class _Writer:
 
     def numbers(self, kind: str, *values: ArrayLike) -> None:
         """Append numbers of a type of numpy."""
-        array = np.concatenate([np.ravel(each) for each in values]).astype(kind)
+        array = np.concatenate([np.ravel(value) for value in values]).astype(kind)
         if array.size:
             self.data.extend(bytes((len(_HEADER) - len(self.data)) % array.itemsize))
             self.data.extend(array.tobytes())
@@ -103,8 +103,8 @@ class JointStateEncoder:
         self._data = writer.data
         self._layout = _Layout(bytes(writer.data))
         self._arrays = [
-            np.frombuffer(self._data, '<f8', each.size, each.begin)
-            for each in self._layout.series[:series]
+            np.frombuffer(self._data, '<f8', item.size, item.begin)
+            for item in self._layout.series[:series]
         ]
 
     def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:

@@ -36,9 +36,6 @@ Marks = Iterable[tuple[str, float, float]]
 DPI = 100
 """Resolution of the images for Rerun, in pixels per inch, which suits a window of usual size."""
 
-MAP_SIZE = 620, 250
-"""Width and height of the map of layers in the viewer. [pixel]"""
-
 FRAME_SIZE = 620, 190
 """Width and height of the frame around the strain of a throw. [pixel]"""
 
@@ -49,9 +46,8 @@ _BAR_BOX = 550, 28, 12, 117
 """The same of the bar of colours. [pixel]"""
 
 _BACKGROUND, _TEXT, _LINE = '#0d1011', 'white', '#b0b0b0'
-"""Colours of the images, as the viewer of Rerun has them."""
 
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     'axes.edgecolor': _LINE,
     'axes.labelcolor': _TEXT,
     'figure.facecolor': _BACKGROUND,
@@ -60,6 +56,7 @@ _STYLE: dict[Any, Any] = {
     'xtick.color': _LINE,
     'ytick.color': _LINE,
 }
+"""Style of figures in the viewer, in the colours of Rerun."""
 
 # Both are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
 _SIGNED = mpl.colormaps['PuOr'].with_extremes(bad=_LINE)
@@ -134,20 +131,6 @@ def draw_map(
         )
 
 
-def energy_figure(
-    axes: tuple[MapAxis, MapAxis], values: Floats, *, label: str, marks: Marks
-) -> Figure:
-    """Draw energy transfer over the layers, as the viewer shows it."""
-    with mpl.rc_context(_STYLE):
-        figure = _new_figure(MAP_SIZE, layout='constrained')
-        panel = figure.subplots()
-        draw_map(panel, axes, values, label=label, marks=marks)
-        figure.legend(
-            loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white', frameon=True
-        )
-    return figure
-
-
 @functools.lru_cache(maxsize=16)
 def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
     """
@@ -157,14 +140,14 @@ def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
     draw one takes 100 ms. The axes end at `duration` [ms] and `thickness` [mm], the colours at
     `limit` [%] to either side.
     """
-    with mpl.rc_context(_STYLE):
-        figure = _new_figure(FRAME_SIZE)
-        panel = figure.add_axes(_in_figure(FRAME_BOX))
+    with mpl.rc_context(STYLE):
+        figure = new_figure(FRAME_SIZE)
+        panel = figure.add_axes(_figure_fractions(FRAME_BOX))
         panel.set(
             xlim=(0.0, duration), ylim=(0.0, thickness), xlabel='t (ms)', ylabel='y (mm)'
         )
         image = ScalarMappable(Normalize(-limit, limit), _SIGNED)
-        figure.colorbar(image, cax=figure.add_axes(_in_figure(_BAR_BOX)), label='ε (%)')
+        figure.colorbar(image, cax=figure.add_axes(_figure_fractions(_BAR_BOX)), label='ε (%)')
         return to_png(figure)
 
 
@@ -181,12 +164,16 @@ def to_png(figure: Figure, *, dpi: float = DPI) -> bytes:
     return output.getvalue()
 
 
-def _new_figure(size: tuple[int, int], **options: Any) -> Figure:
+def new_figure(size: tuple[int, int], **options: Any) -> Figure:
     """Return a figure of a given size [pixel]."""
     return Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, **options)
 
 
-def _in_figure(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """Convert pixels, from the top left, into parts of the frame, from the bottom left."""
-    (left, top, width, height), (full, high) = box, FRAME_SIZE
-    return left / full, 1.0 - (top + height) / high, width / full, height / high
+def _figure_fractions(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """Convert pixels, from the top left, into fractions of the frame, from the bottom left."""
+    x, y, width, height = box
+    full_width, full_height = FRAME_SIZE
+    return (
+        x / full_width, 1.0 - (y + height) / full_height,
+        width / full_width, height / full_height,
+    )

@@ -33,7 +33,7 @@ import numpy as np
 from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT, THROW_TOPICS, TWIN_TOPICS
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.cdr import decode, MessageError
-from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.recording.message import BagError, LOSSES, Message, MISSED_BEFORE_JOIN
 from soft_throw_ros.recording.recorded_outputs import (
     count_missing,
     count_skipped,
@@ -67,12 +67,6 @@ or later if the twin is busy."""
 
 END_TIME = 0.1
 """Largest time from the last state to the end of the journal [s]: topics are drained in turn."""
-
-LOSSES = 'losses'
-"""Metadata record of a recorder with the numbers of lost messages, by topic."""
-
-LATE = 'published before recording'
-"""Metadata record of a recorder with the numbers of messages before it joined, by topic."""
 
 _COMPARED = ('throw', 'result', 'checksum')
 _INPUTS = ('kind', 'step', 'throw', 'settings', 'pending', 'schedule')
@@ -507,7 +501,7 @@ class _Check:
         """Compare the number of missing messages with the losses that the recorder counted."""
         notes = {record.name: record.metadata for record in self._reader.metadata}
         lost = _number(notes.get(LOSSES, {}).get(topic, ''))
-        known = lost + _number(notes.get(LATE, {}).get(topic, ''))
+        known = lost + _number(notes.get(MISSED_BEFORE_JOIN, {}).get(topic, ''))
         at_ends, within = (int(number) for number in self._missing[topic])
         sequences = self._sequences[topic]
         uncounted = max(within - lost, 0)

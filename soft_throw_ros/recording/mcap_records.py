@@ -34,7 +34,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message, OVERHEAD
 import zstandard
 
 MAX_RECORD = 64 * 2**20
@@ -48,9 +48,6 @@ MAX_KEPT = 256 * 2**20
 
 MAX_ATTACHED = 128 * 2**20
 """Largest size of all attachments of a file. [bytes]"""
-
-OVERHEAD = 500
-"""Memory that an object takes besides its data. [bytes]"""
 
 HEAD = struct.Struct('<BQ')
 """Head of a record: opcode and length."""

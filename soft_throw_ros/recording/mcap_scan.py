@@ -157,8 +157,8 @@ class ScannedFile:
         """Return whether the checksum of the end is right, or there is none; note otherwise."""
         checksum, end = 0, offset + HEAD.size + 16
         for begin in range(min(footer.summary_start, offset), end, _WINDOW):
-            part = self._file.read(begin, min(begin + _WINDOW, end))
-            checksum = zlib.crc32(part, checksum)
+            data = self._file.read(begin, min(begin + _WINDOW, end))
+            checksum = zlib.crc32(data, checksum)
         is_sound = footer.summary_crc in (0, checksum)
         if not is_sound:
             self._note(offset, 0, 'the checksum of the end is wrong')
@@ -211,7 +211,7 @@ class ScannedFile:
             raise BagError(f'more than {MAX_SEARCH} bytes look like chunks, but are none')
 
     def _note(self, offset: int, size: int, reason: str, messages: int = 0) -> None:
-        """Add a damaged part once."""
-        part = UnreadableRange(self._path, offset, size, reason, messages)
-        if part not in self.unreadable:
-            self.unreadable.append(part)
+        """Add an unreadable range once."""
+        unreadable = UnreadableRange(self._path, offset, size, reason, messages)
+        if unreadable not in self.unreadable:
+            self.unreadable.append(unreadable)

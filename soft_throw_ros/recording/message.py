@@ -21,6 +21,15 @@ from typing import NamedTuple
 LATEST = 2**63 - 1
 """The latest time that ROS knows. [ns]"""
 
+OVERHEAD = 500
+"""Memory that an object takes besides its data. [bytes]"""
+
+LOSSES = 'losses'
+"""Metadata record of a recorder with the numbers of lost messages by topic."""
+
+MISSED_BEFORE_JOIN = 'published before recording'
+"""Metadata record of a recorder with the numbers of messages before it joined, by topic."""
+
 
 class BagError(ValueError):
     """
@@ -46,11 +55,6 @@ class Channel:
     # Format of the schema; other recorders may write `ros2idl`
     schema_encoding: str = 'ros2msg'
 
-    @property
-    def is_latched(self) -> bool:
-        """Whether a publisher keeps messages for later subscriptions."""
-        return 'durability: transient_local' in self.qos
-
 
 class Message(NamedTuple):
     """A serialised message with its times."""
@@ -60,6 +64,11 @@ class Message(NamedTuple):
     log_time: int  # Time of receiving. [ns]
     publish_time: int  # Time of publishing. [ns]
     sequence: int = 0  # Sequence number of the publisher; a bag keeps the lower 32 bits
+
+    @property
+    def memory(self) -> int:
+        """Approximate size in memory [bytes]."""
+        return len(self.data) + OVERHEAD
 
     @property
     def has_valid_times(self) -> bool:

@@ -229,11 +229,11 @@ class RecordedNumbers:
         different: list[float] = []
         for number, time, is_in_run in reversed(self._recorded):
             limit = min(limit, bisect_right(result_times, time + ORDER_TIME))
-            fitting = indices.get(number, [])
-            while fitting and fitting[-1] >= limit:
-                fitting.pop()
-            if fitting:
-                limit = fitting.pop()
+            candidates = indices.get(number, [])
+            while candidates and candidates[-1] >= limit:
+                candidates.pop()
+            if candidates:
+                limit = candidates.pop()
                 is_recorded[limit] = True
             elif is_in_run:
                 different.extend(_NUMBER.unpack(number))

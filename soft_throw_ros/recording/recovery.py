@@ -50,7 +50,7 @@ class Recovery:
     @property
     def skipped(self) -> tuple[UnreadableRange, ...]:
         """Return the unreadable parts that have content, without a missing end of a file."""
-        return tuple(part for part in self.unreadable if part.size or part.messages)
+        return tuple(item for item in self.unreadable if item.size or item.messages)
 
 
 def recover(source: str | Path, target: str | Path) -> Recovery:
@@ -86,7 +86,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             stack.enter_context(closing(ScannedFile(path, shared))) for path in folder.files
         ]
         if not any(file.channels for file in files):
-            damage = [*(part for file in files for part in file.unreadable), *folder.defects]
+            damage = [*(item for file in files for item in file.unreadable), *folder.defects]
             raise BagError(f'{damage[0] if damage else source}; there is no message to recover')
         writer = BagWriter(target, distribution=folder.distribution)
         try:
@@ -102,7 +102,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             target=target,
             saved=dict(saved),
             defects=tuple(folder.defects),
-            unreadable=tuple(part for file in files for part in file.unreadable),
+            unreadable=tuple(item for file in files for item in file.unreadable),
         )
 
 

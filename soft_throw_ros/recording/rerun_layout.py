@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
-from soft_throw_ros.recording import charts
+from soft_throw_ros.configuration.interface import ENERGIES, TWIN_TOPICS
+from soft_throw_ros.recording import charts, energy_map
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording.rerun_canvas import BLUE, Colour, GREEN, GREY, ORANGE, RED
 
@@ -43,7 +43,7 @@ class Lines(NamedTuple):
     names: tuple[str, ...]
     colours: tuple[Colour, ...]
     factor: float = 1.0  # from SI units to the units of the plot
-    width: float = 1.5
+    width: float | tuple[float, ...] = 1.5  # of all lines, or of each
 
 
 BODIES = ('plate', 'projectile')
@@ -52,10 +52,12 @@ LINES = {
     'position': Lines(BODIES, (GREY, BLUE), 1e3),
     'velocity': Lines(BODIES, (GREY, BLUE)),
     'force': Lines(('at the plate', 'at the projectile'), (GREY, BLUE)),
-    'energy/plate_work': Lines(('work of the plate',), (GREY,), 1e3, 4.0),
-    'energy/projectile': Lines(('projectile',), (BLUE,), 1e3),
-    'energy/layer': Lines(('layer',), (ORANGE,), 1e3),
-    'energy/total': Lines(('projectile + layer',), (GREEN,), 1e3),
+    'energy': Lines(
+        ('work of the plate', *ENERGIES[2:4], 'projectile + layer'),
+        (GREY, BLUE, ORANGE, GREEN),
+        1e3,
+        (4.0, 1.5, 1.5, 1.5),
+    ),
     'position/measured': Lines(
         ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3, 1.0
     ),
@@ -92,7 +94,7 @@ COLUMNS = (
         Panel('position', 'plot', 'Position z (mm)', 3.0),
         Panel('velocity', 'plot', 'Velocity v (m/s)', 3.0),
         Panel('force', 'plot', 'Compressive force F (N)', 3.0),
-        Panel('energy', 'plot', 'Energy (mJ)', 3.0),
+        Panel('energy', 'plot', 'Energy (mJ)', 3.0, is_optional=True),
         Panel('residual', 'plot', 'Model less measurement (µm)', 3.0, is_optional=True),
     )),
     (4.2, (
@@ -167,7 +169,7 @@ def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
             bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'strain' | 'map':
-            width, height = charts.FRAME_SIZE if panel.kind == 'strain' else charts.MAP_SIZE
+            width, height = charts.FRAME_SIZE if panel.kind == 'strain' else energy_map.MAP_SIZE
             bounds = rrb.VisualBounds2D(x_range=[0.0, width], y_range=[0.0, height])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
         case 'phase':

@@ -233,7 +233,7 @@ class _TwinView:
         self._side = RigPicture(canvas, self._path('side'))
         self._recommendation: tuple[Rig | None, series.Values] = (None, {})
         self._track: dict[str, str] = {}  # texts by the task of the node
-        self._has_residuals = False
+        self._has_residuals = self._has_energies = False
         self._period = 0.0  # of the layout [s]
         self._maps: list[tuple[int, Future[EnergyMap]]] = []
         self._map_rig: Rig | None = None
@@ -280,7 +280,8 @@ class _TwinView:
         """Draw lines of a plot, of values in SI units."""
         self.is_drawn = True
         names, colours, factor, width = layout.LINES[name]
-        style = rr.SeriesLines(names=names, colors=colours, widths=[width] * len(names))
+        widths = np.broadcast_to(width, len(names))
+        style = rr.SeriesLines(names=names, colors=colours, widths=widths)
         self._canvas.log_style(self._path(name), style)
         columns = rr.Scalars.columns(scalars=factor * values)
         self._canvas.log_columns(self._path(name), stamps, columns)
@@ -295,8 +296,6 @@ class _TwinView:
         self._draw_lines('position', stamps, states.position)
         self._draw_lines('velocity', stamps, states.velocity)
         self._draw_lines('force', stamps, states.force * [-1.0, 1.0])
-        self._draw_lines('energy/plate_work', stamps, states.plate_work)
-        self._draw_lines('energy/projectile', stamps, states.projectile_energy)
         self._side.draw_positions(stamps, states.position)
 
     def draw_positions(self, messages: Sequence[Message], topic: Topic) -> None:
@@ -319,41 +318,55 @@ class _TwinView:
         field = self._reader.read_field(message)
         if field is None:
             return
-        time, stamps, start = field.ejection_time, field.stamps, int(field.stamps[0])
-        contact = field.strain[field.times <= (time or field.times[-1])]
+        contact = field.strain[field.times <= (field.ejection_time or field.times[-1])]
         limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
-        duration, thickness = _MILLI * float(field.times[-1]), _MILLI * field.thickness
-        left, top, width, height = charts.FRAME_BOX
-        frame = drawing.encoded_image(charts.strain_frame(duration, thickness, 100.0 * limit))
+        self._draw_strain(field, limit)
+        throw = self._reader.interpolate_throw(field)
+        if throw is not None:
+            position, layer = throw
+            self._side.draw_positions(field.stamps, position)
+            self._side.draw_layer(layer)
+
+    def _draw_strain(self, field: series.StrainField, limit: float) -> None:
+        """Draw strain in colours up to a limit, with axes, the ejection and a moving cursor."""
+        log, stamps = self._canvas.log_latched, field.stamps
+        start, end = int(stamps[0]), float(field.times[-1])
+        x, y, width, height = charts.FRAME_BOX
+        frame = charts.strain_frame(_MILLI * end, _MILLI * field.thickness, 100.0 * limit)
+        log(self._path('strain/frame'), start, drawing.encoded_image(frame))
         pixels = charts.signed_colours(field.strain.T[::-1], limit)
-        picture = drawing.picture(pixels, x=left, y=top, w=width, h=height)
-        self._canvas.log_latched(self._path('strain/frame'), start, frame)
-        self._canvas.log_latched(self._path('strain/picture'), start, *picture)
-        places = left + width * field.times / field.times[-1]
-        x = [] if time is None else [float(np.interp(time, field.times, places))]
-        line = drawing.lines([[(at, top), (at, top + height)] for at in x], drawing.BLACK)
-        titles = [Text(at, top - 37.0, f'tₑ {_MILLI * (time or 0.0):.2f} ms') for at in x]
-        self._canvas.log_latched(self._path('strain/ejection'), start, line)
-        self._canvas.log_latched(self._path('strain/ejection/text'), start, drawing.texts(titles))
-        strips = np.zeros((stamps.size, 2, 2), np.float32)
-        strips[:, :, 0] = places[:, None]
-        strips[:, :, 1] = top, top + height
-        gone = np.append(stamps, 2 * stamps[-1] - stamps[-2])
+        picture = drawing.picture(pixels, x=x, y=y, w=width, h=height)
+        log(self._path('strain/picture'), start, *picture)
+        ejection = [time for time in (field.ejection_time,) if time is not None]
+        heights = y, y + height
+        strips = [[(x + width * time / end, level) for level in heights] for time in ejection]
+        log(self._path('strain/ejection'), start, drawing.lines(strips, drawing.BLACK))
+        titles = [
+            Text(x + width * time / end, y - 37.0, f'tₑ {_MILLI * time:.2f} ms')
+            for time in ejection
+        ]
+        log(self._path('strain/ejection/text'), start, drawing.texts(titles))
+        cursors = np.zeros((stamps.size, 2, 2), np.float32)
+        cursors[:, :, 0] = (x + width * field.times / end)[:, None]
+        cursors[:, :, 1] = heights
         columns = rr.LineStrips2D.columns(
-            strips=strips,
+            strips=cursors,
             colors=[drawing.RED] * stamps.size,
             radii=rr.Radius.ui_points([1.0] * stamps.size),
         ).partition([1] * stamps.size + [0])
-        self._canvas.log_columns(self._path('strain/now'), gone, columns)
-        throw = self._reader.see_throw(field)
-        if throw is not None:
-            position, layer, energies = throw
-            self._side.draw_positions(stamps, position)
-            self._side.draw_layer(layer)
-            after = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
-            for name, energy in zip(('layer', 'total'), energies.T, strict=True):
-                self._draw_lines(f'energy/{name}', after, np.append(energy, math.nan))
+        after = np.append(stamps, 2 * stamps[-1] - stamps[-2])  # where the cursor disappears
+        self._canvas.log_columns(self._path('strain/now'), after, columns)
+
+    def draw_energies(self, message: Message) -> None:
+        energies = self._reader.read_energies(message)
+        if energies is None:
+            return
+        stamps, values = energies
+        self._has_energies = True
+        stamps = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
+        values = np.vstack([values, np.full(values.shape[1], math.nan)])
+        self._draw_lines('energy', stamps, values)
 
     # words
 
@@ -418,17 +431,7 @@ class _TwinView:
         """Draw the maps that are complete; with `is_waiting` wait for all."""
         while self._maps and (is_waiting or self._maps[0][1].done()):
             stamp, future = self._maps.pop(0)
-            energy_map = future.result()
-            figure = charts.energy_figure(
-                (
-                    charts.MapAxis('Lₛ (mm)', _MILLI * energy_map.thickness),
-                    charts.MapAxis('cₛ (m/s)', energy_map.wave_speed),
-                ),
-                energy_map.energy_transfer,
-                label=energy_map.title,
-                marks=[(text, _MILLI * length, speed) for length, speed, text in energy_map.marks],
-            )
-            image = drawing.encoded_image(charts.to_png(figure))
+            image = drawing.encoded_image(charts.to_png(future.result().draw()))
             self._canvas.log_latched(self._path('landscape'), stamp, image)
 
     # layout
@@ -436,7 +439,12 @@ class _TwinView:
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
         """Return the state of the layout; sizes that have hardly changed stay the same."""
         throw = self._canvas.throw
-        present = {'residual': self._has_residuals, 'track': self._track, layout.LOG: has_log}
+        present = {
+            'energy': self._has_energies,
+            'residual': self._has_residuals,
+            'track': self._track,
+            layout.LOG: has_log,
+        }
         period = self._period_of_stamps * (1.0 if throw is None else throw.time_scale)
         self._period = layout.with_hysteresis(period, self._period)
         return layout.TwinLayout(
@@ -459,6 +467,7 @@ _READERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.throw_result: _TwinView.draw_result,
     TWIN_TOPICS.recommendation: _TwinView.draw_recommendation,
     TWIN_TOPICS.throw_field: _TwinView.draw_field,
+    TWIN_TOPICS.throw_energies: _TwinView.draw_energies,
 }
 """Methods that draw the messages of each topic; later methods need the data of earlier ones."""
 

@@ -35,24 +35,24 @@ from soft_throw_ros.recording.child_process import bound_to_parent
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-Answer = TypeVar('Answer')
+Result = TypeVar('Result')
 
 HOST = '127.0.0.1'
 
 START_TIME = 20.0
 """Longest wait for a viewer to listen. [s]"""
 
-_ANSWER_TIME = 60.0
+_TIMEOUT = 60.0
 """Longest wait until the viewer has loaded a recording, or has drawn. [s]"""
 
 _END_TIME = 5.0
 """Longest wait until a viewer that no longer answers ends. [s]"""
 
 _POLL = 0.05
-"""Time between two looks whether a viewer listens. [s]"""
+"""Time between two checks whether a viewer listens. [s]"""
 
 _FRAME_PAUSE = 0.25
-"""Time between two pictures that are compared, or two questions. [s]"""
+"""Time between two pictures that are compared, or two requests. [s]"""
 
 _MAX_PICTURES = 40
 """Number of pictures after which a view that still moves is taken as it is."""
@@ -195,19 +195,19 @@ class Viewer:
         with self._explained_errors():
             client = ViewerClient.connect(url_of(self.port))
             # the viewer answers other requests before it can draw
-            _ask(partial(client.take_screenshot, max_size=64))
+            _request(partial(client.take_screenshot, max_size=64))
         return client
 
     def photograph(self, timeline: str, seconds: float | None) -> bytes:
         """Return a picture (PNG) of a time [s] on a timeline; raise ViewerError if that fails."""
         client = self.client()
         with self._explained_errors():
-            _ask(client.get_state, lambda now: now.recordings and now.views and not now.loading)
+            _request(client.get_state, lambda s: s.recordings and s.views and not s.loading)
             if seconds is not None:
                 client.set_time(timeline, duration=seconds, play_state='paused')
             picture = b''
             for _ in range(_MAX_PICTURES):  # axes move for a while
-                before, picture = picture, _ask(client.take_screenshot)
+                before, picture = picture, _request(client.take_screenshot)
                 if picture == before:
                     break
                 time.sleep(_FRAME_PAUSE)
@@ -253,25 +253,25 @@ def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> No
         return
     with contextlib.suppress(*_CLIENT_ERRORS):
         client = ViewerClient.connect(url_of(port))
-        _ask(
+        _request(
             client.get_state,
             lambda state: any(item.store_id == recording for item in state.recordings),
         )
         client.set_time(timeline, duration=seconds, play_state='paused', recording=recording)
 
 
-def _ask(
-    question: Callable[[], Answer], is_enough: Callable[[Answer], object] = lambda _: True
-) -> Answer:
+def _request(
+    request: Callable[[], Result], is_enough: Callable[[Result], object] = lambda _: True
+) -> Result:
     """Repeat a request to a viewer until the result is enough; a busy one may time out."""
-    deadline = time.monotonic() + _ANSWER_TIME
+    deadline = time.monotonic() + _TIMEOUT
     while True:
         try:
-            answer = question()
-            if is_enough(answer):
-                return answer
+            result = request()
+            if is_enough(result):
+                return result
         except TimeoutError:
             pass
         if time.monotonic() > deadline:
-            raise TimeoutError(f'not within {_ANSWER_TIME:g} s')
+            raise TimeoutError(f'not within {_TIMEOUT:g} s')
         time.sleep(_FRAME_PAUSE)

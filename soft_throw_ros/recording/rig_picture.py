@@ -103,10 +103,10 @@ class RigPicture:
         if self._rig is None:
             return
         bottom, top = layer.height[:, 0], layer.height[:, -1]
-        parts = (np.arange(_CELLS)[::-1] + 0.5) / _CELLS
+        fractions = (np.arange(_CELLS)[::-1] + 0.5) / _CELLS
         rows = zip(bottom, top, layer.height, layer.strain, strict=True)
         strain = np.array(
-            [np.interp(low + parts * (high - low), *curve) for low, high, *curve in rows]
+            [np.interp(low + fractions * (high - low), *curve) for low, high, *curve in rows]
         )
         limit = self.largest_strain
         pixels = charts.signed_colours(strain, limit)

@@ -101,8 +101,9 @@ def _dependencies(text: str, package: str) -> list[str]:
     result = set()
     for name in _FIELD_TYPE.findall(text):
         if name not in _PRIMITIVES:
-            first, _, rest = name.partition('/')
-            result.add(f'{first}/{rest.removeprefix("msg/")}' if rest else f'{package}/{name}')
+            first, _, remainder = name.partition('/')
+            last = remainder.removeprefix('msg/')
+            result.add(f'{first}/{last}' if remainder else f'{package}/{name}')
     return sorted(result)
 
 

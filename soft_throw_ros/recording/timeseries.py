@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicHermiteSpline
 from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
-from soft_throw_ros.configuration.interface import find_topic, JOINTS, Topic, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import ENERGIES, find_topic, JOINTS, Topic, TWIN_TOPICS
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording.cdr import decode, JointStateReader, JointStates, MessageError
@@ -72,7 +72,6 @@ _PHASES = {float(number): phase.value for number, phase in enumerate(Phase)}
 _STATE = np.dtype(
     [('stamps', np.int64), ('published', np.int64)]
     + [(name, np.float64, 2) for name in ('position', 'velocity', 'force')]
-    + [(name, np.float64) for name in ('plate_work', 'projectile_energy')]
 )
 
 
@@ -85,10 +84,6 @@ class RigStates(np.recarray[Any, Any]):  # numpy has no static type for records
     position: Floats
     velocity: Floats
     force: Floats
-    # (n,) Work of the plate since its last rest; NaN while the rig returns to rest. [J]
-    plate_work: Floats
-    # (n,) Kinetic and potential energy, relative to rest; also NaN for an unknown rig. [J]
-    projectile_energy: Floats
 
     @classmethod
     def join(cls, *parts: NDArray[np.void]) -> RigStates:
@@ -150,6 +145,10 @@ class ThrowStart:
     def seconds_to(self, stamps: Any) -> Any:
         """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
         return (stamps - self.stamp) * (self.time_scale / SECOND)
+
+    def stamps_at(self, seconds: Floats) -> Stamps:
+        """Return the stamps for times of the rig since the start [ns]."""
+        return self.stamp + np.rint(seconds * (SECOND / self.time_scale)).astype(np.int64)
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
@@ -284,31 +283,9 @@ class TwinReader:
                 records['force' if name == 'effort' else name] = values[:, columns]
         _check_numbers(records['position'], records['velocity'], records['force'])
         records['stamps'], records['published'] = read.stamps, list(map(_published, messages))
-        states = self._with_energies(RigStates.join(records))
+        states = RigStates.join(records)
         before = () if self.states is None else (self.states,)
         self.states = RigStates.join(*before, states)[-_KEPT_STATES:].view(RigStates)
-        return states
-
-    def _with_energies(self, states: RigStates) -> RigStates:
-        """Integrate the work of the plate since its last rest."""
-        before = states if self.states is None else self.states
-        height = np.concatenate([before.position[-1:, 0], states.position[:, 0]])
-        force = np.concatenate([before.force[-1:, 0], states.force[:, 0]])
-        work = cumulative_trapezoid(-force, height)
-        work += -work[0] if before is states else np.nan_to_num(before.plate_work[-1])
-        # A measured plate is never quite at rest; a projectile with its velocity is still carried
-        is_carried = states.velocity[:, 0] == states.velocity[:, 1]
-        is_still = is_carried | (states.velocity[:, 0] == 0.0)
-        last_rest = np.maximum.accumulate(np.where(is_still, np.arange(work.size), -1))
-        work -= np.where(last_rest < 0, 0.0, work[last_rest])
-        energy = np.full(work.size, math.nan)
-        if self.rig is not None:
-            energy = _projectile_energy(self.rig, states.position[:, 1], states.velocity[:, 1])
-            energy[is_carried] = 0.0  # at rest
-        # Without any force, the layer is omitted and no throw runs: the rig is put back
-        is_put_back = (states.force == 0.0).all(axis=1)
-        work[is_put_back] = energy[is_put_back] = math.nan
-        states.plate_work[:], states.projectile_energy[:] = work, energy
         return states
 
     def read_positions(
@@ -357,82 +334,51 @@ class TwinReader:
         return LayerStates(read.stamps, read.position, strain)
 
     def read_field(self, message: Message) -> StrainField | None:
-        """Read the field of the throw under way; None while the rig is not known."""
-        strain, stamp = _read_field(message), self.stamp_of(message)
-        if self.rig is None:
+        """Read the field of the throw under way; None while no throw is known."""
+        strain, throw = _read_array(message), self.throw
+        if self.rig is None or throw is None:
             return None
-        throw = self.throw or ThrowStart(stamp=stamp, number=0, time_scale=self.time_scale)
-        span = max(throw.seconds_to(stamp), throw.time_scale / SECOND)
+        span = max(throw.seconds_to(self.stamp_of(message)), throw.time_scale / SECOND)
         if self.ejection_time is not None:
             span = _FIELD_SPAN * self.ejection_time
         times = np.linspace(0.0, span, strain.shape[0])
-        passed = np.rint(times * (SECOND / throw.time_scale)).astype(np.int64)
         return StrainField(
             times=times,
-            stamps=throw.stamp + passed,
+            stamps=throw.stamps_at(times),
             strain=strain,
             thickness=self.rig.layer.thickness,
             ejection_time=self.ejection_time,
         )
 
-    def see_throw(self, field: StrainField) -> tuple[Floats, LayerStates, Floats] | None:
+    def read_energies(self, message: Message) -> tuple[Stamps, Floats] | None:
         """
-        Return positions [m], the layer, and energies [J] at the times of a field.
+        Read the energies of the throw under way, with the columns `ENERGIES` after the first.
 
-        Positions are those of plate and projectile, energies those of the layer, and of layer and
-        projectile, relative to rest; both have the shape (n, 2). Without loss, the second energy
-        is the work of the plate. Return None if not all state messages of the throw are there.
+        Return None while no throw is known.
         """
-        states, rig, throw = self.states, self.rig, self.throw
-        if states is None or rig is None or throw is None:
+        array = _read_array(message)
+        if array.shape[1] != len(ENERGIES):
+            raise MessageError(f'energies of {len(ENERGIES)} columns, got {array.shape[1]}')
+        return None if self.throw is None else (self.throw.stamps_at(array[:, 0]), array[:, 1:])
+
+    def interpolate_throw(self, field: StrainField) -> tuple[Floats, LayerStates] | None:
+        """
+        Return positions of plate and projectile, shape (n, 2), and the layer at times of a field.
+
+        Return None if not all state messages of the throw are there.
+        """
+        states, throw = self.states, self.throw
+        if states is None or throw is None:
             return None
         if not states.are_complete(int(field.stamps[0]), int(field.stamps[-1])):
             return None
         path = CubicHermiteSpline(
             throw.seconds_to(states.stamps), states.position, states.velocity
         )
-        position, speed = path(field.times), path(field.times, 1)
-        # The field has no velocity; it follows from the strain rate below each point
-        rate = np.gradient(field.strain, field.times, axis=0, edge_order=2)
-        velocity = _integral(rate, field.thickness) + speed[:, :1]
-        height = _integral(1.0 + field.strain, field.thickness) + position[:, :1]
-        energy = _layer_energy(rig, height, velocity)
-        total = energy + _projectile_energy(rig, position[:, 1], speed[:, 1])
-        layer = LayerStates(field.stamps, height, field.strain)
-        return position, layer, np.stack([energy, total], axis=1)
-
-
-# energies
-
-
-def _projectile_energy(rig: Rig, height: Floats, speed: Floats) -> Floats:
-    """Return kinetic and potential energy of the projectile relative to rest [J]."""
-    rise = height - rig.rest_height
-    return np.asarray(rig.projectile.mass * (0.5 * speed**2 + rig.gravity * rise))
-
-
-def _layer_energy(rig: Rig, height: Floats, velocity: Floats) -> Floats:
-    """Return elastic and kinetic energy of the layer relative to rest, shape (n,) [J]."""
-    layer = rig.layer
-    step = layer.thickness / (height.shape[1] - 1)
-    strain = np.diff(height, axis=1) / step - 1.0
-    speed_squared = 0.5 * (velocity[:, 1:] ** 2 + velocity[:, :-1] ** 2)
-    middles = (np.arange(strain.shape[1]) + 0.5) * step
-    sheets = getattr(layer, 'sheets', (layer,))  # from plate to top, each uniform
-    tops = np.cumsum([sheet.thickness for sheet in sheets])
-    sheet_of_cell = np.searchsorted(tops, middles).clip(max=len(sheets) - 1)
-    modulus = np.array([sheet.youngs_modulus for sheet in sheets])[sheet_of_cell]
-    density = np.array([sheet.density for sheet in sheets])[sheet_of_cell]
-    weight = rig.projectile.mass * rig.gravity
-    rest = np.array([sheet.static_strain(weight) for sheet in sheets])[sheet_of_cell]
-    per_volume = 0.5 * (modulus * (strain**2 - rest**2) + density * speed_squared)
-    return np.asarray(layer.section * step * per_volume.sum(axis=1))
-
-
-def _integral(values: Floats, thickness: float) -> Floats:
-    """Integrate over the layer, from the plate to each point."""
-    step = thickness / (values.shape[1] - 1)
-    return np.asarray(cumulative_trapezoid(values, dx=step, axis=1, initial=0.0))
+        position = path(field.times)
+        step = field.thickness / (field.strain.shape[1] - 1)
+        rise = cumulative_trapezoid(1.0 + field.strain, dx=step, axis=1, initial=0.0)
+        return position, LayerStates(field.stamps, rise + position[:, :1], field.strain)
 
 
 # messages
@@ -470,10 +416,10 @@ def _published(message: Message) -> int:
     return published
 
 
-def _read_field(message: Message) -> Floats:
-    """Read an array with a point at either end of the layer at least."""
+def _read_array(message: Message) -> Floats:
+    """Read an array of at least two rows and columns."""
     array = decode(message)
-    values = np.reshape(array.data, [each.size for each in array.layout.dim])
+    values = np.reshape(array.data, [axis.size for axis in array.layout.dim])
     if values.ndim != 2 or min(values.shape) < 2 or values.size > _LARGEST:
         raise MessageError(f'an array of 2 dimensions, not {values.shape}')
     _check_numbers(values)

@@ -36,8 +36,6 @@ _JOIN_PERIOD = 0.1  # period in which closing checks the progress of the disk [s
 
 _WRITE_PERIOD = 0.1  # period of writing waiting messages [s]
 
-_OVERHEAD = 500  # memory of a message besides its data [bytes]
-
 
 class WriterThread:
     """
@@ -71,7 +69,7 @@ class WriterThread:
         self._put_size = 0  # [bytes]
         self._written_size = 0  # [bytes]
         self._is_closing = False
-        self._wake = threading.Event()  # set if somebody asks for a flush
+        self._wake = threading.Event()  # set to request a flush
         self._flush()
         self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
         self._thread.start()
@@ -89,15 +87,15 @@ class WriterThread:
 
     def put(self, messages: Iterable[Message]) -> None:
         """Queue messages for writing; drop them if too much data waits already."""
-        room = self._capacity - self._put_size + self._written_size
-        room -= self.bag.unsaved if self.bag is not None else 0
+        free = self._capacity - self._put_size + self._written_size
+        free -= self.bag.unsaved if self.bag is not None else 0
         for message in messages:
-            size = len(message.data) + _OVERHEAD
+            size = message.memory
             self._count += 1
-            if size > room:
+            if size > free:
                 self._dropped[message.channel] += 1
             else:
-                room -= size
+                free -= size
                 self._put_size += size
                 self._waiting.append(message)
 
@@ -127,14 +125,14 @@ class WriterThread:
         """
         self._is_closing = True
         self._wake.set()
-        progress, since, is_told = self._progress(), time.monotonic(), False
+        progress, since, is_reported = self._progress(), time.monotonic(), False
         while self._thread.is_alive():
             self._thread.join(_JOIN_PERIOD)
             if progress != self._progress():
-                progress, since, is_told = self._progress(), time.monotonic(), False
+                progress, since, is_reported = self._progress(), time.monotonic(), False
             stalled = time.monotonic() - since
-            if stalled > STALL_NOTICE and not is_told:
-                is_told = True
+            if stalled > STALL_NOTICE and not is_reported:
+                is_reported = True
                 on_stall(
                     f'the disk takes nothing; {self.waiting} messages wait, '
                     f'for at most {STALL_TIMEOUT:g} s'
@@ -157,10 +155,10 @@ class WriterThread:
     def _run(self) -> None:
         next_flush = time.monotonic() + FLUSH_PERIOD
         while not self._is_closing:
-            is_asked = self._wake.wait(_WRITE_PERIOD)
+            is_requested = self._wake.wait(_WRITE_PERIOD)
             self._wake.clear()
             self._write()
-            if is_asked or time.monotonic() >= next_flush:
+            if is_requested or time.monotonic() >= next_flush:
                 next_flush = time.monotonic() + FLUSH_PERIOD
                 self._flush()
         if self.bag is None:
@@ -190,7 +188,7 @@ class WriterThread:
                 self.bag.write(item)
             except ValueError:  # its times are none
                 self._dropped[item.channel] += 1
-            self._written_size += len(item.data) + _OVERHEAD
+            self._written_size += item.memory
 
     def _flush(self) -> None:
         """Flush the bag; after an error, create it or retry."""

@@ -37,6 +37,9 @@ from soft_throw_ros.twin.results import LayerState, State, ThrowField
 THROW_FIELD_ROWS = 200
 """Times of the field of a throw. [-]"""
 
+_ROWS_PER_ENERGY = 4
+"""Rows of the field for each row of energies, since a row of energies takes 5 us. [-]"""
+
 THROW_FIELD_LENGTH = 1.5
 """Duration of the field of a throw, in ejection times. [-]"""
 
@@ -155,11 +158,25 @@ def layer_of(stepper: Stepper) -> LayerState:
 
 
 def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> ThrowField:
-    """Return the strain of the layer over a time [s] from the start on."""
+    """Return the strain of the layer and the energies over a time [s] from the start on."""
     times = np.linspace(0.0, length, THROW_FIELD_ROWS)
     strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
-    stepper.sample_strain(times, strain)
-    return ThrowField.of(times, strain, start_ns=start_ns)
+    energies = []
+    for row in range(0, THROW_FIELD_ROWS, _ROWS_PER_ENERGY):
+        if not stepper.advance_to(times[row]):
+            energies.append((times[row], *_energies(stepper)))
+        block = slice(row, row + _ROWS_PER_ENERGY)
+        stepper.sample_strain(times[block], strain[block])
+    return ThrowField.of(times, strain, np.array(energies), start_ns=start_ns)
+
+
+def _energies(stepper: Stepper) -> tuple[float, float, float, float]:
+    """Return the energies of a rig before its first release, as in `interface.ENERGIES` [J]."""
+    rig, total = stepper.rig, stepper.stored_energy()
+    state = State._make(stepper.state.tolist()[1:])
+    rise = state.projectile_position - stepper.rest_position
+    projectile = rig.projectile.mass * (0.5 * state.projectile_velocity**2 + rig.gravity * rise)
+    return stepper.plate_work, projectile, total - projectile, total
 
 
 def stepper_of(config: TwinConfig) -> Stepper:

@@ -75,17 +75,22 @@ class LayerState(NamedTuple):
 
 
 class ThrowField(NamedTuple):
-    """Strain of the layer over time and height."""
+    """Strain of the layer over time and height, and the energies over time."""
 
     times: Floats  # since the start of the throw, shape (rows,) [s]
     strain: Floats  # from plate to top, shape (rows, points) [-]
-    checksum: int  # CRC-32 of the two
+    # Rows up to the first release, with the columns `interface.ENERGIES`. [s], [J]
+    energies: Floats
+    checksum: int  # CRC-32 of times and strain
     start_ns: int = 0  # when the throw began, by the clock of the ticks [ns]
 
     @classmethod
-    def of(cls, times: Floats, strain: Floats, *, start_ns: int = 0) -> ThrowField:
+    def of(
+        cls, times: Floats, strain: Floats, energies: Floats, *, start_ns: int = 0
+    ) -> ThrowField:
         """Make it with its checksum, which takes a tenth of a millisecond."""
-        return cls(times, strain, crc32(strain.data, crc32(times.data)), start_ns)
+        checksum = crc32(strain.data, crc32(times.data))
+        return cls(times, strain, energies, checksum, start_ns)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -97,7 +97,7 @@ def test_messages_are_the_bytes_that_were_published(ros, talker, listener, subsc
     (profile,) = text_to_profiles(channel.qos)
     assert profile.reliability is ReliabilityPolicy.RELIABLE
     assert profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-    assert channel.is_latched
+    assert 'durability: transient_local' in channel.qos
 
 
 def test_history_depth_of_our_topics_is_known(ros, talker, subscribe) -> None:

@@ -231,6 +231,8 @@ def test_latched_topics_reach_late_subscribers(thrown) -> None:
     assert [(axis.label, axis.size) for axis in field.layout.dim] == [('t', 200), ('y', 64)]
     (published,) = (out.throw_field for out in thrown.twin.outputs if out.throw_field is not None)
     np.testing.assert_array_equal(np.reshape(field.data, (200, 64)), published.strain)
+    energies = late.hear(TWIN_TOPICS.throw_energies)[0]
+    np.testing.assert_array_equal(energies.data, published.energies.ravel())
     assert late.hear(TWIN_TOPICS.recommendation)[0].status[0].level == DiagnosticStatus.OK
     lines = [message.data for message in late.hear(TWIN_TOPICS.journal, 6)]
     assert 'throw' in [journal.decode(line)['kind'] for line in lines]

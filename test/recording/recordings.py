@@ -59,14 +59,14 @@ class Recording:
             for chunk in reader.stream(store=store)
         ]
         self.views = [
-            each['ViewBlueprint:display_name'][0][0]
-            for each in blueprints
-            if 'ViewBlueprint:display_name' in each
+            item['ViewBlueprint:display_name'][0][0]
+            for item in blueprints
+            if 'ViewBlueprint:display_name' in item
         ]
         self.ranges = [
-            tuple(each['ScalarAxis:range'][0][0])
-            for each in blueprints
-            if 'ScalarAxis:range' in each
+            tuple(item['ScalarAxis:range'][0][0])
+            for item in blueprints
+            if 'ScalarAxis:range' in item
         ]
 
     def series(
@@ -80,7 +80,7 @@ class Recording:
                 times += batch.column(timeline).cast('int64').to_pylist()
                 values += batch.column(component).to_pylist()
         order = np.argsort(times, kind='stable')
-        return np.array(times)[order], [values[place] for place in order]
+        return np.array(times)[order], [values[index] for index in order]
 
     def scalars(self, entity: str, timeline: str = 'stamp') -> tuple[Any, Any]:
         times, values = self.series(entity, 'Scalars:scalars', timeline)

@@ -63,10 +63,10 @@ def test_messages_are_sorted_by_time_and_then_as_written(
     ]
     by_time = sorted(selected, key=lambda message: message.log_time)
     with BagReader(folder) as reader:
-        found = reader.messages(topics, start, end)
-        assert [message[2:] for message in found] == [message[2:] for message in by_time]
-        found = reader.messages(topics, start, end, by_log_time=False)
-        assert [message[2:] for message in found] == [message[2:] for message in selected]
+        result = reader.messages(topics, start, end)
+        assert [message[2:] for message in result] == [message[2:] for message in by_time]
+        result = reader.messages(topics, start, end, by_log_time=False)
+        assert [message[2:] for message in result] == [message[2:] for message in selected]
         assert reader.damage == ''
 
 

@@ -48,7 +48,7 @@ def information(folder):
 def test_rosbags_and_mcap_read_the_written_bag(recording, compression):
     recording.write(compression=compression)
     with RosbagsReader(recording.folder) as bag:
-        found = [
+        result = [
             (connection.topic, time, bytes(data), TYPES.deserialize_cdr(data, connection.msgtype))
             for connection, time, data in bag.messages()
         ]
@@ -56,10 +56,10 @@ def test_rosbags_and_mcap_read_the_written_bag(recording, compression):
         assert (bag.message_count, bag.ros_distro) == (len(recording.messages), 'jazzy')
         first, last = recording.messages[0].log_time, recording.messages[-1].log_time
         assert (bag.start_time, bag.end_time) == (first, last + 1)
-    assert [item[:3] for item in found] == [
+    assert [item[:3] for item in result] == [
         (message.channel.topic, message.log_time, message.data) for message in recording.messages
     ]
-    assert [item[3].position[0] for item in found if item[0] == states.topic] == list(range(3000))
+    assert [item[3].position[0] for item in result if item[0] == states.topic] == list(range(3000))
     assert states.digest == TYPES.hash_rihs01('sensor_msgs/msg/JointState')
     assert states.ext.offered_qos_profiles == parse_qos(recording.states.qos)
     (qos,) = texts.ext.offered_qos_profiles
@@ -67,15 +67,15 @@ def test_rosbags_and_mcap_read_the_written_bag(recording, compression):
     with recording.files[0].open('rb') as file:
         reader = make_reader(file, validate_crcs=True)
         assert reader.get_header().profile == 'ros2'
-        found = list(reader.iter_messages())
+        result = list(reader.iter_messages())
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
         (attachment,) = reader.iter_attachments()
         chunks = reader.get_summary().chunk_indexes
     assert [
         (channel.topic, raw.data, raw.log_time, raw.publish_time, raw.sequence)
-        for _, channel, raw in found
+        for _, channel, raw in result
     ] == recording.content(recording.messages)
-    assert {schema.encoding for schema, *_ in found} == {'ros2msg'}
+    assert {schema.encoding for schema, *_ in result} == {'ros2msg'}
     assert metadata['parameters of /twin'] == {'gravity': '9.81', 'model': 'exact'}
     assert yaml.safe_load(metadata['rosbag2']['serialized_metadata']) == information(
         recording.folder
@@ -93,17 +93,17 @@ def test_every_file_of_a_bag_can_be_read_alone(recording):
     first_state = recording.messages[0].log_time
     assert [path.name for path in recording.files] == [f'bag_{number}.mcap' for number in range(6)]
     for number, path in enumerate(recording.files):
-        part = read(path)
+        bag = read(path)
         begin = first_state + number * 500_000_000
-        assert recording.content(part.messages) == recording.content(
+        assert recording.content(bag.messages) == recording.content(
             message
             for message in recording.messages
             if begin <= message.log_time < begin + 500_000_000
         )
-        assert [record.name for record in part.metadata] == ['parameters of /twin']
-        assert part.channels[0].qos == recording.states.qos
+        assert [record.name for record in bag.metadata] == ['parameters of /twin']
+        assert bag.channels[0].qos == recording.states.qos
         with RosbagsReader(path) as theirs:
-            assert theirs.message_count == len(part.messages)
+            assert theirs.message_count == len(bag.messages)
     whole = read(recording.folder)
     assert recording.content(whole.messages) == recording.content(recording.messages)
     assert (len(whole.channels), len(whole.metadata), len(whole.attachments)) == (2, 1, 1)
@@ -136,8 +136,8 @@ def test_changed_metadata_are_kept_and_the_last_are_repeated(tmp_path):
     assert [record.metadata for record in bag.metadata] == [
         {'gravity': '0'}, {'gravity': '1'}, {'gravity': '2'}, {'/plain': '0'},
     ]
-    part = read(tmp_path / 'bag/bag_1.mcap')
-    assert [record.metadata for record in part.metadata] == [{'gravity': '2'}, {'/plain': '0'}]
+    bag = read(tmp_path / 'bag/bag_1.mcap')
+    assert [record.metadata for record in bag.metadata] == [{'gravity': '2'}, {'/plain': '0'}]
 
 
 def test_bag_is_locked_and_never_overwritten(tmp_path):
@@ -210,7 +210,7 @@ def test_disk_full_at_the_end_is_named_by_close_and_keeps_flushed_messages(tmp_p
     assert (writer.counts, writer.lost) == ({PLAIN: 3}, {PLAIN: 1})
     recovery = recover(tmp_path / 'bag', tmp_path / 'recovered')
     assert numbers(read(recovery.target).messages) == [0, 1, 2]
-    assert [part.size for part in recovery.unreadable] == [0]  # it ends after a whole record
+    assert [item.size for item in recovery.unreadable] == [0]  # it ends after a whole record
     for call in (writer.flush, writer.split, lambda: writer.write(plain(1))):
         with pytest.raises(BagError, match='bag is closed'):
             call()

@@ -79,7 +79,7 @@ def test_array_bytes_are_canonical_and_decoded(typestore, dimensions) -> None:
     definition, _ = typestore.generate_msgdef(kind, ros_version=2)
     topic = Channel(topic='/a', type=kind, schema=definition)
     message = decode(Message(topic, data, 0, 0))
-    assert [each.label for each in message.layout.dim] == list(dimensions)
+    assert [item.label for item in message.layout.dim] == list(dimensions)
     assert list(message.data) == values.ravel().tolist()
     with pytest.raises(MessageError, match=kind):
         decode(Message(topic, data[:7], 0, 0))
@@ -106,10 +106,10 @@ def test_foreign_joint_states_are_decoded(lengths) -> None:
         messages = [joint_state(stamp, names, lengths) for stamp in (STAMP, STAMP + 1)]
         many = JointStateReader().read_all(messages)
         assert (many.stamps.tolist(), many.names) == ([STAMP, STAMP + 1], names)
-        for series, each in zip(
+        for series, values in zip(
             (many.position, many.velocity, many.effort), expected, strict=True
         ):
-            np.testing.assert_array_equal(series, [each, each])
+            np.testing.assert_array_equal(series, [values, values])
         for message, stamp in zip(messages, many.stamps, strict=True):
             one = reader.read(message)
             assert one[:2] == (stamp, names)

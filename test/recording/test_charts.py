@@ -53,13 +53,6 @@ def test_map_has_values_scales_titles_and_marks() -> None:
     assert figure.axes[1].get_ylabel() == 's'
 
 
-def test_energy_figure_has_the_size_of_its_view_and_a_legend_of_its_marks() -> None:
-    figure = charts.energy_figure((X, Y), np.ones((5, 3)), label='α', marks=[('now', 20.0, 10.0)])
-    assert pixels_of(charts.to_png(figure)).shape == (*charts.MAP_SIZE[::-1], 3)
-    (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ['now']
-
-
 def test_frame_surrounds_its_box_and_is_drawn_once() -> None:
     png = charts.strain_frame(8.0, 16.0, 30.0)
     assert charts.strain_frame(8.0, 16.0, 30.0) is png

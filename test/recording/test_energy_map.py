@@ -15,12 +15,22 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Layer, Projectile, Rig
-from soft_throw_ros.recording.energy_map import compute_energy_map, energy_transfer
+
+pytest.importorskip('matplotlib')
+
+from soft_throw_ros.recording.charts import to_png  # noqa: E402
+from soft_throw_ros.recording.energy_map import (  # noqa: E402
+    compute_energy_map,
+    energy_transfer,
+    MAP_SIZE,
+)
 
 BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
 
@@ -60,19 +70,28 @@ def test_energy_transfer_of_other_layers_agrees_with_the_model() -> None:
     ],
 )
 def test_marks_are_the_layer_of_the_rig_and_the_recommended_one(values, expected) -> None:
-    found = compute_energy_map(Rig(), TWIN.defaults(), values)
-    assert [text for *_, text in found.marks] == expected
+    energy_map = compute_energy_map(Rig(), TWIN.defaults(), values)
+    assert [text for text, _ in energy_map.marks] == expected
 
 
 def test_map_extends_beyond_the_considered_layers() -> None:
-    found = compute_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {})
-    assert (found.thickness[0], found.thickness[-1]) == pytest.approx((1e-3, 0.08))
-    assert np.nanmax(found.energy_transfer) > 4.0
+    energy_map = compute_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {})
+    assert (energy_map.thickness[0], energy_map.thickness[-1]) == pytest.approx((1e-3, 0.08))
+    assert np.nanmax(energy_map.energy_transfer) > 4.0
 
 
 def test_map_without_a_release_has_a_note() -> None:
     """Proving that a layer never throws takes milliseconds, so the map is coarse."""
-    found = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
-    assert [text for *_, text in found.marks] == ['now: no release']
-    assert np.isnan(found.energy_transfer).any()
-    assert found.energy_transfer.size < 160 * 100
+    energy_map = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
+    assert [text for text, _ in energy_map.marks] == ['now: no release']
+    assert np.isnan(energy_map.energy_transfer).any()
+    assert energy_map.energy_transfer.size < 160 * 100
+
+
+def test_figure_has_the_size_of_its_view_and_a_legend_of_its_marks() -> None:
+    image = pytest.importorskip('PIL.Image')
+    figure = compute_energy_map(Rig(), TWIN.defaults(), BEST).draw()
+    assert image.open(io.BytesIO(to_png(figure))).size == MAP_SIZE
+    (legend,) = figure.legends
+    titles = [text.get_text() for text in legend.get_texts()]
+    assert titles == ['now: α 3.637', 'recommended: α 4.143']

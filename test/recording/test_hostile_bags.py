@@ -130,9 +130,9 @@ def zeros(size: int) -> bytes:
 
 def lz4_zeros(size: int) -> bytes:
     compressor = lz4.frame.LZ4FrameCompressor()
-    block, parts = bytes(2**20), [compressor.begin()]
-    parts += [compressor.compress(block) for _ in range(size // 2**20)]
-    return b''.join([*parts, compressor.flush()])
+    block, pieces = bytes(2**20), [compressor.begin()]
+    pieces += [compressor.compress(block) for _ in range(size // 2**20)]
+    return b''.join([*pieces, compressor.flush()])
 
 
 @pytest.mark.parametrize('make', [
@@ -221,7 +221,7 @@ def test_large_attachments_are_skipped(tmp_path, monkeypatch) -> None:
             file.seek(0, os.SEEK_END)
         file.write(struct.pack('<BQQQQQI', 9, 200 * 2**20, 0, 0, 0, 0, 0))
     recovery = bounded(lambda: recover(path, tmp_path / 'new'))
-    reasons = [part.reason for part in recovery.unreadable]  # type: ignore[attr-defined]
+    reasons = [item.reason for item in recovery.unreadable]  # type: ignore[attr-defined]
     assert sum(str(13 * 2**20) in reason for reason in reasons) == 18
     assert any(str(MAX_RECORD) in reason for reason in reasons)
     assert len(messages_of(tmp_path / 'new')) == 1
@@ -237,8 +237,8 @@ def test_end_that_claims_the_whole_file_takes_little_memory(tmp_path) -> None:
             file.seek(0, os.SEEK_END)
         file.write(struct.pack('<BQQQI', 2, 20, len(MCAP0_MAGIC), 0, 1) + MCAP0_MAGIC)
     recovery = bounded(lambda: recover(path, tmp_path / 'new'))
-    (part,) = recovery.unreadable  # type: ignore[attr-defined]
-    assert 'checksum of the end' in part.reason
+    (unreadable,) = recovery.unreadable  # type: ignore[attr-defined]
+    assert 'checksum of the end' in unreadable.reason
     assert len(messages_of(tmp_path / 'new')) == 1
 
 

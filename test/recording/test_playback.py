@@ -69,8 +69,8 @@ def test_stall_delays_the_remaining_items() -> None:
     schedule = scheduled(*range(0, 100 * SECOND, SECOND))
     stalled = START + 60 * SECOND
     assert due_now(schedule, stalled) == [0]  # and not sixty at once
-    rest = [deadline for _, deadline in play(schedule)]
-    assert rest == [stalled - MAX_CATCH_UP + k * SECOND for k in range(1, 100)]
+    remaining = [deadline for _, deadline in play(schedule)]
+    assert remaining == [stalled - MAX_CATCH_UP + k * SECOND for k in range(1, 100)]
 
 
 def test_resume_continues_at_the_pause() -> None:

@@ -52,9 +52,9 @@ def chunks_of(path):
         return make_reader(file).get_summary().chunk_indexes
 
 
-def flip(path, place, bit=4):
+def flip(path, offset, bit=4):
     data = bytearray(path.read_bytes())
-    data[place] ^= bit
+    data[offset] ^= bit
     path.write_bytes(data)
 
 
@@ -158,14 +158,14 @@ def test_flipped_bit_costs_no_more_than_the_chunk_it_is_in(recording, tmp_path, 
         path.write_bytes(whole)
         flip(path, generator.randrange(len(MCAP0_MAGIC), len(whole)), 1 << generator.randrange(8))
         recovered = recover(recording.folder, tmp_path / f'whole{number}')
-        found = recording.content(read(recovered.target).messages)
+        result = recording.content(read(recovered.target).messages)
         remaining = iter(expected)
-        assert all(message in remaining for message in found)
-        assert len(found) >= len(expected) - 101
-        assert recovered.unreadable or found == expected
+        assert all(message in remaining for message in result)
+        assert len(result) >= len(expected) - 101
+        assert recovered.unreadable or result == expected
         with contextlib.suppress(BagError), BagReader(path) as bag:  # it never errs silently
             assert recording.content(bag.messages()) == expected
-        assert len(data_as_read_by_others(recovered.target)) == len(found)
+        assert len(data_as_read_by_others(recovered.target)) == len(result)
 
 
 def test_gap_has_its_position_and_channels_survive(recording, tmp_path):
@@ -191,12 +191,12 @@ def test_reading_continues_after_foreign_bytes(recording, tmp_path, size):
     recording.write(2000, flush_every=300)
     (path,) = recording.files
     whole = path.read_bytes()
-    place = chunks_of(path)[2].chunk_start_offset
+    offset = chunks_of(path)[2].chunk_start_offset
     for filling in (bytes(size), b'\xff' * size, random.Random(3).randbytes(size)):
-        path.write_bytes(whole[:place] + filling + whole[place:])
+        path.write_bytes(whole[:offset] + filling + whole[offset:])
         recovered = recover(recording.folder, tmp_path / f'whole{filling[0]}')
-        found = recording.content(read(recovered.target).messages)
-        assert found == recording.content(recording.messages)
+        result = recording.content(read(recovered.target).messages)
+        assert result == recording.content(recording.messages)
         assert recovered.unreadable[0].size == size
 
 
@@ -228,12 +228,12 @@ def test_all_contents_of_a_bag_are_recovered_in_order(recording, tmp_path):
 
 
 def test_messages_in_no_chunk_are_read_up_to_the_damage(tmp_path):
-    parts = stream(plain(number) for number in range(500))
-    path, begin = tmp_path / 'stream.mcap', len(b''.join(parts[:100]))
-    for place in (begin, begin + 7):  # opcode, length
-        path.write_bytes(b''.join(parts))
-        flip(path, place, 0x40)
-        recovered = recover(path, tmp_path / f'whole{place}')
+    pieces = stream(plain(number) for number in range(500))
+    path, begin = tmp_path / 'stream.mcap', len(b''.join(pieces[:100]))
+    for offset in (begin, begin + 7):  # opcode, length
+        path.write_bytes(b''.join(pieces))
+        flip(path, offset, 0x40)
+        recovered = recover(path, tmp_path / f'whole{offset}')
         assert [message.sequence for message in read(recovered.target).messages] == [*range(100)]
         assert recovered.unreadable[0].offset == begin
 

@@ -38,6 +38,7 @@ rr = pytest.importorskip('rerun')
 from test.recording.recordings import record, Recording, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording import charts  # noqa: E402
+from soft_throw_ros.recording.energy_map import EnergyMap  # noqa: E402
 from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
 
 
@@ -88,19 +89,27 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
         np.testing.assert_array_equal(values, expected)
 
 
-def test_sparse_layer_energy_is_shown_in_throws_only(
-    recording,
-) -> None:
-    times, values = recording.scalars('/twin/energy/layer')
+def test_energies_are_shown_up_to_the_release(twin, recording) -> None:
+    times, values = recording.scalars('/twin/energy')
     ends = np.flatnonzero(np.isnan(values[:, 0]))
-    assert ends.tolist() == [200, 401]  # after the 200 times of each throw
-    assert np.diff(times)[:199].max() < 1e5
+    published = [outputs.throw_field.energies for outputs in twin.outputs if outputs.throw_field]
+    assert np.diff(ends, prepend=-1).tolist() == [len(energies) + 1 for energies in published]
+    np.testing.assert_array_equal(values[:ends[0]], 1e3 * published[0][:, 1:])
+    duration = 1e-9 * (times[ends[0]] - times[0])
+    assert duration == pytest.approx(simulate(Rig()).ejection_time, rel=0.05)
+
+
+def test_bag_without_energies_has_no_plot_of_them(twin, tmp_path) -> None:
+    older = [item for item in twin.messages if item.channel.topic != '/twin/throw_energies']
+    recording = record(tmp_path / 'scene.rrd', Scene('test'), older)
+    assert 'Compressive force F (N)' in recording.views
+    assert 'Energy (mJ)' not in recording.views
 
 
 def test_side_view_is_to_scale(twin, recording) -> None:
     """Downwards in mm: the top of the layer is where the projectile's lower face is."""
-    times, places = recording.series('/twin/side/projectile', 'Transform3D:translation')
-    z_of_projectile = -np.array(places)[:, 0, 1]
+    times, translations = recording.series('/twin/side/projectile', 'Transform3D:translation')
+    z_of_projectile = -np.array(translations)[:, 0, 1]
     times_of_layer, tops = recording.series('/twin/side/layer', 'Transform3D:translation')
     _, scales = recording.series('/twin/side/layer', 'Transform3D:scale')
     top = -np.array(tops)[:, 0, 1]
@@ -157,13 +166,13 @@ def table_of(text: str) -> list[list[str]]:
 def maps(monkeypatch) -> list[Any]:
     """Return a list that gets the figures of all maps that are drawn."""
     figures: list[Any] = []
-    draw = charts.energy_figure
+    draw = EnergyMap.draw
 
-    def draw_and_keep(*args: Any, **options: Any) -> Any:
-        figures.append(draw(*args, **options))
+    def draw_and_keep(energy_map: EnergyMap) -> Any:
+        figures.append(draw(energy_map))
         return figures[-1]
 
-    monkeypatch.setattr(charts, 'energy_figure', draw_and_keep)
+    monkeypatch.setattr(EnergyMap, 'draw', draw_and_keep)
     return figures
 
 
@@ -202,7 +211,7 @@ def test_map_and_table_are_of_the_recommended_rig_or_empty(
             twin.go(200)  # the next throw leaves the map unchanged
         if number == 2:
             topic = '/twin/recommendation'
-            last = [each for each in twin.messages if each.channel.topic == topic][-1]
+            last = [item for item in twin.messages if item.channel.topic == topic][-1]
             twin.messages.remove(last)
         recording = record(tmp_path / f'{number}.rrd', Scene('test'), twin.messages)
         table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
@@ -251,14 +260,14 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
 ) -> None:
     twins = [TwinMessages(node, throw__period=0.1) for node in ('/rig1/twin', '/rig 2/twin')]
     messages = [message for twin in twins for message in twin.go(150).messages]
-    kept = [each for each in messages if each.channel.topic != '/rig1/twin/journal']
+    kept = [item for item in messages if item.channel.topic != '/rig1/twin/journal']
     kept.sort(key=lambda message: message.log_time)
     recording = record(tmp_path / 'scene.rrd', Scene('test'), kept)
     for root in ('/rig1/twin', r'/rig\ 2/twin'):
         assert len(recording.scalars(f'{root}/position')[0]) == 150
     assert '/rig1/twin/landscape' not in recording.entities
     assert r'/rig\ 2/twin/landscape' in recording.entities
-    assert recording.views.count('Energy (mJ)') == 2
+    assert recording.views.count('Position z (mm)') == 2
 
 
 def test_layout_is_not_sent_again_for_a_small_correction_of_the_rig(tmp_path) -> None:
@@ -271,7 +280,7 @@ def test_layout_is_not_sent_again_for_a_small_correction_of_the_rig(tmp_path) ->
             twin.go(150)
         scene = Scene('test', is_live=True)
         path = tmp_path / f'{len(sent)}.rrd'
-        sent.append(record(path, scene, twin.messages, batch=10).views.count('Energy (mJ)'))
+        sent.append(record(path, scene, twin.messages, batch=10).views.count('Position z (mm)'))
     assert sent[1] == sent[0] < sent[2]
 
 
@@ -360,7 +369,7 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
         twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
     recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
     results = [result for outputs in twin.outputs for result in outputs.results]
-    (accuracy,) = [each.accuracy for each in results if each.stage == 'release']
+    (accuracy,) = [item.accuracy for item in results if item.stage == 'release']
     text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
     (cell,) = [row[1] for row in table_of(text) if row[0].startswith('energy transfer')]
     alpha, error = map(float, cell.split(' ± '))
@@ -382,18 +391,18 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
 @given(st.data())
 def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> None:
     messages = list(twin.messages[:60])
-    place = data.draw(st.integers(0, len(messages) - 1))
-    damaged = bytearray(messages[place].data)
+    index = data.draw(st.integers(0, len(messages) - 1))
+    damaged = bytearray(messages[index].data)
     for _ in range(data.draw(st.integers(0, 3))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= 1 << data.draw(st.integers(0, 7))
     cut = data.draw(st.integers(0, len(damaged)))
-    messages[place] = messages[place]._replace(
+    messages[index] = messages[index]._replace(
         data=bytes(damaged[:cut]),
         publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
     )
     scene = Scene('test')
     recording = record(path.with_name('damaged.rrd'), scene, messages)
-    states = sum(each.channel.topic == '/twin/joint_states' for each in messages)
+    states = sum(item.channel.topic == '/twin/joint_states' for item in messages)
     assert recording.rows['/twin/position'] >= states - 1
     assert scene.damaged <= 2
     assert bool(scene.damage) == bool(scene.damaged)
@@ -411,8 +420,8 @@ def test_log_lines_are_at_their_step_in_simulated_time(tmp_path) -> None:
     """Lines are stamped by the clock of the machine."""
     twin, ahead = TwinMessages(throw__period=0.2).go(300), 10**15
     messages = [
-        each._replace(publish_time=each.publish_time + ahead, log_time=each.log_time + ahead)
-        for each in twin.messages
+        item._replace(publish_time=item.publish_time + ahead, log_time=item.log_time + ahead)
+        for item in twin.messages
     ]
     recording = record(tmp_path / 'a.rrd', Scene('test'), messages)
     steps = [twin.pace.deadline(outputs.step) for outputs in twin.outputs if outputs.results]

@@ -50,21 +50,21 @@ def test_messages_are_written_in_order_except_those_with_invalid_time(tmp_path: 
 def test_bag_that_cannot_be_created_is_retried_and_lost_messages_are_counted(
     tmp_path: Path
 ) -> None:
-    place = tmp_path / 'place'
-    place.write_text('in the way')
-    writer, vain = thread(place / 'bag'), thread(place / 'vain')
-    assert str(place) in writer.error
+    folder = tmp_path / 'folder'
+    folder.write_text('in the way')
+    writer, vain = thread(folder / 'bag'), thread(folder / 'vain')
+    assert str(folder) in writer.error
     assert writer.bag is None
     for item in (writer, vain):
         item.put([plain(number) for number in range(7)])
     assert writer.waiting == 7
     vain.close()
     assert (vain.bag, vain.lost()) == (None, {PLAIN: 7})
-    place.unlink()
+    folder.unlink()
     wait_until(lambda: not writer.error)
     writer.close()
     assert not writer.lost()
-    assert numbers(place / 'bag') == list(range(7))
+    assert numbers(folder / 'bag') == list(range(7))
 
 
 class SlowBag(BagWriter):
@@ -107,10 +107,10 @@ def test_hanging_disk_delays_the_end_for_a_bounded_time_and_is_reported(
     writer.put([plain(0)])
     wait_until(lambda: writer.waiting == 0)
     writer.put([plain(number) for number in range(1, 8)])
-    told: list[str] = []
-    writer.close(told.append)
-    assert len(told) == 1
-    assert '7 messages' in told[0]
+    reports: list[str] = []
+    writer.close(reports.append)
+    assert len(reports) == 1
+    assert '7 messages' in reports[0]
     assert writer.is_alive
     assert '0.3 s' in writer.error
     assert (writer.lost(), writer.waiting) == ({PLAIN: 7}, 0)

@@ -95,6 +95,22 @@ def test_throw_field_agrees_with_the_layer(request_) -> None:
 
 
 @ANY_MODEL
+def test_energies_end_at_the_release_of_a_simulation(request_) -> None:
+    values = complete_settings(**request_)
+    prepared = prepare(values)
+    throw = simulate(rig_of(values), model=prepared.config.model)
+    time, work, projectile, layer, total = prepared.throw_field.energies.T
+    assert (time[0], work[0]) == (0.0, 0.0)
+    np.testing.assert_allclose([projectile[0], total[0]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(projectile + layer, total, rtol=1e-12, atol=1e-15)
+    assert time[-1] < throw.ejection_time < time[-1] + 1.01 * time[1]
+    assert work[-1] == pytest.approx(throw.energies.plate_work, rel=0.05)
+    assert total[-1] == pytest.approx(throw.energies.stored, rel=0.05)
+    if throw.energies.heat == 0.0:
+        np.testing.assert_allclose(total, work, atol=1e-3 * work.max())
+
+
+@ANY_MODEL
 def test_layer_at_rest_carries_the_weight(request_) -> None:
     prepared = prepare(complete_settings(**request_))
     weight = prepared.rig.projectile.mass * prepared.rig.gravity
