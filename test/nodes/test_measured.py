@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import math
+from test.nodes.conftest import MILLISECOND, SECOND
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -32,8 +33,6 @@ from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values, time_to
 from soft_throw_ros.twin.sample_buffer import Sample
 
 MEASURED = TWIN_TOPICS.measured_joint_states.at('/twin').name
-SECOND = 1_000_000_000
-MILLISECOND = SECOND // 1000
 BATCH = 10  # [ms]
 
 

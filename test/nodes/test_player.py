@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 import contextlib
 from functools import partial
 from pathlib import Path
+from test.nodes.conftest import SECOND
 from typing import Any
 
 import bags
@@ -37,7 +38,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 write = partial(bags.write, compression='none')
-SECOND = 1_000_000_000
 PAUSE, RESUME, STEP = REPLAY_SERVICES
 EVERYTHING = QoSProfile(depth=5000)
 

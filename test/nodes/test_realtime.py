@@ -18,6 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 import queue
+from test.nodes.conftest import GivenClock, MILLISECOND, SECOND
 import threading
 import time
 from typing import Any
@@ -26,9 +27,6 @@ import pytest
 from soft_throw_ros.nodes.realtime import MAX_TIMES, PRIORITY, set_priority, SystemClock, Ticker
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.tick_schedule import TickSchedule
-
-SECOND = 1_000_000_000
-MILLISECOND = SECOND // 1000
 
 
 def may_go_first() -> bool:
@@ -72,8 +70,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(given_clock: Any) -> Bench:
-    return Bench(given_clock(now=0, max_catch_up=SECOND // 10))
+def bench() -> Bench:
+    return Bench(GivenClock(now=0, max_catch_up=SECOND // 10))
 
 
 def test_ticks_follow_the_clock_from_its_start(bench) -> None:
