@@ -41,14 +41,6 @@ jelly:
 """
 
 
-@pytest.fixture
-def mine(tmp_path):
-    """Write a library, and return its path."""
-    path = tmp_path / 'mine.yaml'
-    path.write_text(MINE)
-    return path
-
-
 def test_table_compares_the_recommended_and_the_present_layer(command):
     printed = command.run('--vary', 'thickness')
     best, now = recommend(Rig(), vary='thickness'), predict(Rig())
@@ -117,7 +109,8 @@ def test_options_define_the_request(command):
     assert found['score'] == recommend(Rig(), objective=objective).score
 
 
-def test_layer_is_chosen_from_a_user_library(command, mine):
+def test_layer_is_chosen_from_a_user_library(command, write):
+    mine = write(MINE)
     found = command.json('--vary', 'library', '--library', mine)['recommendation']
     ranks = {item['layer']: item['score'] for item in found['candidates']}
     assert found['layer'] == 'jelly_40.0mm' == max(ranks, key=ranks.get)
@@ -131,9 +124,8 @@ def test_layer_is_chosen_from_a_user_library(command, mine):
     assert re.search(rf'^jelly_40.0mm +40.0 +{found["score"]:.3f}$', table, re.MULTILINE)
 
 
-def test_options_replace_the_request_of_a_twin_file(command, tmp_path):
-    path = tmp_path / 'rig.yaml'
-    path.write_text(
+def test_options_replace_the_request_of_a_twin_file(command, write):
+    path = write(
         'twin: {ros__parameters: {engine.motion: measured, engine.frequency: 58.0,\n'
         '  recommendation: {vary: thickness, thickness_max: 0.03, max_strain: 0.12}}}\n'
     )

@@ -28,18 +28,6 @@ PLATE = Underdamped.of(Rig().engine)
 TIMES = np.arange(0.0, 0.1, 2e-4)
 
 
-@pytest.fixture
-def write(tmp_path):
-    """Write a file of a new name; return its path."""
-
-    def write(text, name='motion.csv'):
-        path = tmp_path / name
-        path.write_text(text, encoding='utf-8')
-        return path
-
-    return write
-
-
 def settings_with(path):
     return TWIN.defaults() | TWIN.change(TWIN.defaults(), {'engine.motion_file': str(path)})
 
