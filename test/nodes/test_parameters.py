@@ -253,8 +253,6 @@ def test_bad_argument_is_one_line(start) -> None:
         assert str(refused.value).startswith(f'-p {rule}: ')
         assert message in str(refused.value)
         assert '\n' not in str(refused.value)
-    with pytest.raises(ParameterError, match='no-name'):
-        start('-r', '__node:=no-name')
 
 
 def test_dump_of_a_running_twin_starts_another_and_is_loaded(ros, start, tmp_path: Path) -> None:

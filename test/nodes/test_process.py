@@ -186,7 +186,7 @@ def in_process(monkeypatch):
         ('--ros-args -p foo', ['-p foo']),
         ('--ros-args --params-file {file}', ['bad.yaml:4', 'got 16.8']),
         ('--ros-args --params-file {file}.missing', ['bad.yaml.missing']),
-        ('--ros-args -r foo', ['-r foo']),
+        ('--ros-args -r __node:=no-name', ['no-name']),
         ('--thickness 3', ['no such argument: --thickness 3; usage: twin']),
     ],
 )
