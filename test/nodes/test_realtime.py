@@ -109,12 +109,6 @@ def test_stall_is_caught_up_within_bounds_and_other_ticks_are_counted(bench) -> 
     assert bench.at(6001) == [(102, 6001)]
 
 
-def test_rate_changes_from_the_step_that_changes_it(bench) -> None:
-    bench.at(1000)
-    bench.session.rate = 500.0
-    assert [due for _, due in bench.at(1010)] == [1001, 1003, 1005, 1007, 1009]
-
-
 def test_ticker_restarts_after_a_change_of_the_clock(bench) -> None:
     bench.at(5000)
     bench.clock.epoch += 1
