@@ -30,7 +30,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-from draw import DRAWINGS, path_of  # noqa: E402
+from draw import DRAWINGS, path_of  # noqa: E402, I100
 import fits  # noqa: E402
 import style  # noqa: E402
 

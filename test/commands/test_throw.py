@@ -56,8 +56,8 @@ def test_json_has_the_models_to_the_last_digit(command):
 def test_models_of_one_throw_agree_on_every_line(command):
     rig = ('--layer', 'gelatin_2.0mm', '--frequency', 31.1)  # with re-contacts, and then a fall
     names = ('travelling_wave', 'cells', 'cells_elastic', 'closed_form')
-    asked = [word for name in names for word in ('--model', name)]
-    models = command.json(*asked, *rig)['models']
+    options = [word for name in names for word in ('--model', name)]
+    models = command.json(*options, *rig)['models']
     first = models['closed_form']
     for name in names[:3]:
         assert models[name].keys() == models['travelling_wave'].keys()
@@ -70,10 +70,10 @@ def test_internal_loss_requires_cells_and_shows_its_heat(command):
     for name in ('closed_form', 'travelling_wave'):
         assert models['models'][name] is None
         assert '0.05' in models['notes'][name]
-    found = models['models']['cells']
-    parts = found['layer_energy'] + found['projectile_energy'] + found['heat']
-    assert parts == pytest.approx(found['plate_work'], rel=1e-3)
-    assert found['heat'] > 0.0
+    cells = models['models']['cells']
+    parts = cells['layer_energy'] + cells['projectile_energy'] + cells['heat']
+    assert parts == pytest.approx(cells['plate_work'], rel=1e-3)
+    assert cells['heat'] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -109,11 +109,11 @@ def test_table_has_the_models_side_by_side_as_in_the_json(command):
 
 
 def test_uncertainty_of_the_rig_is_shown(command):
-    asked = [*EXACT, '--uncertain-thickness', 1e-3, '--uncertain-mass', 0]
-    printed = command.json(*asked)
+    options = [*EXACT, '--uncertain-thickness', 1e-3, '--uncertain-mass', 0]
+    printed = command.json(*options)
     expected = prediction_uncertainty(Rig(), Uncertainties(thickness=1e-3, mass=0.0))
     assert printed['uncertainty'] == expected.values()
-    assert printed['notes']['uncertainty'] in command.run(*asked)
+    assert printed['notes']['uncertainty'] in command.run(*options)
 
 
 def test_options_replace_values_of_the_file(command, write):

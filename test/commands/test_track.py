@@ -115,7 +115,7 @@ def json_of(capsys):
     return run
 
 
-def assert_is_the_rig(found):
+def assert_is_the_rig(result):
     truth = {
         'engine.frequency': (58.0, 2e-3),
         'engine.damping_ratio': (0.05, 2e-3),
@@ -123,10 +123,10 @@ def assert_is_the_rig(found):
         'layer.wave_speed': (6.9, 3e-2),  # includes the uncertainty of the layer's size
     }
     for name, (expected, most) in truth.items():
-        value, error = found['found'][name]['value'], found['found'][name]['error']
+        value, error = result['found'][name]['value'], result['found'][name]['error']
         assert value == pytest.approx(expected, abs=4.0 * error)
         assert error < most * expected
-    assert found['warnings'] == []
+    assert result['warnings'] == []
 
 
 def test_video_gives_the_filmed_rig(command, json_of, throw_video, tmp_path):
@@ -138,10 +138,10 @@ def test_video_gives_the_filmed_rig(command, json_of, throw_video, tmp_path):
     assert re.fullmatch(r'# Noise: plate [12].*e-06 m, layer 1 .* m, projectile .* m', lines[1])
     assert lines[2] == 't [s],plate [m],layer 1 [m],projectile [m]'
     assert len(lines) == 183
-    found = json_of(identify.main, tracks, *KNOWN)
-    assert_is_the_rig(found)
-    assert {'projectile.scale', 'projectile.delay'}.isdisjoint(found['fit']['names'])
-    assert all(each['rms'] < 0.03 * PIXEL for each in found['fit']['residuals'])
+    result = json_of(identify.main, tracks, *KNOWN)
+    assert_is_the_rig(result)
+    assert {'projectile.scale', 'projectile.delay'}.isdisjoint(result['fit']['names'])
+    assert all(each['rms'] < 0.03 * PIXEL for each in result['fit']['residuals'])
 
 
 def test_folder_of_pictures_gives_the_rig_despite_a_wire(
@@ -156,12 +156,12 @@ def test_folder_of_pictures_gives_the_rig_despite_a_wire(
         colours = np.stack([picture] * 3, axis=-1)
         imageio.imwrite(folder / f'shot_{number}.png', colours if number % 2 else picture)
     command.run(folder, *AS_TAKEN, '--output', tracks)
-    said = r'the spot at column 22 row 150 is not seen as a whole in pictures \d+ to \d+;'
-    assert re.search(said, command.err)
-    assert re.search(f'^# {said}', tracks.read_text(), re.MULTILINE)
-    found = json_of(identify.main, tracks, *KNOWN)
-    assert_is_the_rig(found)
-    assert len(found['throws'][0]['gaps']['projectile']) == 1
+    note = r'the spot at column 22 row 150 is not seen as a whole in pictures \d+ to \d+;'
+    assert re.search(note, command.err)
+    assert re.search(f'^# {note}', tracks.read_text(), re.MULTILINE)
+    result = json_of(identify.main, tracks, *KNOWN)
+    assert_is_the_rig(result)
+    assert len(result['throws'][0]['gaps']['projectile']) == 1
 
 
 def test_spot_hidden_in_the_first_picture_is_refused(command, throw_pictures, tmp_path):

@@ -89,17 +89,17 @@ def test_installed_material_is_described_sourced_and_within_bounds(material: Mat
 def test_installed_moduli_agree_with_the_file_to_all_digits() -> None:
     """The expected values come from an independent YAML reader and E = rho c^2."""
     path = default_file()
-    given = {
+    moduli = {
         name: parts['youngs_modulus']
         for name, parts in yaml.safe_load(path.read_text('utf-8')).items()
         if 'youngs_modulus' in parts
     }
-    assert len(given) == len(INSTALLED.materials) - 1  # the paper's gelatin has a wave speed
-    for name, modulus in given.items():
+    assert len(moduli) == len(INSTALLED.materials) - 1  # the paper's gelatin has a wave speed
+    for name, modulus in moduli.items():
         material = INSTALLED.materials[name]
-        found = material.density.value * material.wave_speed.value**2
+        computed = material.density.value * material.wave_speed.value**2
         known = float(modulus['value'] if isinstance(modulus, dict) else modulus)
-        assert found == pytest.approx(known, rel=1e-14)
+        assert computed == pytest.approx(known, rel=1e-14)
 
 
 # a file of one's own
@@ -210,9 +210,9 @@ def test_error_is_quoted_with_file_and_line(
 ) -> None:
     assert FOAM.count(old) == 1
     path = write(FOAM.replace(old, new))
-    said = refused(path)
-    assert re.match(rf'{re.escape(str(path))}:{line}: ', said), said
-    assert re.search(message, said), said
+    reason = refused(path)
+    assert re.match(rf'{re.escape(str(path))}:{line}: ', reason), reason
+    assert re.search(message, reason), reason
 
 
 @pytest.mark.parametrize(

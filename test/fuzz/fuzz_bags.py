@@ -78,9 +78,9 @@ def assert_readable(path: Path, messages: Collection[bytes] = ()) -> None:
     """Assert that a bag is readable, with only the given messages if any, or is refused."""
     try:
         with BagReader(path) as reader:
-            found = [message.data for message in reader.messages()]
-            assert len(found) <= 10_000
-            assert not messages or set(found) <= set(messages)
+            contents = [message.data for message in reader.messages()]
+            assert len(contents) <= 10_000
+            assert not messages or set(contents) <= set(messages)
             assert '\n' not in reader.damage
     except BagError as error:
         assert_refusal(error)

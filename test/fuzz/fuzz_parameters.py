@@ -140,10 +140,10 @@ def test_throw_predicts_or_refuses(tmp_path: Path, data: Any) -> None:
         value = data.draw(st.sampled_from(NUMBERS) | st.floats(1e-4, 100.0).map(repr) | st.text())
         arguments.append(f'{option}={value}')
     with bounded(tmp_path):
-        code, out, said = run(throw.main, arguments)
+        code, out, printed = run(throw.main, arguments)
     if code == 0:
         prediction = json.loads(out, parse_constant=pytest.fail)
         for model in prediction['models'].values():
             assert model is None or all(map(math.isfinite, model.values())), out
     else:
-        assert code == 2, said
+        assert code == 2, printed

@@ -65,7 +65,7 @@ def test_calibration_finds_the_rig_improves_its_throw_and_stops(
     results: list[ThrowResult] = listen(
         ros, CALIBRATOR_TOPICS.throw_result, msg_to_throw_result
     )
-    said = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    reports = listen(ros, CALIBRATOR_TOPICS.diagnostics)
     twin = start_node(
         'twin', 'engine.motion:=measured', 'layer.name:=gelatin_29.1mm',
         'recommendation.vary:=thickness',
@@ -87,15 +87,15 @@ def test_calibration_finds_the_rig_improves_its_throw_and_stops(
         return [item for item in final if abs(item.rig.layer.thickness - thickness) < 1e-9]
 
     def identified() -> DiagnosticStatus | None:
-        found = [item for item in said if item.name == '/calibrator: identification']
-        return found[-1] if found and 'wave_speed 7.' in found[-1].message else None
+        statuses = [item for item in reports if item.name == '/calibrator: identification']
+        return statuses[-1] if statuses and 'wave_speed 7.' in statuses[-1].message else None
 
     # The measured plate's noise makes speeds scatter by 0.5 %: five throws are within 0.3 %.
     ros.spin_until(lambda: len(with_new_layer()) > 4, 'throws with the new layer')
     ros.spin_until(identified, 'diagnostics')
-    found = {item.key: item.value for item in identified().values}
-    assert float(found['layer.wave_speed'].split()[0]) == pytest.approx(7.3, rel=0.01)
-    assert int(found['outliers']) >= 0
+    statuses = {item.key: item.value for item in identified().values}
+    assert float(statuses['layer.wave_speed'].split()[0]) == pytest.approx(7.3, rel=0.01)
+    assert int(statuses['outliers']) >= 0
     for process in (rig, calibrator, twin):
         assert process.end(signal.SIGINT) == 0
         assert not any('Traceback' in line for line in process.lines)
@@ -123,6 +123,6 @@ def test_calibration_finds_the_rig_improves_its_throw_and_stops(
 
 def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> None:
     ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
-    said = listen(ros, CALIBRATOR_TOPICS.diagnostics)
-    ros.spin_until(lambda: len(said) > 0, 'the status')
-    assert said[0].name == '/calibrator: identification'
+    reports = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    ros.spin_until(lambda: len(reports) > 0, 'the status')
+    assert reports[0].name == '/calibrator: identification'

@@ -106,9 +106,9 @@ sys.exit(process.run('hanging', Hanging, []))
 """
 
 
-@pytest.mark.parametrize(('place', 'code'), [('callback', 1), ('destroy', 0), ('', 0)])
-def test_node_ends_although_the_middleware_hangs(start, place, code) -> None:
-    node = start(sys.executable, '-c', HANGING, place)
+@pytest.mark.parametrize(('hanging_at', 'code'), [('callback', 1), ('destroy', 0), ('', 0)])
+def test_node_ends_although_the_middleware_hangs(start, hanging_at, code) -> None:
+    node = start(sys.executable, '-c', HANGING, hanging_at)
     node.wait_for('started')
     assert node.end(TERM) == code
     assert sum('no reaction to a signal' in line for line in node.lines) == code

@@ -42,10 +42,10 @@ class CountingSession:
     def __init__(self, rate: float) -> None:
         self.step = 0
         self.rate = rate
-        self.told: list[tuple[int, int, float, int]] = []
+        self.schedules: list[tuple[int, int, float, int]] = []
 
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
-        self.told.append((self.step, schedule.time_ns, schedule.rate, schedule.step))
+        self.schedules.append((self.step, schedule.time_ns, schedule.rate, schedule.step))
 
 
 class Bench:
@@ -128,9 +128,10 @@ def test_session_receives_every_change_of_the_deadlines(bench) -> None:
     bench.clock.epoch += 1
     bench.at(90)
     for step, due in bench.done:
-        since, time_ns, rate, first = [item for item in bench.session.told if item[0] <= step][-1]
+        past = [item for item in bench.session.schedules if item[0] <= step]
+        since, time_ns, rate, first = past[-1]
         assert due == time_ns + round((step - first) * SECOND / rate), since
-    assert len(bench.session.told) == 4
+    assert len(bench.session.schedules) == 4
 
 
 def test_thread_that_cannot_keep_up_loses_its_priority_for_a_while() -> None:
@@ -170,7 +171,7 @@ def test_system_clock_detects_changes(monkeypatch) -> None:
 
 def test_worker_cancels_outdated_requests_and_computes_the_latest() -> None:
     begun: list[int] = []
-    answers: list[int] = []
+    results: list[int] = []
     is_started, is_answered = threading.Event(), threading.Event()
 
     def compute(request: int, cancelled: Any) -> int:
@@ -180,8 +181,8 @@ def test_worker_cancels_outdated_requests_and_computes_the_latest() -> None:
             time.sleep(1e-3)
         return request
 
-    def take(answer: int) -> None:
-        answers.append(answer)
+    def take(result: int) -> None:
+        results.append(result)
         is_answered.set()
 
     worker = LatestOnlyWorker(
@@ -193,23 +194,23 @@ def test_worker_cancels_outdated_requests_and_computes_the_latest() -> None:
         worker.submit(request)
     assert is_answered.wait(60.0)
     worker.close(60.0)
-    assert answers == [99]
+    assert results == [99]
     assert len(begun) < 10
 
 
 def test_worker_answers_after_a_computation_that_failed() -> None:
     lines: list[str] = []
-    answers: queue.Queue[float] = queue.Queue()
+    results: queue.Queue[float] = queue.Queue()
     worker = LatestOnlyWorker(
         lambda request, _cancelled: 1.0 / request,
-        answers.put,
+        results.put,
         on_failure=lambda request, error: math.nan,
         log=lines.append,
     )
     worker.submit(0)
-    assert math.isnan(answers.get(timeout=60.0))
+    assert math.isnan(results.get(timeout=60.0))
     worker.submit(2)
-    assert answers.get(timeout=60.0) == 0.5
+    assert results.get(timeout=60.0) == 0.5
     worker.close(60.0)
     assert worker.failures == len(lines) == 1
     assert 'ZeroDivisionError' in lines[0]

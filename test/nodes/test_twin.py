@@ -219,8 +219,8 @@ def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
     def lines(level: str, milliseconds: int = 1020) -> list[str]:
         twin.go(milliseconds)
         ros.spin_until(lambda: not twin._jobs, 'the end of all publishing jobs')
-        said = capfd.readouterr().err.splitlines()
-        return [line for line in said if f'[{level}]' in line and ': throw ' in line]
+        printed = capfd.readouterr().err.splitlines()
+        return [line for line in printed if f'[{level}]' in line and ': throw ' in line]
 
     (line,) = lines('INFO')
     assert line.endswith('throw 1: released at 7.647 ms, 1.3750 m/s, alpha 3.637')
@@ -254,8 +254,8 @@ def test_log_begins_with_the_rig_and_ends_with_a_summary(ros, capfd) -> None:
     assert client.set(engine__motion='measured') == ['']
     assert '/rig1/twin/measured_joint_states' in twin.describe()
     twin.close()
-    said = capfd.readouterr().err
-    assert re.search(r'stopped after 0 throws in [\d.]+ s, 0 ticks skipped', said)
+    printed = capfd.readouterr().err
+    assert re.search(r'stopped after 0 throws in [\d.]+ s, 0 ticks skipped', printed)
 
 
 def test_diagnostics_report_the_timing(thrown) -> None:
@@ -384,22 +384,25 @@ def test_recommendation_follows_every_change_and_can_be_applied(ros, twin, liste
     client = ros.parameters(twin)
     for mass in (1e-3, 2e-3, 3e-3):
         assert client.set(projectile__mass=mass) == ['']
-    found = settled(ros, twin)
+    recommendation = settled(ros, twin)
     status = listener.status(
         TWIN_TOPICS.recommendation,
         'recommendation',
         lambda status: msg_to_values(status)['projectile.mass'] == 3e-3,
     )
-    assert values_to_rig(msg_to_values(status)) == found.rig == rig_of(twin.parameters.settings)
-    assert msg_to_values(status)['thickness'] == recommend(found.rig).thickness
-    for name, value in found.results().items():
+    assert values_to_rig(msg_to_values(status)) == recommendation.rig
+    assert recommendation.rig == rig_of(twin.parameters.settings)
+    assert msg_to_values(status)['thickness'] == recommend(recommendation.rig).thickness
+    for name, value in recommendation.results().items():
         assert client.get(f'recommended.{name}') == value
         assert isinstance(value, str) or math.isfinite(value)
     assert listener.trigger(TWIN_SERVICES.apply_recommendation).success
     listener.trigger(TWIN_SERVICES.throw)
     twin.go(250)
     (result,) = twin.results
-    assert result.first.energy_transfer == pytest.approx(found.best.energy_transfer, rel=1e-4)
+    assert result.first.energy_transfer == pytest.approx(
+        recommendation.best.energy_transfer, rel=1e-4
+    )
 
 
 def test_failed_recommendation_names_the_two_limits(ros, twin, listener) -> None:
@@ -434,9 +437,9 @@ def test_applied_changes_set_the_recommended_library_layer(write) -> None:
     path = write(JELLY)
     request = {'layer.library': str(path), 'recommendation.vary': 'library'}
     settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), request)}
-    found = recommend_for(TwinConfig.from_settings(settings))
-    settings |= TWIN.change(settings, found.changes())
-    assert settings['layer.name'] == found.best.layer == 'jelly_40.0mm'
+    recommendation = recommend_for(TwinConfig.from_settings(settings))
+    settings |= TWIN.change(settings, recommendation.changes())
+    assert settings['layer.name'] == recommendation.best.layer == 'jelly_40.0mm'
     assert settings['layer.wave_speed'] == 22.0
     assert settings['layer.thickness'] == 0.04
 
@@ -444,10 +447,10 @@ def test_applied_changes_set_the_recommended_library_layer(write) -> None:
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
 def test_changes_affect_varied_parameters_only(vary) -> None:
     settings = {**TWIN.defaults(), 'recommendation.vary': vary}
-    found = recommend_for(TwinConfig.from_settings(settings))
-    names = ('thickness', 'wave_speed')
-    assert found.changes() == {
-        f'layer.{name}': getattr(found.best, name) for name in names if vary in (name, 'both')
+    recommendation = recommend_for(TwinConfig.from_settings(settings))
+    names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
+    assert recommendation.changes() == {
+        f'layer.{name}': getattr(recommendation.best, name) for name in names
     }
 
 
