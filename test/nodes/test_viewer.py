@@ -149,6 +149,7 @@ def test_stopped_viewer_does_not_delay_the_end(ros, show, twin) -> None:
     assert not any('Traceback' in line for line in node.lines), node.lines
 
 
+@pytest.mark.slow
 def test_messages_are_served_to_viewers_on_this_machine(ros, show, twin) -> None:
     port = free_port()
     node = show(sink='serve', port=port)
