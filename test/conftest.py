@@ -13,7 +13,8 @@
 # limitations under the License.
 """Settings of all tests, independent of ROS."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 import signal
 
 import hypothesis
@@ -46,3 +47,15 @@ def floating_point_errors_raise() -> Iterator[None]:
     """Raise on floating-point errors except underflow, which decaying values cause."""
     with np.errstate(divide='raise', over='raise', invalid='raise'):
         yield
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    """Return a function that writes a file and returns its path."""
+
+    def write(content: str | bytes, name: str = 'file') -> Path:
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write

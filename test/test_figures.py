@@ -30,10 +30,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-from animation import END, STEP  # noqa: E402, I100
-from draw import ANIMATION, DRAWINGS, path_of  # noqa: E402
+from draw import DRAWINGS, path_of  # noqa: E402, I100
 import fits  # noqa: E402
-from models import SERIES, THICKNESSES  # noqa: E402
 import style  # noqa: E402
 
 DOCS = Path(__file__).parents[1] / 'docs'
@@ -61,13 +59,14 @@ def line(axes, label):
     return curve.get_data()
 
 
-def release_at(x, c, damping_ratio=0.0, density_ratio=1.0):
-    return first_release(
-        mass_ratio=density_ratio * (1.0 - x) / x, speed_ratio=c / x, damping_ratio=damping_ratio
-    )
-
-
-@pytest.mark.parametrize('name', DRAWINGS, scope='module')
+@pytest.mark.parametrize(
+    'name',
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name == 'recontacts' else [])
+        for name in DRAWINGS
+    ],
+    scope='module',
+)
 def test_figure_in_docs_is_current_and_small(name):
     path = path_of(name, DOCS)
     assert path.stat().st_size < 250_000
@@ -78,70 +77,19 @@ def test_figure_in_docs_is_current_and_small(name):
     assert np.abs(stored - drawing).mean() < 0.01
 
 
-def test_animation_in_docs_shows_the_whole_throw_and_is_small():
-    pictures = pytest.importorskip('PIL.Image')
-    path = path_of(ANIMATION, DOCS)
-    assert path.stat().st_size < 2_000_000
-    with pictures.open(path) as animation:
-        assert animation.n_frames == 1 + round(END / STEP)
-        assert animation.info['loop'] == 0
-        animation.seek(animation.n_frames - 1)
-        assert animation.info['duration'] >= 1000  # the last picture stays [ms]
-
-
 @pytest.mark.parametrize(('name', 'damping_ratio'), [('fig3', 0.0), ('fig11', 0.064)])
 def test_maps_are_the_exact_releases_of_equal_densities(name, damping_ratio):
-    points = np.random.default_rng(4).uniform((0.02, 0.3), (0.98, 13.9), size=(40, 2))
+    points = np.random.default_rng(4).uniform(0.02, 0.98, size=(40, 2))
     for axes, result in zip(panels(name), ('ejection_phase', 'energy_transfer'), strict=False):
         (picture,) = axes.images
         values = picture.get_array()
         assert picture.get_extent() == pytest.approx((0.0, 1.0, 0.0, 14.0), abs=1e-12)
-        for x, c in points:
-            row, column = int(c / 14.0 * len(values)), int(x * len(values))
-            middle = (column + 0.5) / len(values), 14.0 * (row + 0.5) / len(values)
-            expected = getattr(release_at(*middle, damping_ratio), result)
-            assert values[row, column] == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize(('name', 'damping_ratio'), [('fig5', 0.0), ('fig12', 0.064)])
-def test_series_are_exact_releases_and_their_points_agree(name, damping_ratio):
-    for axes, result in zip(panels(name), ('ejection_phase', 'energy_transfer'), strict=False):
-        for series, color, bars in zip(
-            SERIES, (style.BLUE, style.ORANGE, style.GREEN), axes.containers, strict=True
-        ):
-            curves = [
-                curve.get_data()
-                for curve in axes.lines
-                if curve.get_color() == color and len(curve.get_xdata()) > 1000
-            ]
-            x, values = curves[-1]
-            for i in (40, 301, 700, 1100):
-                release = release_at(x[i], series.speed * (1.0 - x[i]), damping_ratio, 1.3)
-                assert values[i] == pytest.approx(getattr(release, result), rel=1e-9)
-            x, values = np.asarray(bars.lines[0].get_data(), dtype=np.float64)
-            np.testing.assert_allclose(x, THICKNESSES / (THICKNESSES + series.projectile_length))
-            rigid = series.releases(THICKNESSES, damping_ratio=damping_ratio)
-            np.testing.assert_allclose(values, getattr(rigid, result), rtol=4e-4)
-
-
-def test_error_bars_match_linear_propagation_without_jumps():
-    # 5.6 mm of the second series: wave speed, thickness and frequency one by one
-    series = SERIES[1]
-    base = {'thickness': 5.6e-3, 'wave_speed': 7.8, 'frequency': 63.2}
-
-    def transfer(thickness, wave_speed, frequency):
-        return first_release(
-            mass_ratio=1.3 * series.projectile_length / thickness,
-            speed_ratio=wave_speed / (thickness * frequency),
-        ).energy_transfer
-
-    variance = sum(
-        (0.5 * (transfer(**base | {k: base[k] + d}) - transfer(**base | {k: base[k] - d}))) ** 2
-        for k, d in (('thickness', 1e-4), ('wave_speed', 0.3), ('frequency', 0.1))
-    )
-    bars = series.errors(damping_ratio=0.0).energy_transfer[:, 1]
-    # quantiles of 2000 draws are known to 4 %
-    np.testing.assert_allclose(bars, math.sqrt(variance), rtol=0.15)
+        for row, column in (points * len(values)).astype(int):
+            x, c = (column + 0.5) / len(values), 14.0 * (row + 0.5) / len(values)
+            release = first_release(
+                mass_ratio=(1.0 - x) / x, speed_ratio=c / x, damping_ratio=damping_ratio
+            )
+            assert values[row, column] == pytest.approx(getattr(release, result), rel=1e-9)
 
 
 def test_fig7_has_the_spring_of_appendix_a_below_the_layers():
@@ -182,11 +130,3 @@ def test_thick_layer_is_the_first_interval_of_the_wave():
     w, angle = line(angles, 'exact')
     release = brentq(slope, 0.5 * math.pi, math.pi, args=(w[200],))
     assert angle[200] == pytest.approx(release / math.pi, rel=1e-9)
-
-
-def test_line_is_broken_only_where_values_jump():
-    smooth = np.sin(np.linspace(0.0, 6.0, 300))
-    assert np.isfinite(style.broken(smooth)).all()
-    jumps = smooth + (np.arange(300) >= 120) * 0.1
-    (gap,) = np.flatnonzero(np.isnan(style.broken(jumps)))
-    assert gap == 120

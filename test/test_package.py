@@ -206,16 +206,6 @@ def test_wheel_has_config_and_one_command(wheel):
 
 
 @pytest.mark.once
-def test_source_archive_builds_the_same_wheel(source, wheel, tmp_path):
-    build = 'from setuptools import build_meta; build_meta.build_sdist("{}")'
-    run(sys.executable, '-c', build.format(tmp_path), cwd=source)
-    (archive,) = tmp_path.glob('*.tar.gz')
-    run(*PIP, 'wheel', *OFFLINE, '--wheel-dir', tmp_path, archive, cwd=tmp_path)
-    with zipfile.ZipFile(wheel) as first, zipfile.ZipFile(next(tmp_path.glob('*.whl'))) as second:
-        assert sorted(first.namelist()) == sorted(second.namelist())
-
-
-@pytest.mark.once
 def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
     python = environment / 'bin/python'
     before = set((environment / 'bin').iterdir())
@@ -224,14 +214,6 @@ def test_wheel_installs_one_command_that_runs(wheel, environment, tmp_path):
     assert_finds_config(run(python, '-c', PRINT_PATH_AND_CONFIG, cwd=tmp_path), environment)
     listed = run(environment / 'bin/soft-throw', cwd=tmp_path)
     assert all(name in listed for name in EXECUTABLES)
-
-
-@pytest.mark.once
-def test_editable_install_finds_config(source, environment, tmp_path):
-    python = environment / 'bin/python'
-    run(*PIP, '--python', python, 'install', *OFFLINE, '--editable', source, cwd=tmp_path)
-    assert_finds_config(run(python, '-c', PRINT_PATH_AND_CONFIG, cwd=tmp_path), source)
-    assert run(environment / 'bin/soft-throw', cwd=tmp_path)
 
 
 @pytest.mark.once

@@ -61,15 +61,3 @@ class Command:
 def command(request, capsys):
     """Return the command named by `COMMAND` of the test module."""
     return Command(*request.module.COMMAND, capsys=capsys)
-
-
-@pytest.fixture
-def write(tmp_path):
-    """Write a file; return its path."""
-
-    def write(content, name='file'):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return write

@@ -61,11 +61,11 @@ def test_target_speed_replaces_the_default_height(command):
 def test_target_out_of_reach_names_its_limit_and_ends_with_1(command):
     args = ('--target-height', 0.2, '--vary', 'amplitude', '--max-strain', 0.12)
     first = command.run(*args, code=design_search.NOT_REACHED).splitlines()[0]
-    found = command.json(*args, code=design_search.NOT_REACHED)['aim']
-    assert found['is_reached'] is False
-    assert found['peak_strain'] == pytest.approx(0.12, rel=1e-4)
-    assert found['summary'] == first
-    assert found['limited_by'] == 'max_strain'
+    result = command.json(*args, code=design_search.NOT_REACHED)['aim']
+    assert result['is_reached'] is False
+    assert result['peak_strain'] == pytest.approx(0.12, rel=1e-4)
+    assert result['summary'] == first
+    assert result['limited_by'] == 'max_strain'
 
 
 def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
@@ -81,15 +81,15 @@ def test_layer_is_chosen_from_a_user_library(command, write):
         '  loss_tangent: 0.0}\n'
     )
     args = ('--vary', 'library', '--library', path, '--target-speed', 2)
-    found = command.json(*args, '--uncertain-wave-speed', 1.0)
-    layer = found['aim']['layer'], found['aim']['wave_speed']
+    result = command.json(*args, '--uncertain-wave-speed', 1.0)
+    layer = result['aim']['layer'], result['aim']['wave_speed']
     assert layer == ('jelly', 22.6)
     best = aim(Rig(), Target(speed=2.0), vary='both')
-    assert best.amplitude <= found['aim']['amplitude'] * 1.00001 < 1.0002 * best.amplitude
-    rig = with_amplitude(found['aim']['amplitude'])
-    rig = replace(rig, layer=Layer(thickness=found['aim']['thickness'], wave_speed=22.6))
+    assert best.amplitude <= result['aim']['amplitude'] * 1.00001 < 1.0002 * best.amplitude
+    rig = with_amplitude(result['aim']['amplitude'])
+    rig = replace(rig, layer=Layer(thickness=result['aim']['thickness'], wave_speed=22.6))
     uncertainty = prediction_uncertainty(rig, Uncertainties(wave_speed=1.0))
-    assert found['uncertainty'] == uncertainty.values()
+    assert result['uncertainty'] == uncertainty.values()
 
 
 @pytest.mark.parametrize(

@@ -60,11 +60,11 @@ if __name__ == '__main__':
 
 def test_axes_and_options_reach_the_map(command, tmp_path):
     path = tmp_path / 'map.nc'
-    said = command.run(
+    printed = command.run(
         'mu=0.1:10:5:log', 'kappa', '--model', 'spring_mass', '--frequency', 31.1,
         '--output', path,
     )
-    assert 'neglected by this model: engine.damping_ratio, gravity' in said
+    assert 'neglected by this model: engine.damping_ratio, gravity' in printed
     with netcdf_file(path, mmap=False) as data:
         values = {name: data.variables[name][:] for name in ('mu', 'kappa')}
         assert data.model == b'spring_mass'
@@ -91,12 +91,12 @@ def test_map_is_sent_to_the_viewer_that_is_there(command, monkeypatch):
 
 def test_map_without_a_release_has_a_note_and_can_be_drawn(command, tmp_path):
     pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
-    said = command.run(
+    printed = command.run(
         'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
         '--amplitude', 1e-3, '--loss-tangent', 0.1, '--output', tmp_path / 'map.png',
     )
-    assert 'the projectile is released nowhere' in said
-    assert 'cells' in said  # which knows loss
+    assert 'the projectile is released nowhere' in printed
+    assert 'cells' in printed  # which knows loss
     assert (tmp_path / 'map.png').exists()
 
 
@@ -113,7 +113,7 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypa
         lambda figure, *args, **options: (figures.append(figure), save(figure, *args, **options)),
     )
     files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png', 'rrd')]
-    said = command.run(
+    printed = command.run(
         'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30', '--thickness', 0.01,
         '--mass', 2e-3, '--gravity', 0, '--motion', 'harmonic', '--output', *files,
     )
@@ -124,7 +124,8 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypa
     landscape = compute_landscape(rig, AXES)
     thickness, mass = landscape.optimum.coordinates
     alpha = f'{landscape.optimum.energy_transfer:.4f}'
-    assert f'{alpha} at layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg' in said
+    best = f'{alpha} at layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg'
+    assert best in printed
     assert all(path.stat().st_size > 1000 for path in files)
     saved, recording = netcdf_file(files[0], mmap=False), Recording(files[2])
     (figure, _) = figures
@@ -143,11 +144,11 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypa
     (batch,) = recording.entities['/map']
     assert bytes(batch.column('EncodedImage:blob').to_pylist()[0][0]) == files[1].read_bytes()
     lines = {line.get_label().partition(',')[0]: line for line in figure.axes[1].lines}
-    place = [[1e3 * thickness, 1e3 * mass]]
+    optimum = [[1e3 * thickness, 1e3 * mass]]
     assert figure.axes[1].lines[1].get_label().endswith(
         f', {landscape.optimum.energy_transfer:.3f}'
     )
-    np.testing.assert_allclose(lines['largest α'].get_xydata(), place)
+    np.testing.assert_allclose(lines['largest α'].get_xydata(), optimum)
     np.testing.assert_allclose(lines['this rig'].get_xydata(), [[10.0, 2.0]])
     saved.close()
 
@@ -170,11 +171,11 @@ def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):
         watchdog.start()
         assert process.stdout.readline() == '32\n'
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-        said = process.stderr.read()
+        printed = process.stderr.read()
         watchdog.cancel()
     assert process.returncode == 130
-    assert 'stopped' in said
-    assert 'Traceback' not in said
+    assert 'stopped' in printed
+    assert 'Traceback' not in printed
     assert list(tmp_path.iterdir()) == [script]
 
 

@@ -66,14 +66,14 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     assert np.abs(sent.states[:, 2]).max() <= limits.acceleration * (1.0 + 1e-9)
     assert plate.travel <= limits.travel * (1.0 + 1e-9)
     for exported in (motion, sent):
-        found = simulate(Rig(gravity=0.0), exported)
-        assert found.recontacts == 0
-        assert found.ejection_speed == pytest.approx(speed, rel=1e-5)
+        result = simulate(Rig(gravity=0.0), exported)
+        assert result.recontacts == 0
+        assert result.ejection_speed == pytest.approx(speed, rel=1e-5)
 
 
 def test_json_has_everything_in_si(command):
-    found = command.json(*QUICK, '--vary', 'thickness', '--plate-travel', 0.01)
-    motion = found['motion']
+    result = command.json(*QUICK, '--vary', 'thickness', '--plate-travel', 0.01)
+    motion = result['motion']
     assert motion['limits']['travel'] == 0.01
     assert motion['throws'].keys() == {'now', 'harmonic', 'step', 'layer', 'best', 'both'}
     assert motion['throws']['both']['ejection_speed'] == motion['ejection_speed']

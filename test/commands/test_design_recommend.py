@@ -41,14 +41,6 @@ jelly:
 """
 
 
-@pytest.fixture
-def mine(tmp_path):
-    """Write a library, and return its path."""
-    path = tmp_path / 'mine.yaml'
-    path.write_text(MINE)
-    return path
-
-
 @pytest.mark.parametrize(('law', 'is_warned'), [('linear', True), ('neo_hookean', False)])
 def test_table_warns_beyond_the_linear_range_of_the_law_only(command, law, is_warned):
     printed = command.run('--vary', 'thickness', '--stress-strain-law', law, '--amplitude', 3e-3)
@@ -85,11 +77,11 @@ def test_json_has_everything_to_the_last_digit(command):
     printed = command.json('--mass', 2e-3, '--vary', 'wave_speed')
     rig = Rig(projectile=Projectile(mass=2e-3))
     best = recommend(rig, vary='wave_speed')
-    found = printed['recommendation']
-    assert found['wave_speed'] == best.wave_speed
-    assert found['now']['energy_transfer'] == predict(rig).energy_transfer
-    assert found['by_thickness']['thickness'] == best.by_thickness.thickness
-    assert [item['tolerance'] for item in found['sensitivities']] == [
+    result = printed['recommendation']
+    assert result['wave_speed'] == best.wave_speed
+    assert result['now']['energy_transfer'] == predict(rig).energy_transfer
+    assert result['by_thickness']['thickness'] == best.by_thickness.thickness
+    assert [item['tolerance'] for item in result['sensitivities']] == [
         item.tolerance for item in best.sensitivities
     ]
     assert printed['parameters']['recommendation.vary'] == 'wave_speed'
@@ -98,8 +90,8 @@ def test_json_has_everything_to_the_last_digit(command):
 
 def test_layer_without_a_throw_is_null_in_json(command):
     request = ('--mass', 0.3, '--vary', 'thickness')
-    found = command.json(*request)['recommendation']
-    assert (found['now'], found['now_score']) == (None, 0.0)
+    result = command.json(*request)['recommendation']
+    assert (result['now'], result['now_score']) == (None, 0.0)
     assert command.row(command.run(*request), 'energy transfer alpha')[0] == '-'
 
 
@@ -115,18 +107,19 @@ def test_options_define_the_request(command):
         objective=Robust(uncertainties=Uncertainties(wave_speed=0.6, mass=0.05), quantile=0.05),
         limits=Limits(thickness_max=0.012),
     )
-    found = command.json(*args)['recommendation']
-    assert (found['thickness'], found['score']) == (best.thickness, best.score)
+    result = command.json(*args)['recommendation']
+    assert (result['thickness'], result['score']) == (best.thickness, best.score)
     args = ('--objective', 'versatile', '--masses', 1e-3, 3e-3, 6e-3, '--frequencies', 50, 70)
     objective = Versatile(masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
-    found = command.json(*args)['recommendation']
-    assert found['score'] == recommend(Rig(), objective=objective).score
+    result = command.json(*args)['recommendation']
+    assert result['score'] == recommend(Rig(), objective=objective).score
 
 
-def test_layer_is_chosen_from_a_user_library(command, mine):
-    found = command.json('--vary', 'library', '--library', mine)['recommendation']
-    ranks = {item['layer']: item['score'] for item in found['candidates']}
-    assert found['layer'] == 'jelly_40.0mm' == max(ranks, key=ranks.get)
+def test_layer_is_chosen_from_a_user_library(command, write):
+    mine = write(MINE)
+    result = command.json('--vary', 'library', '--library', mine)['recommendation']
+    ranks = {item['layer']: item['score'] for item in result['candidates']}
+    assert result['layer'] == 'jelly_40.0mm' == max(ranks, key=ranks.get)
     layers = library(mine).layers
     for name in ('jelly_20.0mm', 'jelly_40.0mm'):
         settings = {**TWIN.defaults(), 'layer.library': str(mine), **layers[name]}
@@ -134,12 +127,11 @@ def test_layer_is_chosen_from_a_user_library(command, mine):
         assert ranks[name] == pytest.approx(expected, rel=1e-6)
     assert list(ranks.values()) == sorted(ranks.values(), reverse=True)
     _, table = command.run('--vary', 'library', '--library', mine).split('from the library')
-    assert re.search(rf'^jelly_40.0mm +40.0 +{found["score"]:.3f}$', table, re.MULTILINE)
+    assert re.search(rf'^jelly_40.0mm +40.0 +{result["score"]:.3f}$', table, re.MULTILINE)
 
 
-def test_options_replace_the_request_of_a_twin_file(command, tmp_path):
-    path = tmp_path / 'rig.yaml'
-    path.write_text(
+def test_options_replace_the_request_of_a_twin_file(command, write):
+    path = write(
         'twin: {ros__parameters: {engine.motion: measured, engine.frequency: 58.0,\n'
         '  recommendation: {vary: thickness, thickness_max: 0.03, max_strain: 0.12}}}\n'
     )
@@ -169,7 +161,6 @@ def test_file_with_an_aim_is_refused_with_its_task(command, write):
         (['--objective', 'best'], "argument --objective: .*'best'"),
         (['--objective', 'aim'], "argument --objective: .*'aim'"),
         (['--vary', 'amplitude'], "argument --vary: .*'amplitude'"),
-        (['--motion', 'measured'], "argument --motion: .*'measured'"),
         (['--max-strain', '-1'], r'argument --max-strain: .* or 0, got -1\.0'),
         (['--quantile', '0.6'], r'argument --quantile: .* from 0 to 0.5, got 0\.6'),
         (['--masses', '0.001', 'heavy'], r"argument --masses: .* got \[0.001, 'heavy'\]"),
@@ -177,7 +168,6 @@ def test_file_with_an_aim_is_refused_with_its_task(command, write):
         (['--frequencies', '0'], r'argument --frequencies: .* from 1 to 1000 Hz, got \[0.0\]'),
         (['--thickness-min', '0.03', '--thickness-max', '0.02'],
          'argument --thickness-min: .* must be below .* got 0.03 and 0.02'),
-        (['--library', 'no.yaml'], 'argument --library: no.yaml: No such file'),
         (['--objective', 'robust', '--uncertain-wave-speed', '10'],
          'uncertainty.wave_speed .* 7.8, got 10'),
         (['--max-strain', '0.001'], 'strain of at most 0.001 '),

@@ -24,7 +24,6 @@ from soft_throw_ros.design.requests import solve_request
     ('vary', 'changes', 'parts'),
     [
         ('thickness', {}, ['16.8 -> 13.4', '5.4 % more', '3.64 -> 3.83', '+-2.1 mm']),
-        ('wave_speed', {}, ['7.8 -> 10.07 m/s', '60.84 -> 101.3 kPa', '3.64 -> 3.97']),
         ('both', {'thickness_max': 0.02}, ['-> 20 mm (the largest allowed)', '-> 11.62 m/s']),
         ('thickness', {'thickness_min': 16.8e-3, 'thickness_max': 30e-3}, ['(alpha 3.64)']),
     ],
@@ -54,14 +53,11 @@ def test_remarks_warn_of_strong_gravity():
 @pytest.mark.parametrize(
     ('request_', 'parts'),
     [
-        ({'target_height': 0.15, 'vary': 'amplitude'},
-         ['the present layer reaches 0.15 m high', 'amplitude 2.453 mm']),
-        ({'target_height': 0.5, 'vary': 'amplitude', 'max_strain': 0.15},
-         ['0.5 m high is not reached', 'which strain 15 % limits']),
+        ({'target_height': 0.15, 'vary': 'amplitude'}, ['0.15 m', '2.453 mm']),
         ({'target_height': 0.5, 'vary': 'amplitude', 'max_amplitude': 2e-3},
-         ['0.5 m high is not reached', 'which amplitude 2 mm limits']),
+         ['0.5 m', 'not reached', 'amplitude 2 mm']),
         ({'target_speed': 25.0, 'target_height': 0.0, 'vary': 'amplitude'},
-         ['25 m/s is not reached', 'which strain 50 % limits']),
+         ['25 m/s', 'not reached', 'strain 50 %']),
     ],
 )
 def test_summary_of_an_aim_has_the_height_and_its_limit(request_, parts):

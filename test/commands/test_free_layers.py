@@ -24,8 +24,8 @@ SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 COMMAND = (free_layers.main,)
 
 
-def value(found, name):
-    return found['found'][name]['value'], found['found'][name]['error']
+def value(result, name):
+    return result['found'][name]['value'], result['found'][name]['error']
 
 
 def ringing(thickness, seed):
@@ -47,17 +47,17 @@ def test_free_layers_give_the_wave_speed(command, write, tmp_path):
         path = write(ringing(thickness, seed=1), f'{thickness}.csv')
         layers += [thickness, path]
     args = [*layers, *args]
-    found = command.json(*args, '--with-loss', '--figure', tmp_path / 'a.png')
-    speed, error = value(found, 'layer.wave_speed')
+    result = command.json(*args, '--with-loss', '--figure', tmp_path / 'a.png')
+    speed, error = value(result, 'layer.wave_speed')
     assert speed == pytest.approx(7.8, abs=4.0 * error)
     assert error < 0.03
-    periods = [layer['period']['value'] for layer in found['layers']]
+    periods = [layer['period']['value'] for layer in result['layers']]
     assert periods == pytest.approx([2.0 * t / 7.8 for t in thicknesses], rel=5e-3)
     assert (tmp_path / 'a.png').stat().st_size > 10_000
     settings = files.read(tmp_path / 'rig.yaml')
     assert settings['layer.wave_speed'] == pytest.approx(speed, rel=1e-4)
     assert settings['layer.loss_tangent'] == pytest.approx(
-        value(found, 'layer.loss_tangent')[0], rel=1e-2
+        value(result, 'layer.loss_tangent')[0], rel=1e-2
     )
     rows = [line.split() for line in command.run(*args).splitlines() if ' mm ' in line]
     assert [float(row[2]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)

@@ -28,10 +28,7 @@ import pytest
 from soft_throw_ros import recording
 from soft_throw_ros.commands import inspect_bag
 from soft_throw_ros.recording.message import Channel, Message
-from soft_throw_ros.recording.rerun_viewer import (
-    find_viewer,
-    free_port,
-)
+from soft_throw_ros.recording.rerun_viewer import find_viewer, free_port
 from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
@@ -68,11 +65,6 @@ def run(capsys, *args: Any) -> tuple[int, list[str]]:
     return code, [line for line in err.splitlines() if 'compiles' not in line]
 
 
-def rows(path: Path) -> dict[str, int]:
-    """Count the rows of each entity in a recording, without rows of style."""
-    return Recording(path).rows
-
-
 def test_bag_is_drawn_in_the_requested_size(capsys, bag, tmp_path) -> None:
     image = pytest.importorskip('PIL.Image')
     path = tmp_path / 'scene.png'
@@ -105,25 +97,21 @@ def viewers_of(pid: int) -> list[int]:
     return [each for each in found if Path(f'/proc/{each}/comm').read_text().strip() == 'rerun']
 
 
-@pytest.mark.parametrize(
-    ('options', 'start', 'milliseconds'),
-    [([], 400, 5.353), (['--throw=1', '--at=0.002'], 200, 2.0)],
-)
-def test_throw_and_time_to_show_can_be_chosen(
-    capsys, twin, bag, tmp_path, options, start, milliseconds
-) -> None:
+def test_throw_and_time_to_show_can_be_chosen(capsys, twin, bag, tmp_path) -> None:
+    chosen = ['--throw=1', '--at=0.002']
     with viewer_at(free_port()) as viewer:
-        assert run(capsys, bag, '--port', viewer.port, *options) == (0, [])
+        assert run(capsys, bag, '--port', viewer.port, *chosen) == (0, [])
         (shown,) = viewer.client().get_state().recordings
     assert shown.current_timeline == THROW_TIME
-    assert (shown.current_time or 0) / 1e6 == pytest.approx(milliseconds, abs=0.01)
+    assert (shown.current_time or 0) / 1e6 == pytest.approx(2.0, abs=0.01)
     path = tmp_path / 'scene.rrd'
-    assert run(capsys, bag, '--save', path, *options) == (0, [])
-    entity = '/twin/position', 'Scalars:scalars'
-    (stamps, _), (times, _) = (
-        Recording(path).series(*entity, name) for name in (STAMP, THROW_TIME)
-    )
-    assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
+    for options, start in (([], 400), (chosen, 200)):
+        assert run(capsys, bag, '--save', path, *options) == (0, [])
+        entity = '/twin/position', 'Scalars:scalars'
+        (stamps, _), (times, _) = (
+            Recording(path).series(*entity, name) for name in (STAMP, THROW_TIME)
+        )
+        assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
 
 
 def test_bag_without_screen_and_viewer_names_a_remedy(capsys, bag, monkeypatch) -> None:
@@ -169,7 +157,7 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(capsys, twin, t
     code, (lost,) = run(capsys, path, '--save', tmp_path / 'scene.rrd')
     assert code == 0
     assert 'messages are left out, /twin/phase_change' in lost
-    assert rows(tmp_path / 'scene.rrd')['/twin/position'] == 500
+    assert Recording(tmp_path / 'scene.rrd').rows['/twin/position'] == 500
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     code, (cut,) = run(capsys, path, '--save', tmp_path / 'scene.rrd')
     assert code == 2
@@ -182,16 +170,11 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(capsys, twin, t
     [
         (['--size', '10x10'], '10x10'),
         (['--port', '80'], '80'),
-        (['--save', '/nowhere/a.rrd'], '/nowhere'),
         (['--save', 'a.rrd', '--screenshot', 'a.png'], '--screenshot'),
         (['--sink', 'printer'], 'printer'),
         (['--throw', '7', '--save', 'a.rrd'], 'throw 7 not found'),
         (['--at', 'nan'], 'nan'),
-        (
-            ['--at', '7', '--screenshot', 'a.png'],
-            'from -0.4 to 0.099 s',
-        ),
-        (['--throw', '1', '--at', '-0.3', '--screenshot', 'a.png'], 'from -0.2 to 0.299 s'),
+        (['--at', '7', '--screenshot', 'a.png'], 'from -0.4 to 0.099 s'),
         (['--save', '.'], 'inspect: .: '),
     ],
 )

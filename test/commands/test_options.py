@@ -38,50 +38,20 @@ COMMAND = (design.main,)
 ROOT = Path(__file__).parents[2]
 
 CLUSTER = """
-import os
-from pathlib import Path
-import signal
+import filecmp
 import sys
 
 from distributed import LocalCluster
-import numpy as np
-from scipy.io import netcdf_file
-from soft_throw_ros.commands import design_map
 from soft_throw_ros.commands.design import main
-
-class KillingBar:
-    '''Kill a worker when the first block is done.'''
-
-    killed = 0
-
-    def __init__(self, **_):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-    def update(self, count):
-        if not KillingBar.killed:
-            KillingBar.killed = next(iter(cluster.workers.values())).pid
-            os.kill(KillingBar.killed, signal.SIGKILL)
 
 if __name__ == '__main__':
     with LocalCluster(
         n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None
     ) as cluster:
-        here, there = (Path(sys.argv[1]) / name for name in ('here.nc', 'there.nc'))
-        what = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '--release', 'last', '--output']
-        assert main([*what, str(here)]) == 0
-        design_map.tqdm = KillingBar
-        assert main([*what, str(there), '--dask', cluster.scheduler_address]) == 0
-    assert KillingBar.killed
-    with netcdf_file(here, mmap=False) as expected, netcdf_file(there, mmap=False) as got:
-        assert not np.isnan(expected.variables['energy_transfer'][:]).any()
-        for name, values in expected.variables.items():
-            np.testing.assert_array_equal(got.variables[name][:], values[:])
+        words = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '--release', 'last', '--output']
+        assert main([*words, 'here.nc']) == 0
+        assert main([*words, 'there.nc', '--dask', cluster.scheduler_address]) == 0
+    assert filecmp.cmp('here.nc', 'there.nc', shallow=False)
 """
 
 
@@ -164,7 +134,7 @@ def test_killed_worker_is_reported_in_one_sentence():
         executor.submit(signal.raise_signal, signal.SIGKILL).result()
 
 
-@pytest.mark.parametrize('count', ['0', '-1', '1.5', 'many', '1_0', '\u0665'])
+@pytest.mark.parametrize('count', ['0', '1.5', 'many', '\u0665'])
 def test_bad_number_of_workers_is_quoted(capsys, count):
     with pytest.raises(SystemExit):
         open_with(f'--workers={count}')
@@ -172,14 +142,13 @@ def test_bad_number_of_workers_is_quoted(capsys, count):
 
 
 @pytest.mark.slow
-def test_map_is_complete_and_equal_after_a_dask_worker_is_killed(tmp_path):
-    # A separate process, because a cluster leaves threads and warnings behind; it starts in 10 s
-    # all these processes.
+def test_map_by_a_dask_cluster_is_equal(tmp_path):
+    # A separate process, because a cluster leaves threads and warnings behind
     pytest.importorskip('distributed', reason='comes with the extra [dask]')
     script = tmp_path / 'cluster.py'
     script.write_text(CLUSTER)
     done = subprocess.run(
-        [sys.executable, str(script), str(tmp_path)],
+        [sys.executable, str(script)],
         env=os.environ | {'PYTHONPATH': str(ROOT)},
         cwd=tmp_path,
         capture_output=True,

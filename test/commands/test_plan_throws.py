@@ -45,7 +45,7 @@ def test_plan_has_the_best_throw_and_the_sufficient_number(command):
 
 
 def test_plan_continues_from_measured_throws(command):
-    known = ('--unit', 'mm', *AT_HAND)
+    known = ('--unit', 'mm', '--masses', 2.4e-3, '--thicknesses', 12e-3, '--thickness', 12e-3)
     before, after = command.json(*known), command.json(TRACKS, *known)
     assert after['before'] < 0.05 < before['before']
     # A second throw gives more information than the first alone

@@ -84,10 +84,10 @@ def test_losses_are_reported_by_position_number_and_exit_code(command, tmp_path)
     for chunk in range(2, 30, 2):
         damage(tmp_path / 'run', chunk)
     out = command.run(tmp_path / 'run', '--to', tmp_path / 'out/whole', code=1)
-    first, *_, total, place = out.splitlines()[:4]
+    first, *_, total, position = out.splitlines()[:4]
     assert first.startswith(f'{tmp_path}/out/whole: 15 messages')
     assert 'in 16 ranges' in total  # including the messages that only the end of the file lists
-    assert re.search(rf'run_0\.mcap: \d+ bytes at {offset}: ', place)
+    assert re.search(rf'run_0\.mcap: \d+ bytes at {offset}: ', position)
     assert out.count('crc') == 10
     assert out.endswith('and 6 more\n')
 

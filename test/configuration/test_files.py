@@ -22,18 +22,6 @@ from soft_throw_ros.configuration import files, LAYERS, ParameterError, RECORDER
 import yaml
 
 
-@pytest.fixture
-def write(tmp_path: Path) -> Any:
-    """Write a file into a new folder, and return its path."""
-
-    def write(text: str, name: str = 'twin.yaml') -> Path:
-        path = tmp_path / name
-        path.write_text(text, 'utf-8')
-        return path
-
-    return write
-
-
 def read_one(path: Path, name: str = 'layer.thickness', node: str = '/twin') -> Any:
     return files.read(path, node=node)[name]
 
@@ -122,7 +110,7 @@ def test_impossible_file_name_is_refused() -> None:
         files.read(Path('a\0b'))
 
 
-@pytest.mark.parametrize('content', [None, b'\xff\xfe', b'\x00', b'', b'# nothing\n', b'[' * 9999])
+@pytest.mark.parametrize('content', [None, b'\xff\xfe', b'\x00', b'', b'# nothing\n', b'[' * 2000])
 def test_read_refuses_a_file_without_parameters(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / 'twin.yaml'
     if content is not None:

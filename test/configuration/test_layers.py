@@ -45,18 +45,6 @@ foam:
 """
 
 
-@pytest.fixture
-def write(tmp_path: Path) -> Any:
-    """Write a library, and return its path."""
-
-    def write(text: str) -> Path:
-        path = tmp_path / 'mine.yaml'
-        path.write_text(text, 'utf-8')
-        return path
-
-    return write
-
-
 def refused(path: Path) -> str:
     with pytest.raises(ParameterError) as error:
         library(path)
@@ -101,17 +89,17 @@ def test_installed_material_is_described_sourced_and_within_bounds(material: Mat
 def test_installed_moduli_agree_with_the_file_to_all_digits() -> None:
     """The expected values come from an independent YAML reader and E = rho c^2."""
     path = default_file()
-    given = {
+    moduli = {
         name: parts['youngs_modulus']
         for name, parts in yaml.safe_load(path.read_text('utf-8')).items()
         if 'youngs_modulus' in parts
     }
-    assert len(given) == len(INSTALLED.materials) - 1  # the paper's gelatin has a wave speed
-    for name, modulus in given.items():
+    assert len(moduli) == len(INSTALLED.materials) - 1  # the paper's gelatin has a wave speed
+    for name, modulus in moduli.items():
         material = INSTALLED.materials[name]
-        found = material.density.value * material.wave_speed.value**2
+        computed = material.density.value * material.wave_speed.value**2
         known = float(modulus['value'] if isinstance(modulus, dict) else modulus)
-        assert found == pytest.approx(known, rel=1e-14)
+        assert computed == pytest.approx(known, rel=1e-14)
 
 
 # a file of one's own
@@ -154,7 +142,7 @@ def test_user_stack_is_a_layer_and_no_material(write: Any) -> None:
     ],
 )
 def test_bad_stacks_are_refused_by_line(write: Any, line: str, complaint: str) -> None:
-    with pytest.raises(ParameterError, match=rf'\.yaml:\d+: .*{complaint}'):
+    with pytest.raises(ParameterError, match=rf'file:\d+: .*{complaint}'):
         library(write(f'both:\n  description: d\n  source: s\n  {line}\n'))
 
 
@@ -188,13 +176,9 @@ def test_changed_file_is_read_again(write: Any) -> None:
     ('old', 'new', 'line', 'message'),
     [
         ('  density', '  densty', 4, "'densty'; did you mean density?"),
-        ('  density', '  colour', 4, "no parameter is named 'colour'"),
         ('120.0', '-120.0', 4, 'density must be a number .* got -120.0'),
-        ('loss_tangent: 0.1', 'loss_tangent: -0.1', 6, 'loss_tangent must be .* got -0.1'),
-        ('[18.0, 23.0]', '[18.0]', 5, r'two numbers around 20, got \[18.0\]'),
         ('source: measured', 'source: [a, b]', 3, r"source must be a text, got \['a', 'b'\]"),
         ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  density: 5', 7, 'density is given twice'),
-        ('120.0', 'light', 4, "density must be a number from 50 to 5000 kg/m3, got 'light'"),
         ('120.0', '[120.0]', 4, r'density must be a number .* got \[120.0\]'),
         ('[18.0, 23.0]', '[21.0, 23.0]', 5,
          r'the range of wave_speed must be two numbers around 20, got \[21.0, 23.0\]'),
@@ -210,7 +194,6 @@ def test_changed_file_is_read_again(write: Any) -> None:
         ('wave_speed: {value: 20.0, range: [18.0, 23.0]}', 'youngs_modulus: 60.0', 5,
          'wave_speed must be a number from 1 to 200 m/s, got 0.7'),
         ('  loss_tangent: 0.1', '  diameter: 0.02', 2, 'foam has no loss_tangent'),
-        ('source: measured', 'source:', 3, "source must be a text, got ''"),
         ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  thicknesses: 0.01', 7,
          'thicknesses must be a list .* got 0.01'),
         ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  thicknesses: [5.0]', 7,
@@ -227,9 +210,9 @@ def test_error_is_quoted_with_file_and_line(
 ) -> None:
     assert FOAM.count(old) == 1
     path = write(FOAM.replace(old, new))
-    said = refused(path)
-    assert re.match(rf'{re.escape(str(path))}:{line}: ', said), said
-    assert re.search(message, said), said
+    reason = refused(path)
+    assert re.match(rf'{re.escape(str(path))}:{line}: ', reason), reason
+    assert re.search(message, reason), reason
 
 
 @pytest.mark.parametrize(

@@ -28,18 +28,6 @@ PLATE = Underdamped.of(Rig().engine)
 TIMES = np.arange(0.0, 0.1, 2e-4)
 
 
-@pytest.fixture
-def write(tmp_path):
-    """Write a file of a new name; return its path."""
-
-    def write(text, name='motion.csv'):
-        path = tmp_path / name
-        path.write_text(text, encoding='utf-8')
-        return path
-
-    return write
-
-
 def settings_with(path):
     return TWIN.defaults() | TWIN.change(TWIN.defaults(), {'engine.motion_file': str(path)})
 
@@ -63,12 +51,14 @@ def test_file_agrees_with_the_motion_that_it_samples(write, head, separator, sca
     path = write(head + '\n'.join(lines(separator, start=0.01234, scale=scale)))
     settings = settings_with(path)
     assert settings['engine.motion'] == 'file'
-    found, known = simulate(rig_of(settings)), simulate(Rig())
+    result, expected = simulate(rig_of(settings)), simulate(Rig())
     frequency, scale = Rig().engine.frequency, Rig().engine.speed_scale
-    assert found.ejection_time * frequency == pytest.approx(
-        known.ejection_time * frequency, abs=1e-4
+    assert result.ejection_time * frequency == pytest.approx(
+        expected.ejection_time * frequency, abs=1e-4
     )
-    assert found.ejection_speed / scale == pytest.approx(known.ejection_speed / scale, abs=1e-4)
+    assert result.ejection_speed / scale == pytest.approx(
+        expected.ejection_speed / scale, abs=1e-4
+    )
 
 
 def test_other_columns_are_ignored(write):
@@ -122,10 +112,10 @@ def test_removing_the_file_restores_the_underdamped_motion(write):
 
 
 def test_encoded_motion_is_decoded_bit_by_bit(write):
-    known = motions.read(write('\n'.join(lines())))
-    again = motions.decode(motions.encode(known))
-    np.testing.assert_array_equal(again.times, known.times)
-    np.testing.assert_array_equal(again.states, known.states)
+    expected = motions.read(write('\n'.join(lines())))
+    again = motions.decode(motions.encode(expected))
+    np.testing.assert_array_equal(again.times, expected.times)
+    np.testing.assert_array_equal(again.states, expected.states)
     for text in ('not base64', '', 7):
         with pytest.raises(ValueError, match=f'no motion .*{text}'):
             motions.decode(text)

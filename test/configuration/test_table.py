@@ -116,24 +116,6 @@ def test_recorder_takes_topics_and_namespaces_and_nothing_else() -> None:
             RECORDER.check_value('topics', ['twin', name])
 
 
-def test_recorder_that_would_record_nothing_is_refused() -> None:
-    with pytest.raises(ParameterError, match=r'storage and rerun\.sink'):
-        RECORDER.change(RECORDER.defaults(), {'storage': 'none', 'rerun.sink': 'none'})
-
-
-def test_former_names_become_the_present_ones_with_a_warning_each() -> None:
-    warnings: list[str] = []
-    request = {'measured.band': 1e-3, 'model': 'finite_difference_glued', 'gravity': 1.0}
-    assert TWIN.without_deprecated(request, warnings.append) == {
-        'measured.residual_threshold': 1e-3, 'model': 'cells_glued', 'gravity': 1.0,
-    }
-    names, values = warnings
-    assert 'measured.band' in names
-    assert 'measured.residual_threshold' in names
-    assert "'finite_difference_glued'" in values
-    assert "'cells_glued'" in values
-
-
 def test_both_names_of_a_parameter_in_one_request_are_refused() -> None:
     with pytest.raises(ParameterError, match=r'measured\.wait .* measured\.latency'):
         TWIN.without_deprecated({'measured.wait': 0.0, 'measured.latency': 0.0})

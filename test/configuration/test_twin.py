@@ -151,11 +151,9 @@ other: {description: d, source: s, stack: '5e-3 foam, 5e-3 gelatin'}
 
 
 @pytest.fixture
-def mine(tmp_path: Path) -> Path:
+def mine(write) -> Path:
     """Write a library of one's own, and return its path."""
-    path = tmp_path / 'mine.yaml'
-    path.write_text(FOAM)
-    return path
+    return write(FOAM)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Bags and streams that are cut off, damaged or inconsistent."""
+"""Bags and messages that are cut off, damaged or inconsistent."""
 
 from __future__ import annotations
 
@@ -35,13 +35,15 @@ from soft_throw_ros.configuration.interface import FRAME, JOINTS
 from soft_throw_ros.nodes import replay
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.cdr import JointStateEncoder
+from soft_throw_ros.recording.cdr import JointStateEncoder, JointStateReader, MessageError
 from soft_throw_ros.recording.message import BagError, Message
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 BEGIN = 1_700_000_000_000_000_000
 COMPRESSIONS = ('none', 'lz4', 'zstd')
+STATE = JointStateEncoder(FRAME, JOINTS).encode(BEGIN, [0.1, 0.2] * 3)
+OTHERS = JointStateEncoder('', ('a', 'plate', 'b'), series=1).encode(0, [0.0, 1.0, 2.0])
 TOPICS = ['/twin/joint_states', '/twin/journal', '/measured_joint_states', *WORDS]
 
 
@@ -76,9 +78,9 @@ def assert_readable(path: Path, messages: Collection[bytes] = ()) -> None:
     """Assert that a bag is readable, with only the given messages if any, or is refused."""
     try:
         with BagReader(path) as reader:
-            found = [message.data for message in reader.messages()]
-            assert len(found) <= 10_000
-            assert not messages or set(found) <= set(messages)
+            contents = [message.data for message in reader.messages()]
+            assert len(contents) <= 10_000
+            assert not messages or set(contents) <= set(messages)
             assert '\n' not in reader.damage
     except BagError as error:
         assert_refusal(error)
@@ -130,7 +132,6 @@ def foreign_bags(draw: Any) -> bytes:
     )
     writer.start(draw(st.sampled_from(['ros2', '', 'x'])))
     states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState')
-    message = JointStateEncoder(FRAME, JOINTS).encode(BEGIN, [0.0] * 6)
     for _ in range(draw(st.integers(1, 3))):
         schema = writer.register_schema(
             draw(st.sampled_from([states.type, 'std_msgs/msg/String', 'x', *WORDS])),
@@ -146,7 +147,7 @@ def foreign_bags(draw: Any) -> bytes:
             time = draw(
                 st.sampled_from([0, BEGIN, 2**63 - 1, 2**63, 2**64 - 1]) | st.integers(0, 9)
             )
-            writer.add_message(number, time, draw(st.just(message) | datas(message)), time, 1)
+            writer.add_message(number, time, draw(st.just(STATE) | datas(STATE)), time, 1)
     writer.finish()
     return stream.getvalue()
 
@@ -160,3 +161,22 @@ def test_bag_of_others_is_read_or_refused(tmp_path: Path, content: bytes) -> Non
         assert_readable(path)
         run(replay.main, ['--check', str(path)])
         run(identify.main, [str(path)])
+
+
+@fuzzed(0.12)
+@given(messages=st.lists(datas(STATE, OTHERS) | st.just(STATE), min_size=1, max_size=5))
+def test_messages_are_read_or_refused(tmp_path: Path, messages: list[bytes]) -> None:
+    reader = JointStateReader()
+    with bounded(tmp_path):
+        for message in messages:
+            try:
+                values = reader.read(message)
+            except MessageError:
+                continue
+            lengths = (len(values.position), len(values.velocity), len(values.effort))
+            assert 8 * sum(lengths) <= len(message)
+        try:
+            states = reader.read_all(messages)
+        except MessageError:
+            return
+        assert states.stamps.size == len(messages)

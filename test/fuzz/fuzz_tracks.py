@@ -92,9 +92,9 @@ def test_cases_are_computed_or_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / 'cases.csv'
     path.write_bytes(text.encode('utf-8', 'replace'))
     with bounded(tmp_path):
-        code, out, said = run(throw.main, ['--cases', str(path)])
+        code, out, printed = run(throw.main, ['--cases', str(path)])
     if code == 2:
-        assert 'cases.csv' in said
+        assert 'cases.csv' in printed
     else:
         rows = [line.split(',') for line in out.splitlines()[1:]]
         assert all(np.isfinite([float(cell) for cell in row]).all() for row in rows)

@@ -356,12 +356,6 @@ def ros(domain_id: int) -> Iterator[Ros]:
 
 
 @pytest.fixture
-def given_clock() -> type[GivenClock]:
-    """Return the class of clocks whose time the test sets."""
-    return GivenClock
-
-
-@pytest.fixture
 def start_twin(ros: Ros) -> Callable[..., DrivenTwin]:
     """Return a function that starts a twin with ROS arguments."""
     return lambda *ros_args: ros.node(DrivenTwin, ros_args=ros_args)

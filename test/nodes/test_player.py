@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 import contextlib
 from functools import partial
 from pathlib import Path
+from test.nodes.conftest import SECOND
 from typing import Any
 
 import bags
@@ -37,7 +38,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 write = partial(bags.write, compression='none')
-SECOND = 1_000_000_000
 PAUSE, RESUME, STEP = REPLAY_SERVICES
 EVERYTHING = QoSProfile(depth=5000)
 
@@ -108,9 +108,10 @@ def test_bag_is_played_byte_by_byte(ros, listener, play, tmp_path, capsys) -> No
     heard = {topic: listen(listener, topic) for topic in ('/fast', '/slow')}
     player = play(write(tmp_path / 'bag', made), 2, rate=2.0)
     assert finish(ros, player) == 0
-    for topic, got in heard.items():
-        ros.spin_until(lambda got=got, topic=topic: len(got) == len(datas(made, topic)), topic)
-        assert got == datas(made, topic)
+    for topic, received in heard.items():
+        sent = datas(made, topic)
+        ros.spin_until(lambda r=received, s=sent: len(r) == len(s), topic)
+        assert received == sent
     player.close()
     assert f'replay: {len(made)} messages of 3 topics played' in capsys.readouterr().err
 
@@ -155,15 +156,15 @@ def test_clock_topic_has_the_time_of_the_bag_instead_of_a_recorded_clock(
     made = messages(500)
     recorded = channel('/clock', 'rosgraph_msgs/msg/Clock')
     made.insert(250, Message(recorded, b'\0\1\0\0' + bytes(8), BEGIN + SECOND // 4, BEGIN))
-    told: list[int] = []
+    stamps: list[int] = []
     listener.create_subscription(
-        Clock, '/clock', lambda message: told.append(msg_to_time(message.clock)), EVERYTHING
+        Clock, '/clock', lambda message: stamps.append(msg_to_time(message.clock)), EVERYTHING
     )
     player = play(write(tmp_path / 'bag', made), 1, clock=200.0, rate=0.5)
     assert finish(ros, player) == 0
-    assert told == sorted(told)
-    assert BEGIN <= told[0] < told[-1] <= BEGIN + SECOND // 2
-    assert len(set(told)) > 10
+    assert stamps == sorted(stamps)
+    assert BEGIN <= stamps[0] < stamps[-1] <= BEGIN + SECOND // 2
+    assert len(set(stamps)) > 10
     assert player.played == len(made) - 1
 
 
@@ -182,9 +183,9 @@ def test_paused_bag_is_stepped_through_and_resumed(ros, listener, play, call, tm
     heard = listen(listener, '/fast')
     player = play(write(tmp_path / 'bag', messages(300)), 1, paused=True)
 
-    answer = call(STEP)
-    assert answer.success
-    assert '0.000 s of 0.299 s' in answer.message
+    response = call(STEP)
+    assert response.success
+    assert '0.000 s of 0.299 s' in response.message
     assert player.played == 3  # all of the first moment
     assert '0.001 s of 0.299 s' in call(STEP).message
     assert player.played == 4
@@ -233,9 +234,9 @@ def test_unplayable_topics_are_skipped_and_reported(ros, play, tmp_path, capsys)
     reasons = {item.topic: reason for item, reason in player.skipped.items()}
     assert 'no_such_msgs/msg/Thing' in reasons['/strange']
     assert {'/action', 'bad name', '/deep'} <= set(reasons)
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     for topic, reason in reasons.items():
-        assert f'replay: {topic} is skipped, 2 messages: {reason}\n' in said
+        assert f'replay: {topic} is skipped, 2 messages: {reason}\n' in printed
     assert player.played == len(made) - 2 * len(reasons)
     nothing = [Message(strange[0], b'', BEGIN, BEGIN)]
     assert finish(ros, play(write(tmp_path / 'nothing', nothing))) == 1

@@ -15,11 +15,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
 import sys
+import threading
 from typing import Any
 
 import pytest
@@ -107,9 +106,9 @@ sys.exit(process.run('hanging', Hanging, []))
 """
 
 
-@pytest.mark.parametrize(('place', 'code'), [('callback', 1), ('destroy', 0), ('', 0)])
-def test_node_ends_although_the_middleware_hangs(start, place, code) -> None:
-    node = start(sys.executable, '-c', HANGING, place)
+@pytest.mark.parametrize(('hanging_at', 'code'), [('callback', 1), ('destroy', 0), ('', 0)])
+def test_node_ends_although_the_middleware_hangs(start, hanging_at, code) -> None:
+    node = start(sys.executable, '-c', HANGING, hanging_at)
     node.wait_for('started')
     assert node.end(TERM) == code
     assert sum('no reaction to a signal' in line for line in node.lines) == code
@@ -168,66 +167,44 @@ BAD_FILE = """/**:
     layer:
       thickness: 16.8
 """
-FORKING = """
-import json, os, sys
-from soft_throw_ros import __main__ as umbrella
-from soft_throw_ros.nodes import calibrator, recorder, rig, twin  # imported once for all
 
-for line in sys.stdin:
-    pipe, printed = os.pipe()
-    if os.fork() == 0:
-        for stream in (1, 2):
-            os.dup2(printed, stream)
-        code = umbrella.main(json.loads(line))
-        sys.stderr.flush()
-        os._exit(code)  # without the cleanup of libraries that do not expect a fork
-    os.close(printed)
-    with os.fdopen(pipe, encoding='utf-8') as output:
-        text = output.read()
-    _, status = os.wait()
-    print(json.dumps([os.waitstatus_to_exitcode(status), text]), flush=True)
-"""
 
-REFUSED = (
-    ('twin', '-p layer.thickness:=-1.0', ['-p layer.thickness:=-1.0', 'got -1.0']),
-    ('twin', '-p engine.frequency:=1000.0 -p layer.wave_speed:=1.0 -p layer.thickness:=0.1',
-     ['steps per crossing']),
-    ('twin', '-p use_sim_time:=maybe', ['use_sim_time', 'maybe']),
-    ('twin', '-p foo', ['-p foo']),
-    ('twin', '--params-file {file}', ['bad.yaml:4', 'got 16.8']),
-    ('twin', '--params-file {file}.missing', ['bad.yaml.missing']),
-    ('twin', '-r foo', ['-r foo']),
-    ('twin', '-r __node:=no-name', ['no-name']),
-    ('twin', '-- --thickness 3', ['no such argument: --thickness 3; usage: twin']),
-    ('rig', '-p layer.name:=gelatin_2.0mm', ['layer.name']),
-    ('calibrator', '-p twin:=/twin/', ["got '/twin/'"]),
-    ('recorder', '-p name:=../bag', ["'../bag'"]),
+@pytest.fixture
+def in_process(monkeypatch):
+    """Restore the handlers of signals and exceptions that a node leaves."""
+    handlers = {number: signal.getsignal(number) for number in (INT, TERM, HUP)}
+    monkeypatch.setattr(threading, 'excepthook', threading.excepthook)
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures('in_process')
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        ('--ros-args -p foo', ['-p foo']),
+        ('--ros-args --params-file {file}', ['bad.yaml:4', 'got 16.8']),
+        ('--ros-args --params-file {file}.missing', ['bad.yaml.missing']),
+        ('--ros-args -r __node:=no-name', ['no-name']),
+        ('--thickness 3', ['no such argument: --thickness 3; usage: twin']),
+    ],
 )
-
-
-def test_bad_argument_is_one_line_and_exit_code_2(start, tmp_path) -> None:
+def test_bad_argument_is_one_line_and_exit_code_2(capfd, tmp_path, arguments, words) -> None:
     file = tmp_path / 'bad.yaml'
     file.write_text(BAD_FILE)
-    commands = [
-        [name, '--ros-args', *arguments.format(file=file).split()]
-        for name, arguments, _ in REFUSED
-    ]
-    done = subprocess.run(
-        [sys.executable, '-c', FORKING],
-        input=''.join(f'{json.dumps(command)}\n' for command in commands),
-        stdout=subprocess.PIPE,
-        check=True,
-        text=True,
-    )
-    node = start(*SOFT_THROW, *commands[0])  # one without a fork
+    assert main(arguments.format(file=file).split()) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith('twin: ')
+    assert all(word in line for word in words), line
+
+
+def test_refused_node_ends_with_exit_code_2(start) -> None:
+    node = start(*SOFT_THROW, 'twin', '--ros-args', '-p', 'use_sim_time:=maybe')
     assert node.wait() == 2
-    results = [json.loads(line) for line in done.stdout.splitlines()]
-    assert results[0] == [2, ''.join(f'{line}\n' for line in node.lines)]
-    for (code, printed), (name, _, words) in zip(results, REFUSED, strict=True):
-        assert code == 2, printed
-        (line,) = printed.splitlines()
-        assert line.startswith(f'{name}: ')
-        assert all(word in line for word in words), line
+    (line,) = node.lines
+    assert line.startswith('twin: ')
+    assert 'maybe' in line
 
 
 def test_help_has_usage_and_an_example(capsys) -> None:

@@ -164,27 +164,6 @@ def test_restarted_publisher_has_lost_nothing(ros, talker, subscribe, topic) -> 
     assert subscription.lost == 0
 
 
-@pytest.mark.parametrize('topic', [CHANNEL.topic, '/talk'])
-def test_sequence_numbers_of_simultaneous_publishers_are_not_losses(
-    ros, talker, listener, subscribe, topic
-) -> None:
-    first = talker.create_publisher(String, topic, LATCHED)
-    for _ in range(8):
-        first.publish(String())
-    second = talker.create_publisher(String, topic, LATCHED)
-    ros.spin_until(lambda: listener.count_publishers(topic) == 2, 'both')
-    subscriptions = subscribe(topic)
-    take(ros, subscriptions, 8)
-    for _ in range(3):
-        second.publish(String())
-        take(ros, subscriptions, 1)
-        first.publish(String())
-        take(ros, subscriptions, 1)
-    subscriptions.discover()
-    (subscription,) = subscriptions
-    assert subscription.lost == 0
-
-
 def test_requested_quality_is_offered_by_every_publisher(ros, talker, listener) -> None:
     for profile in (LATCHED, BEST_EFFORT):
         talker.create_publisher(String, '/talk', profile)

@@ -64,8 +64,8 @@ def recorder(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
     """Return a function that starts a recorder of `/talk` and the topics below it."""
 
     def start(*words: str, **parameters: Any) -> Recorder:
-        given = {'folder': tmp_path, 'topics': ['/talk'], **parameters}
-        rules = [f'{name.replace("__", ".")}:={value}' for name, value in given.items()]
+        values = {'folder': tmp_path, 'topics': ['/talk'], **parameters}
+        rules = [f'{name.replace("__", ".")}:={value}' for name, value in values.items()]
         ros_args = (*words, *(word for rule in rules for word in ('-p', rule)))
         node = ros.node(Recorder, ros_args=ros_args, arguments=('--ros-args', *ros_args))
         node.start()
@@ -79,13 +79,13 @@ def talker(ros: Any) -> Node:
     return ros.node(Node, 'talker')
 
 
-def say(ros: Any, recorder: Recorder, publisher: Any, said: list[str]) -> None:
+def say(ros: Any, recorder: Recorder, publisher: Any, contents: list[str]) -> None:
     """Publish texts, and wait until the recorder has them."""
     ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
     before = recorder.recording.received
-    for text in said:
+    for text in contents:
         publisher.publish(String(data=text))
-    ros.spin_until(lambda: recorder.recording.received >= before + len(said), 'the messages')
+    ros.spin_until(lambda: recorder.recording.received >= before + len(contents), 'the messages')
 
 
 def test_bag_is_named_by_the_time_and_never_overwritten(
@@ -118,10 +118,10 @@ def test_recorder_waits_for_its_start_and_reports_it(recorder, listen_to, tmp_pa
         (stop, True, '0 messages'),
         (start, False, 'never overwritten'),
     ):
-        answer = listener.trigger(service)
-        assert (answer.success, words in answer.message) == (is_accepted, True), answer
-    told = [message.status[0] for message in listener.hear(RECORDER_TOPICS.status, 3)]
-    assert [msg_to_values(status)['is_recording'] for status in told] == [False, True, False]
+        response = listener.trigger(service)
+        assert (response.success, words in response.message) == (is_accepted, True), response
+    statuses = [message.status[0] for message in listener.hear(RECORDER_TOPICS.status, 3)]
+    assert [msg_to_values(status)['is_recording'] for status in statuses] == [False, True, False]
 
 
 def test_losses_are_in_diagnostics_and_bag(
@@ -255,26 +255,27 @@ def test_deleted_bag_is_reported_and_not_counted_as_recorded(
 def test_topic_without_publisher_is_reported(ros, recorder, talker, tmp_path, capfd) -> None:
     node = recorder(name='bag', topics=['/talk', '/silence'])
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
-    told: list[str] = []
+    warnings: list[str] = []
 
-    def is_told() -> bool:
-        told.extend(line for line in capfd.readouterr().err.splitlines() if 'nothing is' in line)
-        return bool(told)
+    def is_logged() -> bool:
+        lines = capfd.readouterr().err.splitlines()
+        warnings.extend(line for line in lines if 'nothing is' in line)
+        return bool(warnings)
 
-    ros.spin_until(is_told, 'the warning')
-    assert '/silence' in told[0]
-    assert '/talk' not in told[0]
+    ros.spin_until(is_logged, 'the warning')
+    assert '/silence' in warnings[0]
+    assert '/talk' not in warnings[0]
 
 
 def test_foreign_journal_is_harmless(ros, recorder, talker, tmp_path) -> None:
     node = recorder(name='bag')
     publisher = talker.create_publisher(String, '/talk/journal', 100)
     throw = '{"kind":"throw","step":1,"settings":5,"versions":[]}'
-    said = ['', '[]', throw, '{"kind":1,"step":null}', 'after']
-    say(ros, node, publisher, said)
+    contents = ['', '[]', throw, '{"kind":1,"step":null}', 'after']
+    say(ros, node, publisher, contents)
     assert node.exit_code is None
     node.close()
-    assert texts(tmp_path / 'bag', '/talk/journal') == said
+    assert texts(tmp_path / 'bag', '/talk/journal') == contents
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
@@ -292,16 +293,18 @@ def test_recorder_that_stops_by_itself_has_an_exit_code(ros, recorder, monkeypat
 def test_viewer_of_the_recorder_gets_its_topics_and_sink(
     ros, recorder, tmp_path
 ) -> None:
-    told = tmp_path / 'told'
+    output = tmp_path / 'arguments'
     viewer = tmp_path / 'viewer'
-    viewer.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > {told}.part\nmv {told}.part {told}\n')
+    viewer.write_text(
+        f'#!/bin/sh\nprintf "%s\\n" "$@" > {output}.part\nmv {output}.part {output}\n'
+    )
     viewer.chmod(0o755)
     node = recorder(
         '-r', '__ns:=/rig1', storage='none', topics=['talk', '/a'], rerun__sink='file',
         rerun__python=viewer,
     )
-    ros.spin_until(told.exists, 'the command of the viewer')
-    words = told.read_text().splitlines()
+    ros.spin_until(output.exists, 'the command of the viewer')
+    words = output.read_text().splitlines()
     assert words[:4] == ['-m', 'soft_throw_ros', 'viewer', '--ros-args']
     assert words[words.index('-r') + 1] == '__node:=recorder_viewer'
     assert '__ns:=/rig1' in words
@@ -311,7 +314,7 @@ def test_viewer_of_the_recorder_gets_its_topics_and_sink(
     assert json.loads(rules['file']).startswith(f'{tmp_path}/soft_throw_')
     assert json.loads(rules['file']).endswith('.rrd')
     node.close()
-    assert sorted(tmp_path.iterdir()) == [told, viewer]
+    assert sorted(tmp_path.iterdir()) == [output, viewer]
 
 
 def test_end_saves_all_messages_before_anything_that_takes_time(
@@ -344,9 +347,9 @@ def test_abandoned_viewer_is_reported_once(
     ros.spin_until(lambda: bool(node.recording.viewer.failure), 'the failures')
     for _ in range(3):
         node._on_second()
-    told = [line for line in capfd.readouterr().err.splitlines() if 'not started any more' in line]
-    assert len(told) == 1
-    assert 'exit code 1' in told[0]
+    lines = capfd.readouterr().err.splitlines()
+    (line,) = (line for line in lines if 'not started any more' in line)
+    assert 'exit code 1' in line
     node.close()
     assert texts(tmp_path / 'bag') == ['a']
 

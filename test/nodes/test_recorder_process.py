@@ -155,7 +155,7 @@ def test_recorder_that_is_killed_loses_at_most_the_last_second(start, record, tm
 
 
 @pytest.mark.once
-@pytest.mark.parametrize('is_for_ever', [True, False])
+@pytest.mark.parametrize('is_for_ever', [pytest.param(True, marks=pytest.mark.slow), False])
 def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
     start, record, tmp_path, is_for_ever
 ) -> None:
@@ -188,7 +188,9 @@ def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
     assert states == list(range(states[0], states[0] + len(states)))
 
 
-@pytest.mark.parametrize('kind', ['reliable', 'best effort'])
+@pytest.mark.parametrize(
+    'kind', ['reliable', pytest.param('best effort', marks=pytest.mark.slow)]
+)
 def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     start, record, tmp_path, kind
 ) -> None:

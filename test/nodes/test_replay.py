@@ -37,8 +37,8 @@ pytestmark = pytest.mark.timeout(300)
 
 def last_throw(lines: list[str]) -> int:
     """Return the number of the last throw in the log of a twin."""
-    found = (re.search(r'throw (\d+): released', line) for line in lines)
-    return max((int(match[1]) for match in found if match), default=0)
+    matches = (re.search(r'throw (\d+): released', line) for line in lines)
+    return max((int(match[1]) for match in matches if match), default=0)
 
 
 @pytest.fixture(scope='module')
@@ -100,9 +100,9 @@ def test_missing_topic_or_start_is_refused_with_those_present(bag, capsys) -> No
 
 def test_check_of_a_correct_bag_has_exit_code_0(bag, capsys) -> None:
     assert main(['--check', str(bag), '--ros-args', '-r', '__node:=other']) == 0
-    said = capsys.readouterr()
-    assert said.err == ''
-    assert ' 0 are different' in said.out
+    printed = capsys.readouterr()
+    assert printed.err == ''
+    assert ' 0 are different' in printed.out
 
 
 def test_check_of_a_wrong_bag_has_exit_code_1(messages, tmp_path, capsys) -> None:

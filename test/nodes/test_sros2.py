@@ -147,16 +147,16 @@ def subscribed(node: Node) -> set[str]:
 @pytest.mark.parametrize('name', NODES)
 def test_node_needs_no_forbidden_topic_or_service(make, name) -> None:
     node = make(name)
-    asked = (node.get_name(), node.get_namespace())
+    full_name = (node.get_name(), node.get_namespace())
     does = {
-        'publish': node.get_publisher_names_and_types_by_node(*asked),
-        'subscribe': node.get_subscriber_names_and_types_by_node(*asked),
-        'reply': node.get_service_names_and_types_by_node(*asked),
-        'request': node.get_client_names_and_types_by_node(*asked),
+        'publish': node.get_publisher_names_and_types_by_node(*full_name),
+        'subscribe': node.get_subscriber_names_and_types_by_node(*full_name),
+        'reply': node.get_service_names_and_types_by_node(*full_name),
+        'request': node.get_client_names_and_types_by_node(*full_name),
     }
     allowed = rules_of(name)
-    for verb, found in does.items():
-        names = {full for full, _ in found}
+    for verb, endpoints in does.items():
+        names = {full for full, _ in endpoints}
         assert names <= allowed.get(verb, set()), verb
     assert does['publish']
     assert does['reply']

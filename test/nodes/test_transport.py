@@ -64,11 +64,11 @@ def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
             if name != chosen:
                 monkeypatch.delenv(name)
         use_transport_profile()
-        found = {name: os.environ[name] for name in VARIABLES if name in os.environ}
+        present = {name: os.environ[name] for name in VARIABLES if name in os.environ}
         if chosen is None:
-            assert [Path(path).name for path in found.values()] == [ours]
+            assert [Path(path).name for path in present.values()] == [ours]
         else:
-            assert found == {chosen: 'theirs'}
+            assert present == {chosen: 'theirs'}
 
 
 @pytest.mark.parametrize(
@@ -124,10 +124,10 @@ def test_ports_are_local_unless_other_machines_are_allowed(domain_id) -> None:
     for reach, process in listening.items():
         printed, _ = process.communicate(timeout=100)
         sockets = [line.split(':') for line in printed.splitlines()]
-        found = {host for host, port in sockets if first <= int(port, 16) < first + 250}
-        assert expected[reach] in found, reach
+        present = {host for host, port in sockets if first <= int(port, 16) < first + 250}
+        assert expected[reach] in present, reach
         # 239.255.0.1 is the group for discovery
-        assert found <= {expected[reach], '0100FFEF'}, (reach, printed)
+        assert present <= {expected[reach], '0100FFEF'}, (reach, printed)
 
 
 def _values(root: ET.Element) -> list[tuple[str, str]]:

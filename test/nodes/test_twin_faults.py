@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import math
+from test.nodes.conftest import SECOND
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -31,8 +32,6 @@ from soft_throw_ros.nodes.topics import create_service
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.session import Session
 from std_srvs.srv import Trigger
-
-SECOND = 1_000_000_000
 
 
 def test_two_twins_of_one_name_are_reported_by_both_until_one_ends(
