@@ -29,11 +29,11 @@ from soft_throw_ros.commands.identify_report import (
 from soft_throw_ros.commands.options import (
     add_rig_options,
     not_negative,
-    number_or_text,
+    parameter_type,
     read_settings,
 )
 from soft_throw_ros.commands.output import CommandParser, naming, run_command
-from soft_throw_ros.configuration import Settings, TWIN
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.ringing import (
     change_of_length,
@@ -55,12 +55,10 @@ def main(args: list[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         description=__doc__,
-        usage='%(prog)s [-h] M FILE [M FILE ...] [--with-loss] [--output FILE] [--figure FILE] '
-        '[--json] [--config FILE] [--frequency HZ ...]',
+        usage='%(prog)s [OPTION ...] M FILE [M FILE ...]',
         epilog='A CSV file has a time [s] in its first column, and the heights of bottom and top '
         'in the next ones; a first line may name them. soft-throw track makes such files of '
         'videos.',
-        allow_abbrev=False,
     )
     add = parser.add_argument
     add(
@@ -163,8 +161,7 @@ def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
 
 
 def _thickness(text: str) -> float:
-    thickness = number_or_text(text)
-    entry = TWIN.by_name['layer.thickness']
-    if not isinstance(thickness, float) or not entry.allows(thickness):
-        raise ValueError(f'argument M FILE: M must be {entry.rule}, got {text!r}')
-    return thickness
+    try:
+        return float(parameter_type('layer.thickness')(text))  # type: ignore[arg-type]
+    except argparse.ArgumentTypeError as error:
+        raise ValueError(f'argument M FILE: {error}') from None

@@ -52,7 +52,7 @@ def draw_throws(
 
     Parameters
     ----------
-    found : RigFit
+    result : RigFit
         The fit of the tracks.
     ejection : Ejection or None
         First release of the model.

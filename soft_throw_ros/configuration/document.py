@@ -21,7 +21,7 @@ from soft_throw_ros.configuration import interface
 from soft_throw_ros.configuration.files import render
 from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
-from soft_throw_ros.configuration.table import Entry, Table, Value
+from soft_throw_ros.configuration.table import Entry, Table, value_text
 from soft_throw_ros.configuration.twin import TWIN
 
 _COMMAND = 'python -m soft_throw_ros.configuration'
@@ -74,7 +74,7 @@ def _row(entry: Entry) -> tuple[str, ...]:
     unit = f' [{entry.unit}]' if entry.unit and entry.is_result else ''
     return (
         f'`{entry.name}`',
-        'result' if entry.is_result else _text(entry.default),
+        'result' if entry.is_result else value_text(entry.default),
         entry.rule.replace("'", '`'),
         entry.meaning + unit,
     )
@@ -146,12 +146,3 @@ def _markdown(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterato
 def _short(type_name: str) -> str:
     """Return the short form of a type name."""
     return type_name.replace('/msg/', '/').replace('/srv/', '/')
-
-
-def _text(value: Value) -> str:
-    """Return a default as a cell of a table."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return f'{value:g}'
-    return ' '.join(map(_text, value)) if isinstance(value, tuple) else str(value)

@@ -362,6 +362,15 @@ def number_of(text: str) -> float | None:
         return number
 
 
+def value_text(value: Value) -> str:
+    """Return a value in short form for help texts and pages."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f'{value:g}'
+    return ' '.join(map(value_text, value)) if isinstance(value, tuple) else str(value)
+
+
 def quote(value: object) -> str:
     """
     Quote a value in a refusal; of a long one the beginning, and how long it is.
