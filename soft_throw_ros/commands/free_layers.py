@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import add_track_options, read_layer
@@ -37,6 +38,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.ringing import (
     change_of_length,
+    CommonValue,
     fit_loss_tangent,
     fit_ringing,
     fit_wave_speed,
@@ -87,32 +89,34 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _identify(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
     """Fit wave speed and loss to layers that ring."""
-    layers: list[tuple[float, Ringing]] = []
-    warnings: list[str] = []
     words = arguments.layers
     if len(words) % 2:
         raise ValueError(f'argument M FILE: must be pairs, got {words[-1]!r} alone')
     thicknesses, paths = [_thickness(text) for text in words[::2]], words[1::2]
-    for thickness, path in zip(thicknesses, paths, strict=True):
-        layers.append((thickness, _ringing(path, arguments)))
-        warnings += [f'{path}: {warning}' for warning in layers[-1][1].fit.warnings()]
+    ringings = [_ringing(path, arguments) for path in paths]
+    layers = list(zip(thicknesses, ringings, strict=True))
     speed = fit_wave_speed(
-        [thickness for thickness, _ in layers],
-        [ringing.period for _, ringing in layers],
+        thicknesses,
+        [ringing.period for ringing in ringings],
         thickness_error=arguments.thickness_error,
     )
-    if speed.agreement < _SIGNIFICANCE:
-        warnings.append(
-            f'the periods are not proportional to the thicknesses (chi squared {speed.chi2:.3g} '
-            f'for {speed.dof} degrees of freedom): is it one material?'
-        )
     frequency = settings['engine.frequency']
-    loss = fit_loss_tangent([ringing for _, ringing in layers], frequency=frequency)
-    if loss.agreement < _SIGNIFICANCE:
-        warnings.append(
-            f'the layers do not agree in their loss (chi squared {loss.chi2:.3g} for {loss.dof} '
-            'degrees of freedom): is it one material, whose loss grows with frequency?'
-        )
+    loss = fit_loss_tangent(ringings, frequency=frequency)
+    warnings = [
+        *(
+            f'{path}: {warning}'
+            for path, ringing in zip(paths, ringings, strict=True)
+            for warning in ringing.fit.warnings()
+        ),
+        *_disagreement(
+            speed, 'the periods are not proportional to the thicknesses', 'is it one material?'
+        ),
+        *_disagreement(
+            loss,
+            'the layers do not agree in their loss',
+            'is it one material, whose loss grows with frequency?',
+        ),
+    ]
     result = {'layer.wave_speed': speed.value}
     if arguments.with_loss:
         result['layer.loss_tangent'] = loss.value
@@ -126,7 +130,9 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
         for thickness, ringing in layers
     ]
     lines.append(f'loss tangent at {frequency:g} Hz: {loss.value}')
-    lines += [line for _, item in layers for line in fit_lines(item.fit) if 'outliers' in line]
+    lines += [
+        line for ringing in ringings for line in fit_lines(ringing.fit) if 'outliers' in line
+    ]
     return IdentificationReport(
         sources=tuple(paths),
         result=result,
@@ -150,6 +156,15 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
         },
         warnings=tuple(warnings),
     )
+
+
+def _disagreement(common: CommonValue, claim: str, question: str) -> Iterator[str]:
+    """Yield a warning if the values of the layers disagree by more than chance."""
+    if common.agreement < _SIGNIFICANCE:
+        yield (
+            f'{claim} (chi squared {common.chi2:.3g} for {common.dof} degrees of freedom): '
+            f'{question}'
+        )
 
 
 def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:

@@ -132,9 +132,9 @@ def _run(arguments: argparse.Namespace) -> int:
         goal = 0.01 * arguments.goal
         before = error = planner.energy_transfer(start)[1]
         chosen: list[PlannedThrow] = []
-        throws_to_choose = planner.choose(start)
+        best_throws = planner.choose(start)
         while error > goal and len(chosen) < _MAX_THROWS:
-            chosen.append(next(throws_to_choose))
+            chosen.append(next(best_throws))
             error = chosen[-1].energy_transfer_error
     if arguments.json:
         print_text(to_json({

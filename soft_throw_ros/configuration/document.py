@@ -123,9 +123,9 @@ _STAGES = {'release': 'at the first release', 'final': 'at the end of the throw'
 def _topic_row(topic: interface.Topic) -> tuple[str, ...]:
     joints = topic.joints or topic.axes
     shown = joints if len(joints) < 4 else (joints[0], '...', joints[-1])
-    parts = ', '.join(name if name == '...' else f'`{name}`' for name in shown)
+    content = ', '.join(name if name == '...' else f'`{name}`' for name in shown)
     if topic.joints:
-        parts += f': {", ".join(topic.quantities)}'
+        content += f': {", ".join(topic.quantities)}'
     qos = [
         'reliable' if topic.is_reliable else 'best effort',
         *(['transient local'] if topic.is_latched else []),
@@ -133,7 +133,7 @@ def _topic_row(topic: interface.Topic) -> tuple[str, ...]:
     ]
     direction = ' (subscribed)' if topic.is_input else ''
     name = f'`{topic.name}`{direction}'
-    return name, _short(topic.type), topic.meaning, parts or '-', ', '.join(qos)
+    return name, _short(topic.type), topic.meaning, content or '-', ', '.join(qos)
 
 
 def _markdown(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:

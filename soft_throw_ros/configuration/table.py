@@ -340,9 +340,9 @@ class Table:
         return changes
 
 
-def row(name: str, default: Value, meaning: str, **rest: Any) -> Entry:
+def row(name: str, default: Value, meaning: str, **fields: Any) -> Entry:
     """Make an entry, so that a table can be read in columns."""
-    return Entry(name=name, default=default, meaning=meaning, **rest)
+    return Entry(name=name, default=default, meaning=meaning, **fields)
 
 
 def float_of(text: str) -> float | None:
