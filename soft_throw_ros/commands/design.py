@@ -38,12 +38,10 @@ TASKS = {
 def main(args: list[str] | None = None) -> int:
     """Run the task named by the first argument with the other arguments; return its exit code."""
     args = sys.argv[1:] if args is None else args
-    parser = CommandParser(description=__doc__, allow_abbrev=False)
+    parser = CommandParser(description=__doc__)
     tasks = parser.add_subparsers(dest='task', metavar='TASK', required=True)
     for name, (*_, purpose) in TASKS.items():
-        tasks.add_parser(
-            name, help=purpose, description=f'{purpose.capitalize()}.', allow_abbrev=False
-        )
+        tasks.add_parser(name, help=purpose, description=f'{purpose.capitalize()}.')
     name = parser.parse_args(args[:1]).task
     module, add_arguments, run, _ = TASKS[name]
     task = importlib.import_module(f'soft_throw_ros.commands.{module}')

@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 import math
 from pathlib import Path
-import sys
 from typing import get_args, NamedTuple, TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +33,14 @@ from soft_throw_ros.commands.options import (
     read_settings,
     WorkersLostError,
 )
-from soft_throw_ros.commands.output import naming, print_text, require, slow_notice
+from soft_throw_ros.commands.output import (
+    CommandParser,
+    naming,
+    print_lines,
+    print_note,
+    require,
+    slow_notice,
+)
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.models import MODELS
@@ -78,12 +84,9 @@ _UNITS = {'m': ('mm', 1e3), 'kg': ('g', 1e3)}
 """Units of axes in pictures, where they differ from SI, and the factors from SI."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add the arguments of the task."""
-    parser.usage = (
-        '%(prog)s [-h] [AXIS AXIS] [--model NAME] [--release first|last] [--output FILE ...] '
-        '[--rerun] [--workers N | --dask ADDRESS] [--config FILE] [--thickness M ...]'
-    )
+    parser.usage = '%(prog)s [OPTION ...] [AXIS AXIS]'
     parser.epilog = (
         'An axis is NAME=LOW:HIGH, optionally followed by :COUNT and :log: '
         f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}; the first four need no range.'
@@ -145,12 +148,12 @@ def run(arguments: argparse.Namespace) -> int:
     except ViewerError as error:
         raise ValueError(f'--rerun: {error}') from None
     except KeyboardInterrupt:
-        print('design map: stopped, and nothing written', file=sys.stderr)
+        print_note('design map', 'stopped, and nothing written')
         return 130
     except WorkersLostError as error:
-        print(f'design map: {error}; nothing is written', file=sys.stderr)
+        print_note('design map', f'{error}; nothing is written')
         return 1
-    print_text('\n'.join(_summary(landscape)) + '\n')
+    print_lines(_summary(landscape))
     return 0
 
 

@@ -32,16 +32,17 @@ from soft_throw_ros.commands.options import (
     RECOMMENDATION_OPTIONS,
 )
 from soft_throw_ros.commands.output import (
+    CommandParser,
     naming,
+    print_lines,
     print_text,
     slow_notice,
-    strain_warning,
     to_json,
-    write_columns,
+    write_predictions,
 )
 from soft_throw_ros.configuration import motions, TWIN
 from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.core.plate import PlateMotion, SampledMotion
+from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.design.motion_design import MotionDesign, MotionVary
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.requests import solve_motion_request
@@ -64,16 +65,11 @@ _HEADS = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Add the arguments of the task."""
-    parser.usage = (
-        '%(prog)s [-h] [--plate-speed M/S] [--plate-acceleration M/S2] [--plate-jerk M/S3] '
-        '[--plate-travel M] [--vary motion|thickness|wave_speed|both] [--output FILE ...] '
-        '[--json] [--config FILE] [--thickness M ...]'
-    )
-    add = parser.add_argument
-    add('--json', action='store_true', help='print one object: SI units, full precision')
-    add(
+    parser.usage = '%(prog)s [OPTION ...]'
+    parser.add_json_option()
+    parser.add_argument(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
         help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory), .png (picture) '
         'or .rrd (recording of Rerun)',
@@ -104,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
             'The limits of the plate are those of the present motion; set others by '
             '--plate-speed, --plate-acceleration, --plate-jerk and --plate-travel.'
         )
-    print_text('\n'.join(lines) + '\n')
+    print_lines(lines)
     return 0
 
 
@@ -114,52 +110,26 @@ def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
     columns: dict[str, Mapping[str, float] | None] = {}
     for name, throw in design.throws.items():
         rig = rigs[name]
-        if name == 'best' and 'both' in design.throws:
-            columns[_HEADS[name]] = vars(throw)
-            continue
-        peaks = PlateLimits.of(rig.engine)
-        columns[_HEADS.get(name, name)] = {
-            **vars(throw),
-            'plate_speed': peaks.speed,
-            'plate_acceleration': peaks.acceleration,
-            'plate_travel': peaks.travel,
-        }
-    yield from write_columns(columns)
-    beyond = [
-        _HEADS.get(name, name)
-        for name, throw in design.throws.items()
-        if throw.peak_strain > rigs[name].layer.linear_range(max_strain)
-    ]
-    if beyond:
-        yield strain_warning(max_strain, ', '.join(beyond).replace('_', ' '))
+        column = {**vars(throw), 'max_strain': rig.layer.linear_range(max_strain)}
+        if name != 'best' or 'both' not in design.throws:
+            peaks = PlateLimits.of(rig.engine)
+            column |= {
+                'plate_speed': peaks.speed,
+                'plate_acceleration': peaks.acceleration,
+                'plate_travel': peaks.travel,
+            }
+        columns[_HEADS.get(name, name)] = column
+    yield from write_predictions(columns, max_strain)
 
 
 def _write_csv(design: MotionDesign, path: Path) -> None:
-    path.write_text('\n'.join(motions.csv_lines(design.motion)) + '\n', encoding='utf-8')
-
-
-def joint_trajectory(motion: SampledMotion) -> dict[str, object]:
-    """Return a motion as a message `trajectory_msgs/JointTrajectory` for the joint `plate`."""
-    points = []
-    for time, (height, velocity, acceleration) in zip(
-        motion.times.tolist(), motion.states.tolist(), strict=True
-    ):
-        nanoseconds = round(1e9 * time)
-        points.append({
-            'positions': [height],
-            'velocities': [velocity],
-            'accelerations': [acceleration],
-            'time_from_start': {
-                'sec': nanoseconds // 1_000_000_000, 'nanosec': nanoseconds % 1_000_000_000
-            },
-        })
-    return {'joint_names': ['plate'], 'points': points}
+    path.write_text(motions.to_csv(design.motion), encoding='utf-8')
 
 
 def _write_trajectory(design: MotionDesign, path: Path) -> None:
-    text = yaml.safe_dump(
-        joint_trajectory(design.motion), sort_keys=False, default_flow_style=None
-    )
+    """Write the motion as a message `trajectory_msgs/JointTrajectory` in YAML."""
+    message = {'joint_names': ['plate'], 'points': motions.trajectory_points(design.motion)}
+    text = yaml.safe_dump(message, sort_keys=False, default_flow_style=None)
     path.write_text(text, encoding='utf-8')
 
 

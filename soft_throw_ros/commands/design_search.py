@@ -30,11 +30,11 @@ from soft_throw_ros.commands.options import (
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.commands.output import (
+    CommandParser,
     print_text,
     slow_notice,
-    strain_warning,
     to_json,
-    write_columns,
+    write_predictions,
 )
 from soft_throw_ros.configuration import Entry, rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import OBJECTIVES
@@ -68,34 +68,24 @@ _VARY = replace(
 _OF_MOTIONS = ('plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel')
 
 
-def add_recommend_arguments(parser: argparse.ArgumentParser) -> None:
+def add_recommend_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design recommend`."""
-    parser.usage = (
-        '%(prog)s [-h] [--objective peak|robust|versatile] '
-        '[--vary thickness|wave_speed|both|library] [--json] [--config FILE] [--thickness M ...]'
-    )
     without = ('max_amplitude', 'target_height', 'target_speed', *_OF_MOTIONS)
     _add_arguments(parser, 'request', without, _OBJECTIVE, _VARY)
 
 
-def add_aim_arguments(parser: argparse.ArgumentParser) -> None:
+def add_aim_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design aim`."""
-    parser.usage = (
-        '%(prog)s [-h] [--target-height M | --target-speed M/S] '
-        '[--vary amplitude|thickness|wave_speed|both|library] [--json] [--config FILE] '
-        '[--thickness M ...]'
-    )
     parser.epilog = f'The exit code is {NOT_REACHED} if the target is out of reach.'
     without = ('objective', 'quantile', 'masses', 'frequencies', *_OF_MOTIONS)
     _add_arguments(parser, 'target and means', without)
 
 
 def _add_arguments(
-    parser: argparse.ArgumentParser, title: str, without: tuple[str, ...], *entries: Entry
+    parser: CommandParser, title: str, without: tuple[str, ...], *entries: Entry
 ) -> None:
-    parser.add_argument(
-        '--json', action='store_true', help='print one object: SI units, full precision'
-    )
+    parser.usage = '%(prog)s [OPTION ...]'
+    parser.add_json_option()
     names = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(without)]
     add_options(parser, names, title=title, entries=entries)
     add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
@@ -156,15 +146,8 @@ def _print_answer(
 
 def _table(settings: Settings, best: RequestResult, columns: Columns) -> Iterator[str]:
     """Write predictions side by side, and the intervals of the proposed throw."""
-    yield from write_columns(columns)
     limit = best.rig.layer.linear_range(settings['max_strain'])
-    beyond = [
-        head.replace('_', ' ')
-        for head, prediction in columns.items()
-        if prediction and prediction['peak_strain'] > limit
-    ]
-    if beyond:
-        yield strain_warning(limit, ', '.join(beyond))
+    yield from write_predictions(columns, limit)
     uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
     yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
 

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import add_track_options, read_layer
@@ -30,14 +31,15 @@ from soft_throw_ros.commands.identify_report import (
 from soft_throw_ros.commands.options import (
     add_rig_options,
     not_negative,
-    number_or_text,
+    parameter_type,
     read_settings,
 )
 from soft_throw_ros.commands.output import CommandParser, naming, run_command
-from soft_throw_ros.configuration import Settings, TWIN
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.ringing import (
     change_of_length,
+    CommonValue,
     fit_loss_tangent,
     fit_ringing,
     fit_wave_speed,
@@ -56,12 +58,10 @@ def main(args: list[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         description=__doc__,
-        usage='%(prog)s [-h] M FILE [M FILE ...] [--with-loss] [--output FILE] [--figure FILE] '
-        '[--json] [--config FILE] [--frequency HZ ...]',
+        usage='%(prog)s [OPTION ...] M FILE [M FILE ...]',
         epilog='A CSV file has a time [s] in its first column, and the heights of bottom and top '
         'in the next ones; a first line may name them. soft-throw track makes such files of '
         'videos.',
-        allow_abbrev=False,
     )
     add = parser.add_argument
     add(
@@ -90,32 +90,34 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _identify(arguments: argparse.Namespace, settings: Settings) -> IdentificationReport:
     """Fit wave speed and loss to layers that ring."""
-    layers: list[tuple[float, Ringing]] = []
-    warnings: list[str] = []
     words = arguments.layers
     if len(words) % 2:
         raise ValueError(f'argument M FILE: must be pairs, got {words[-1]!r} alone')
     thicknesses, paths = [_thickness(text) for text in words[::2]], words[1::2]
-    for thickness, path in zip(thicknesses, paths, strict=True):
-        layers.append((thickness, _ringing(path, arguments)))
-        warnings += [f'{path}: {warning}' for warning in warning_lines(layers[-1][1].fit)]
+    ringings = [_ringing(path, arguments) for path in paths]
+    layers = list(zip(thicknesses, ringings, strict=True))
     speed = fit_wave_speed(
-        [thickness for thickness, _ in layers],
-        [ringing.period for _, ringing in layers],
+        thicknesses,
+        [ringing.period for ringing in ringings],
         thickness_error=arguments.thickness_error,
     )
-    if speed.agreement < _SIGNIFICANCE:
-        warnings.append(
-            f'the periods are not proportional to the thicknesses (chi squared {speed.chi2:.3g} '
-            f'for {speed.dof} degrees of freedom): is it one material?'
-        )
     frequency = settings['engine.frequency']
-    loss = fit_loss_tangent([ringing for _, ringing in layers], frequency=frequency)
-    if loss.agreement < _SIGNIFICANCE:
-        warnings.append(
-            f'the layers do not agree in their loss (chi squared {loss.chi2:.3g} for {loss.dof} '
-            'degrees of freedom): is it one material, whose loss grows with frequency?'
-        )
+    loss = fit_loss_tangent(ringings, frequency=frequency)
+    warnings = [
+        *(
+            f'{path}: {warning}'
+            for path, ringing in zip(paths, ringings, strict=True)
+            for warning in warning_lines(ringing.fit)
+        ),
+        *_disagreement(
+            speed, 'the periods are not proportional to the thicknesses', 'is it one material?'
+        ),
+        *_disagreement(
+            loss,
+            'the layers do not agree in their loss',
+            'is it one material, whose loss grows with frequency?',
+        ),
+    ]
     result = {'layer.wave_speed': speed.value}
     if arguments.with_loss:
         result['layer.loss_tangent'] = loss.value
@@ -129,7 +131,9 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
         for thickness, ringing in layers
     ]
     lines.append(f'loss tangent at {frequency:g} Hz: {loss.value}')
-    lines += [line for _, item in layers for line in fit_lines(item.fit) if 'outliers' in line]
+    lines += [
+        line for ringing in ringings for line in fit_lines(ringing.fit) if 'outliers' in line
+    ]
     return IdentificationReport(
         sources=tuple(paths),
         result=result,
@@ -155,6 +159,15 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
     )
 
 
+def _disagreement(common: CommonValue, claim: str, question: str) -> Iterator[str]:
+    """Yield a warning if the values of the layers disagree by more than chance."""
+    if common.agreement < _SIGNIFICANCE:
+        yield (
+            f'{claim} (chi squared {common.chi2:.3g} for {common.dof} degrees of freedom): '
+            f'{question}'
+        )
+
+
 def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
     """Fit the oscillation of a free layer."""
     try:
@@ -164,8 +177,7 @@ def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
 
 
 def _thickness(text: str) -> float:
-    thickness = number_or_text(text)
-    entry = TWIN.by_name['layer.thickness']
-    if not isinstance(thickness, float) or not entry.allows(thickness):
-        raise ValueError(f'argument M FILE: M must be {entry.rule}, got {text!r}')
-    return thickness
+    try:
+        return float(parameter_type('layer.thickness')(text))  # type: ignore[arg-type]
+    except argparse.ArgumentTypeError as error:
+        raise ValueError(f'argument M FILE: {error}') from None

@@ -45,7 +45,7 @@ from soft_throw_ros.commands.options import (
     OPTIONS,
     read_settings,
 )
-from soft_throw_ros.commands.output import CommandParser, naming, run_command
+from soft_throw_ros.commands.output import CommandParser, naming, print_note, run_command
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.identification.ejection import answer_of, ejection_of
 from soft_throw_ros.identification.fit_description import (
@@ -82,12 +82,10 @@ def _run(arguments: argparse.Namespace) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         description=__doc__.strip().partition('\n')[0],
-        usage='%(prog)s [-h] FILE ... [--fit NAME] [--hold NAME] [--output FILE] [--figure FILE] '
-        '[--json] [--config FILE] [--thickness M ...]',
+        usage='%(prog)s [OPTION ...] FILE ...',
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
         'projectile in the next ones; a first line may name them. Without a projectile only the '
         'engine is found. soft-throw track makes such files of videos.',
-        allow_abbrev=False,
     )
     parser.add_argument(
         'files', metavar='FILE', nargs='+', help='tracks of throws: CSV files, or bags'
@@ -243,4 +241,4 @@ def _identify(
 def _show_progress(text: str) -> None:
     """Print the present step of the computation if standard error is a terminal."""
     if sys.stderr.isatty():
-        print(f'identify: {text} ...', file=sys.stderr, flush=True)
+        print_note('identify', f'{text} ...')

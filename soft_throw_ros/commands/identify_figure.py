@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -41,7 +41,7 @@ _MILLI, _MICRO = 1e3, 1e6
 _PERIODS = 2.5  # length of the enlarged section [plate periods]
 _RISES = 2.2  # height of the enlarged section, as a multiple of the rise of the plate
 _POINTS = 2000  # number of points of a curve of the model
-_MOST = 6  # largest number of throws or layers in one figure
+_MAX_THROWS = 6  # largest number of throws or layers in one figure
 
 
 def draw_throws(
@@ -52,7 +52,7 @@ def draw_throws(
 
     Parameters
     ----------
-    found : RigFit
+    result : RigFit
         The fit of the tracks.
     ejection : Ejection or None
         First release of the model.
@@ -62,33 +62,14 @@ def draw_throws(
         Name of a PNG, PDF or SVG file.
 
     """
-    residuals = {id(item.track): item for item in result.fit.residuals}
     bodies = ['plate', 'projectile'][: 1 + any(throw.projectile for throw in result.throws)]
     figure = _figure(9.6, 3.6 + 1.5 * len(bodies))
     layout: list[Any] = [['near', 'whole'], *([body, body] for body in bodies)]
     panels = figure.subplot_mosaic(layout, height_ratios=[2.6, *[1.0] * len(bodies)])
     for body in bodies[1:]:
         panels[body].sharex(panels['plate'])
-    for number, throw in enumerate(result.throws[:_MOST]):
-        start = result.start_time(number).value
-        rest = result.heights(number, np.array([start]))
-        for body_index, body in enumerate(bodies):
-            track = (throw.plate, throw.projectile)[body_index]
-            if track is None:
-                continue
-            colour = _COLOURS[body]
-            since = _MILLI * (track.time - start)
-            fine = np.linspace(track.time[0], track.time[-1], _POINTS)
-            model = _MILLI * (result.heights(number, fine)[body_index] - rest[body_index])
-            height = _MILLI * (track.position - rest[body_index])
-            for name in ('near', 'whole'):
-                label = body if number == 0 else None
-                panels[name].plot(since, height, color=colour, **_DATA)
-                panels[name].plot(_MILLI * (fine - start), model, color=colour, lw=1, label=label)
-            residual = residuals[id(track)]
-            band = 2.0 * _MICRO * track.noise
-            panels[body].axhspan(-band, band, color='0.9', zorder=0)
-            panels[body].plot(since, _MICRO * residual.values, color=colour, **_DATA)
+    for number in range(len(result.throws[:_MAX_THROWS])):
+        _draw_throw(result, number, panels)
     if ejection is not None:
         for panel in panels.values():
             panel.axvline(_MILLI * ejection.time.value, color='0.4', lw=0.9, ls=':')
@@ -111,30 +92,58 @@ def draw_throws(
     _save(figure, path)
 
 
+def _draw_throw(result: RigFit, number: int, panels: Mapping[str, Any]) -> None:
+    """Draw the tracks, the model and the residuals of a throw into the panels of a figure."""
+    residuals = {id(item.track): item for item in result.fit.residuals}
+    throw, start = result.throws[number], result.start_time(number).value
+    heights_at_rest = result.heights(number, np.array([start]))
+    for body_index, (body, track) in enumerate(
+        (('plate', throw.plate), ('projectile', throw.projectile))
+    ):
+        if track is None:
+            continue
+        colour, rest_height = _COLOURS[body], heights_at_rest[body_index]
+        since = _MILLI * (track.time - start)
+        fine = np.linspace(track.time[0], track.time[-1], _POINTS)
+        model = _MILLI * (result.heights(number, fine)[body_index] - rest_height)
+        height = _MILLI * (track.position - rest_height)
+        for name in ('near', 'whole'):
+            label = body if number == 0 else None
+            panels[name].plot(since, height, color=colour, **_DATA)
+            panels[name].plot(_MILLI * (fine - start), model, color=colour, lw=1, label=label)
+        band = 2.0 * _MICRO * track.noise
+        panels[body].axhspan(-band, band, color='0.9', zorder=0)
+        panels[body].plot(
+            since, _MICRO * residuals[id(track)].values, color=colour, **_DATA
+        )
+
+
 def draw_layers(
     layers: Sequence[tuple[float, Ringing]], speed: CommonValue, thickness_error: float, path: Path
 ) -> None:
     """Draw the ringing of free layers, and their periods over their thicknesses [m]."""
     figure = _figure(9.6, 6.0)
     panels = figure.subplot_mosaic(
-        [['ring', 'line'], ['left', 'apart']], height_ratios=[2.6, 1.0], sharex=False
+        [['ring', 'line'], ['residual', 'deviation']], height_ratios=[2.6, 1.0], sharex=False
     )
     step = 0.0
-    for thickness, ringing in layers[:_MOST]:
+    for thickness, ringing in layers[:_MAX_THROWS]:
         (residual,) = ringing.fit.residuals
-        track, rest = residual.track, ringing.fit['length'].value
-        step -= 2.2 * _MILLI * float(np.abs(track.position - rest).max())
+        track, rest_length = residual.track, ringing.fit['length'].value
+        step -= 2.2 * _MILLI * float(np.abs(track.position - rest_length).max())
         since = _MILLI * (track.time - ringing.start_time)
-        data, model = (_MILLI * (item - rest) + step for item in (track.position, residual.fitted))
+        data, model = (
+            _MILLI * (length - rest_length) + step for length in (track.position, residual.fitted)
+        )
         panels['ring'].plot(since, data, color='black', **_DATA)
         panels['ring'].plot(since, model, color=_COLOURS['layer'], lw=1.0)
         panels['ring'].annotate(
             f'{_MILLI * thickness:.3g} mm', xy=(since[-1], step), xytext=(0, 12),
             textcoords='offset points', ha='right',
         )
-        panels['left'].plot(since, _MICRO * residual.values, color='black', **_DATA)
+        panels['residual'].plot(since, _MICRO * residual.values, color='black', **_DATA)
     panels['ring'].set(ylabel='change of length (mm), one below the other', xticklabels=[])
-    panels['left'].set(xlabel='time (ms)', ylabel='data - model (µm)')
+    panels['residual'].set(xlabel='time (ms)', ylabel='data - model (µm)')
     thicknesses = np.array([thickness for thickness, _ in layers])
     period = np.array([ringing.period.value for _, ringing in layers])
     expected = 2.0 * thicknesses / speed.value.value
@@ -144,7 +153,8 @@ def draw_layers(
     )
     ends = np.array([0.0, 1.08 * thicknesses.max()])
     label = f'$2 L_s / c_s$, $c_s$ = {speed.value} m/s'.replace('+-', '±')
-    for name, values, scale in (('line', period, _MILLI), ('apart', period - expected, _MICRO)):
+    deviation = period - expected
+    for name, values, scale in (('line', period, _MILLI), ('deviation', deviation, _MICRO)):
         panels[name].errorbar(
             _MILLI * thicknesses, scale * values, yerr=scale * error, fmt='o', color='black',
             ms=4.0, capsize=2.0,
@@ -156,7 +166,7 @@ def draw_layers(
         panels[name].set(xlim=_MILLI * ends)
     panels['line'].set(ylabel='period $T_0$ (ms)', ylim=(0, None), xticklabels=[])
     panels['line'].legend(loc='upper left')
-    panels['apart'].set(xlabel='thickness $L_s$ (mm)', ylabel='apart (µs)')
+    panels['deviation'].set(xlabel='thickness $L_s$ (mm)', ylabel='deviation (µs)')
     _save(figure, path)
 
 

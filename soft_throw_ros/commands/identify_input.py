@@ -20,7 +20,7 @@ The options of `add_track_options` choose the bodies, columns and units.
 from __future__ import annotations
 
 import argparse
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 import contextlib
 from dataclasses import replace
@@ -173,46 +173,66 @@ def _is_one_motion(record: ThrowTracks) -> bool:
 
 def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track]:
     """Read plate and projectile from the requested topic, or from the preferred one of a bag."""
-    heights: dict[str, dict[int, list[float]]] = {}  # by topic and stamp [ns]
-    readers: dict[str, JointStateReader] = defaultdict(JointStateReader)
-    unreadable: Counter[str] = Counter()
+    records: dict[str, _Record] = defaultdict(_Record)  # by topic
     with BagReader(path) as reader:
         names = {channel.topic for channel in reader.channels if channel.type == JOINT_STATE}
         for message in reader.messages(names):
-            name = message.channel.topic
-            try:
-                values = readers[name].read(message.data)
-            except MessageError:
-                unreadable[name] += 1
-                continue
-            # some may be of other joints, as of the plate alone
-            seen = dict(zip(values.names, values.position))  # noqa: B905  or without positions
-            row = [seen.get(body, math.nan) for body in JOINTS]
-            heights.setdefault(name, {}).setdefault(values.stamp_ns, row)
-        damage = reader.damage
-    if damage:
-        notes.append(f'{damage}; the readable messages are used')
-    result = sorted(
-        name
-        for name, rows in heights.items()
-        if any(math.isfinite(plate) for plate, _ in rows.values())
-    )
-    ranks = [[name for name in result if name.endswith(ending)] for ending in _PREFERRED]
-    best = next(filter(None, ranks), result)
+            records[message.channel.topic].add(message.data)
+        if reader.damage:
+            notes.append(f'{reader.damage}; the readable messages are used')
+    topics = sorted(name for name, record in records.items() if record.has_plate)
     if topic is not None:
-        best = [name for name in result if name == topic]
-    if len(best) != 1:
+        choice = [name for name in topics if name == topic]
+    else:
+        ranks = ([name for name in topics if name.endswith(ending)] for ending in _PREFERRED)
+        choice = next(filter(None, ranks), topics)
+    if len(choice) != 1:
         raise TrackError(
             f'{path}: no topic {topic or "of its own"} has positions of a joint plate; those '
-            f'that have: {", ".join(result) or "none"}' + (' (choose with --topic)' * bool(result))
+            f'that have: {", ".join(topics) or "none"}' + (' (choose with --topic)' * bool(topics))
         )
-    if count := unreadable[best[0]]:
-        notes.append(f'{path}: {count} messages on {best[0]!r} are no {JOINT_STATE}, and left out')
-    rows = sorted(heights[best[0]].items())
-    time = 1e-9 * np.array([stamp - rows[0][0] for stamp, _ in rows])
-    tracks = {}
-    for body, item in zip(JOINTS, np.array([row for _, row in rows]).T, strict=True):
-        is_seen = np.isfinite(item)
-        if is_seen.sum() >= FEWEST:
-            tracks[body] = Track(time=time[is_seen], position=item[is_seen])
-    return tracks
+    record = records[choice[0]]
+    if record.unreadable:
+        notes.append(
+            f'{path}: {record.unreadable} messages on {choice[0]!r} are no {JOINT_STATE}, and '
+            'left out'
+        )
+    return record.tracks()
+
+
+class _Record:
+    """Heights of the bodies in the messages of a topic."""
+
+    def __init__(self) -> None:
+        self.unreadable = 0
+        self._reader = JointStateReader()
+        self._heights: dict[int, list[float]] = {}  # by stamp [ns], in the order of `JOINTS`
+
+    def add(self, data: bytes) -> None:
+        """Add a message, or count one that cannot be decoded."""
+        try:
+            values = self._reader.read(data)
+        except MessageError:
+            self.unreadable += 1
+            return
+        # A message may have other joints only, or no positions.
+        heights = dict(zip(values.names, values.position))  # noqa: B905
+        row = [heights.get(body, math.nan) for body in JOINTS]
+        self._heights.setdefault(values.stamp_ns, row)
+
+    @property
+    def has_plate(self) -> bool:
+        """Return whether a message has a height of the plate."""
+        return any(math.isfinite(plate) for plate, _ in self._heights.values())
+
+    def tracks(self) -> dict[str, Track]:
+        """Return the tracks of all bodies with enough heights."""
+        stamps = sorted(self._heights)
+        time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
+        heights = np.array([self._heights[stamp] for stamp in stamps]).T
+        tracks = {}
+        for body, position in zip(JOINTS, heights, strict=True):
+            is_finite = np.isfinite(position)
+            if is_finite.sum() >= FEWEST:
+                tracks[body] = Track(time=time[is_finite], position=position[is_finite])
+        return tracks

@@ -20,12 +20,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
-import sys
 
 from soft_throw_ros.commands.options import new_file
-from soft_throw_ros.commands.output import CommandParser, naming, print_text, to_json
+from soft_throw_ros.commands.output import (
+    CommandParser,
+    naming,
+    print_note,
+    print_text,
+    to_json,
+)
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
-from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.configuration.atomic_file import write_text
 from soft_throw_ros.identification.ejection import Answer, Ejection, GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.fit_warnings import (
@@ -48,7 +53,7 @@ _MAX_OUTLIERS = 4  # largest number of outliers of a track that are listed indiv
 _MAX_TRACKS = 8  # largest number of tracks in the table; the worst ones come first
 _NAME_WIDTH = 24
 _NOISY = 0.7  # share of noise in an error, above which no other source is listed
-_LARGE_PART = 0.3  # share of an error, above which its source is listed
+_LARGE_SHARE = 0.3  # share of an error, above which its source is listed
 _UNITS_OF_TERMS = {'projectile.delay': 's'}
 
 EJECTION_ROWS = (
@@ -68,7 +73,7 @@ class IdentificationReport:
     ----------
     sources : tuple of str
         Names of the throws or files.
-    found : mapping of str to Estimate
+    result : mapping of str to Estimate
         Fitted parameters of the twin.
     held : mapping of str to float
         Parameters that the fit assumed as known.
@@ -114,9 +119,15 @@ class IdentificationReport:
         result = {
             name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.result.items()
         }
-        parts: dict[str, object] = {'sources': self.sources, 'found': result, 'held': self.held}
-        parts |= {'chosen': self.chosen, **self.data, 'notes': self.notes}
-        return to_json({**parts, 'warnings': self.warnings})
+        return to_json({
+            'sources': self.sources,
+            'found': result,
+            'held': self.held,
+            'chosen': self.chosen,
+            **self.data,
+            'notes': self.notes,
+            'warnings': self.warnings,
+        })
 
     def _estimates(self) -> Iterator[tuple[str, str]]:
         for name, value in self.result.items():
@@ -146,7 +157,7 @@ class IdentificationReport:
                 self.write(identified, arguments.output)
         print_text(self.json() if arguments.json else self.table())
         for message in (*self.notes, *self.warnings):
-            print(f'{command}: {message}', file=sys.stderr)
+            print_note(command, message)
 
     def write(self, settings: Settings, path: Path) -> None:
         """Write the parameters of the rig, and all others that differ from their defaults."""
@@ -162,8 +173,7 @@ class IdentificationReport:
         title = [f'Identified from {", ".join(names)}:']
         title += [f'{name} {text}' for name, text in self._estimates()]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
-        with atomic_file(path) as unfinished:  # readers see the old file meanwhile
-            unfinished.write_text(files.render(kept, title='\n'.join(title)), 'utf-8')
+        write_text(path, files.render(kept, title='\n'.join(title)))
 
 
 def add_report_options(parser: CommandParser) -> None:
@@ -174,7 +184,7 @@ def add_report_options(parser: CommandParser) -> None:
         '--figure', metavar='FILE', type=new_file('.png', '.pdf', '.svg'),
         help='picture of data, fit and residuals to draw',
     )
-    add('--json', action='store_true', help='print one object: SI units')
+    parser.add_json_option()
 
 
 def unit_of(name: str) -> str:
@@ -259,20 +269,18 @@ def budget_lines(result: RigFit) -> Iterator[str]:
     for name in result.estimates():
         if name not in result.fit or result.fit.names.index(name) in result.fit.known:
             continue
-        parts = result.fit.budget(name)
-        total = math.sqrt(sum(part**2 for part in parts.values()))
-        if parts['noise'] < _NOISY * total:
-            yield _budget_line(name, total, unit_of(name), parts)
+        budget = result.fit.budget(name)
+        if budget['noise'] < _NOISY * math.hypot(*budget.values()):
+            yield _budget_line(name, math.hypot(*budget.values()), unit_of(name), budget)
 
 
-def _budget_line(name: str, error: float, unit: str, parts: Mapping[str, float]) -> str:
+def _budget_line(name: str, error: float, unit: str, budget: Mapping[str, float]) -> str:
     """Return a line with the largest contributions to an error, all in SI units."""
     shown, factor = _handy_unit(unit)
-    total = math.sqrt(sum(part**2 for part in parts.values()))
     listed = ', '.join(
-        f'{source} {factor * part:.2g}'
-        for source, part in sorted(parts.items(), key=lambda item: -item[1])
-        if part > _LARGE_PART * total
+        f'{source} {factor * contribution:.2g}'
+        for source, contribution in sorted(budget.items(), key=lambda item: -item[1])
+        if contribution > _LARGE_SHARE * math.hypot(*budget.values())
     )
     return f'error of {name}: {factor * error:.2g} {shown}'.rstrip() + f', by {listed}'
 
@@ -309,13 +317,13 @@ def answer_lines(answer: Answer, result: RigFit, ejection: Ejection) -> Iterator
 
 
 def layer_lines(layers: Sequence[LayerModel]) -> Iterator[str]:
-    """Return a table that compares the fits of different models of the layer."""
+    """Yield a table that compares the fits of different models of the layer."""
     if layers:
         yield f'{"layer":{_NAME_WIDTH}} {"chi squared":>12} {"each":>8} {"BIC":>8}'
-    for each in layers:
+    for layer in layers:
         yield (
-            f'{each.name:{_NAME_WIDTH}} {each.chi2:12.1f} {each.chi2 / each.dof:8.3f} '
-            f'{each.criterion:+8.1f}'
+            f'{layer.name:{_NAME_WIDTH}} {layer.chi2:12.1f} {layer.chi2 / layer.dof:8.3f} '
+            f'{layer.criterion:+8.1f}'
         )
 
 
@@ -341,8 +349,8 @@ def fit_lines(fit: Fit) -> Iterator[str]:
     for residual in fit.residuals:
         if residual.outliers:
             listed = [
-                f'{each.time:.6g} s ({1e3 * each.deviation:+.3g} mm)'
-                for each in residual.outliers[:_MAX_OUTLIERS]
+                f'{outlier.time:.6g} s ({1e3 * outlier.deviation:+.3g} mm)'
+                for outlier in residual.outliers[:_MAX_OUTLIERS]
             ]
             more = len(residual.outliers) - len(listed)
             yield (
@@ -387,9 +395,9 @@ def ejection_lines(ejection: Ejection) -> Iterator[str]:
             f'{"later" if other.echoes > 0 else "earlier"}: t_e {with_unit(other.time, "s")}, '
             f'V_e {with_unit(other.speed, "m/s")}, alpha {other.energy_transfer}'
         )
-    parts = ejection.time_budget
-    if parts['tracks'] < _NOISY * math.sqrt(sum(part**2 for part in parts.values())):
-        yield _budget_line('ejection time', ejection.time.error, 's', parts)
+    budget = ejection.time_budget
+    if budget['tracks'] < _NOISY * math.hypot(*budget.values()):
+        yield _budget_line('ejection time', ejection.time.error, 's', budget)
 
 
 def ejection_data(ejection: Ejection | None) -> dict[str, object] | None:

@@ -25,12 +25,18 @@ import os
 from pathlib import Path
 import re
 import signal
-import sys
 import tempfile
 from typing import TYPE_CHECKING
 
 from soft_throw_ros.commands.options import any_number, new_file
-from soft_throw_ros.commands.output import CommandParser, naming, slow_notice
+from soft_throw_ros.commands.output import (
+    CommandParser,
+    naming,
+    print_note,
+    require,
+    run_command,
+    slow_notice,
+)
 from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer as viewer
 from soft_throw_ros.recording.bag_reader import BagReader
@@ -43,9 +49,6 @@ if TYPE_CHECKING:
 _BATCH = 5000
 """Number of messages of a bag that are drawn at once."""
 
-_OF_RERUN = 'matplotlib', 'pyarrow', 'rerun', 'rerun_bindings'
-"""Packages that come with the extra [rerun]."""
-
 
 def main(args: list[str] | None = None) -> int:
     """
@@ -54,34 +57,30 @@ def main(args: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0; 1 if Rerun or its viewer are not there; 2 if there is no such bag, or none of
-        a twin; 130 after Ctrl-C while a bag is read.
+        Exit code: 0; 1 if the viewer is not there; 2 if Rerun is not installed, or there is no
+        such bag, or none of a twin; 130 after Ctrl-C while a bag is read.
 
     """
-    arguments = _parse(args)
+    return run_command(_parser(), _run, args)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    require('inspect', 'rerun', 'rerun', 'matplotlib')
     os.environ.setdefault('RUST_LOG', 'off')  # the command has messages of its own
     try:
         is_sent = arguments.sink == 'viewer' and not (arguments.save or arguments.screenshot)
         with _signals_handled(at_once=is_sent):
             _show_bag(arguments)
-    except ModuleNotFoundError as error:
-        if (error.name or '').partition('.')[0] not in _OF_RERUN:
-            raise
-        _say("inspect needs Rerun: pip install 'soft_throw_ros[rerun]'")
-        return 1
     except viewer.ViewerError as error:
-        _say(str(error))
+        print_note('inspect', str(error))
         return 1
-    except ValueError as error:
-        _say(str(error))
-        return 2
     except KeyboardInterrupt:
         return 130
     return 0
 
 
-def _parse(args: list[str] | None) -> argparse.Namespace:
-    parser = CommandParser(description=__doc__, allow_abbrev=False)
+def _parser() -> CommandParser:
+    parser = CommandParser(description=__doc__)
     add = parser.add_argument
     add('bag', metavar='BAG', help='a bag or an .mcap file')
     files = parser.add_mutually_exclusive_group()
@@ -109,7 +108,7 @@ def _parse(args: list[str] | None) -> argparse.Namespace:
         '--port', type=_port, default=output.PORT,
         help='port of the viewer or the server (default %(default)s)',
     )
-    return parser.parse_args(args)
+    return parser
 
 
 def _size(text: str) -> str:
@@ -154,7 +153,7 @@ def _show_bag(arguments: argparse.Namespace) -> None:
                 arguments.screenshot.write_bytes(picture)
         elif arguments.sink == 'serve':
             output.serve(stream, arguments.port)
-            _say(f'to see it: rerun {viewer.url_of(arguments.port)}')
+            print_note('inspect', f'to see it: rerun {viewer.url_of(arguments.port)}')
             draw()
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
@@ -192,9 +191,9 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
     if scene.is_empty:
         raise ValueError(f'{path}: nothing of a twin could be read{damage}')
     if reader.damage:
-        _say(f'{reader.damage}; the undamaged part is shown')
+        print_note('inspect', f'{reader.damage}; the undamaged part is shown')
     if scene.damaged:
-        _say(f'{path}: {scene.damaged} messages are left out{damage}')
+        print_note('inspect', f'{path}: {scene.damaged} messages are left out{damage}')
 
 
 def _cursor(scene: Scene, at: float | None) -> float | None:
@@ -226,7 +225,3 @@ def _signals_handled(*, at_once: bool) -> Iterator[None]:
     finally:
         for number, former in handlers.items():
             signal.signal(number, former)
-
-
-def _say(text: str) -> None:
-    print(f'inspect: {text}', file=sys.stderr, flush=True)

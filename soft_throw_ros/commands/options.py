@@ -27,7 +27,7 @@ import signal
 
 from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
-from soft_throw_ros.configuration.table import float_of
+from soft_throw_ros.configuration.table import float_of, value_text
 
 
 class WorkersLostError(RuntimeError):
@@ -128,8 +128,7 @@ def add_options(
         convert: Callable[[str], Value] = str if is_text else number_or_text
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':
-            values = entry.default if isinstance(entry.default, tuple) else (entry.default,)
-            text += f' (default {" ".join(map(_shortly, values))})'
+            text += f' (default {value_text(entry.default)})'
         group.add_argument(
             _ALL_OPTIONS[name],
             dest=name,
@@ -177,10 +176,6 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
         options = (f'argument {_ALL_OPTIONS[name]}: ' for name in error.names if name in request)
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
     return settings
-
-
-def _shortly(value: Value) -> str:
-    return f'{value:g}' if isinstance(value, float) else str(value)
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
@@ -237,21 +232,34 @@ def number_or_text(text: str) -> float | str:
     return text if value is None else value
 
 
-def _number(rule: str, allows: Callable[[float], bool]) -> Callable[[str], float]:
+def number_type(rule: str, allows: Callable[[float], bool]) -> Callable[[str], float]:
     """Return an argparse type for the numbers that a function allows."""
 
     def read(text: str) -> float:
         value = float_of(text)
         if value is None or not allows(value):
-            raise argparse.ArgumentTypeError(f'must be {rule}, got {text}')
+            raise argparse.ArgumentTypeError(f'must be {rule}, got {text!r}')
         return value
 
     return read
 
 
-any_number = _number('a number', lambda value: not math.isnan(value))
-positive = _number('finite and positive', lambda value: 0.0 < value < math.inf)
-not_negative = _number('finite and not negative', lambda value: 0.0 <= value < math.inf)
+def parameter_type(name: str) -> Callable[[str], Value]:
+    """Return an argparse type for the values of a parameter of the twin."""
+    entry = TWIN.by_name[name]
+
+    def read(text: str) -> Value:
+        value = entry.convert(text)
+        if value is None:
+            raise argparse.ArgumentTypeError(f'{name} must be {entry.rule}, got {text!r}')
+        return value
+
+    return read
+
+
+any_number = number_type('a number', lambda value: not math.isnan(value))
+positive = number_type('finite and positive', lambda value: 0.0 < value < math.inf)
+not_negative = number_type('finite and not negative', lambda value: 0.0 <= value < math.inf)
 
 
 def count(text: str) -> int:

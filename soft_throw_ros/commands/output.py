@@ -27,7 +27,7 @@ import os
 import re
 import sys
 import threading
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
@@ -37,6 +37,15 @@ _WIDTH = 12  # width of a column of numbers [characters]
 
 class CommandParser(argparse.ArgumentParser):
     """A parser of command lines that prints errors without the usage, which may fill a screen."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(allow_abbrev=False, **kwargs)
+
+    def add_json_option(self) -> None:
+        """Add the option `--json`."""
+        self.add_argument(
+            '--json', action='store_true', help='print one object: SI units, full precision'
+        )
 
     def error(self, message: str) -> NoReturn:
         """Print an error of usage and exit with 2."""
@@ -104,8 +113,8 @@ def require(feature: str, extra: str, *modules: str) -> None:
 @contextlib.contextmanager
 def slow_notice(command: str, *, after: float = 2.0) -> Iterator[None]:
     """Print a notice to standard error if a command computes for longer than `after` [s]."""
-    text = f'{command}: computing; the first run compiles kernels, which takes half a minute'
-    timer = threading.Timer(after, print, (text,), {'file': sys.stderr, 'flush': True})
+    text = 'computing; the first run compiles kernels, which takes half a minute'
+    timer = threading.Timer(after, print_note, (command, text))
     timer.daemon = True
     timer.start()
     try:
@@ -129,6 +138,16 @@ def printable(text: str) -> str:
 
     """
     return _CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
+
+
+def print_note(command: str, text: str) -> None:
+    """Print a note of a command to standard error."""
+    print(f'{command}: {text}', file=sys.stderr, flush=True)
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print lines as `print_text` does."""
+    print_text('\n'.join(lines) + '\n')
 
 
 def print_text(text: str) -> None:
@@ -199,7 +218,6 @@ _ROWS = (
     _Row('peak_contact_strain', '  at the projectile', '%', 1e2),
     _Row('peak_acceleration', 'peak acceleration', 'm/s2'),
     _Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
-    _Row('peak_plate_force', 'peak force on plate', 'N'),
     _Row('peak_force', 'peak force on plate', 'N'),
     _Row('plate_work', 'work of the plate', 'mJ', 1e3),
     _Row('layer_energy', '  to the layer', 'mJ', 1e3),
@@ -228,6 +246,24 @@ def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator
         cells = [_cell((numbers or {}).get(row.key), row.scale) for numbers in columns.values()]
         if any(cell != '-' for cell in cells):
             yield _line(row.title, row.unit, cells)
+
+
+def write_predictions(
+    columns: Mapping[str, Mapping[str, float] | None], max_strain: float
+) -> Iterator[str]:
+    """
+    Yield the lines of a table of throws, and a warning of strains beyond the linear range.
+
+    A number `max_strain` of a column takes the place of the common limit `max_strain` [-].
+    """
+    yield from write_columns(columns)
+    beyond = [
+        head.replace('_', ' ')
+        for head, numbers in columns.items()
+        if numbers and numbers['peak_strain'] > numbers.get('max_strain', max_strain)
+    ]
+    if beyond:
+        yield strain_warning(max_strain, ', '.join(beyond))
 
 
 def strain_warning(max_strain: float, source: str) -> str:

@@ -16,10 +16,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import itertools
 import math
-import sys
 
 import numpy as np
 from soft_throw_ros.commands.identify import add_fit_options, describe_fit, read_all
@@ -27,18 +26,20 @@ from soft_throw_ros.commands.identify_input import add_track_options
 from soft_throw_ros.commands.identify_report import unit_of
 from soft_throw_ros.commands.options import (
     add_rig_options,
-    number_or_text,
+    parameter_type,
     positive,
     read_settings,
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
+    print_lines,
+    print_note,
     print_text,
     run_command,
     slow_notice,
     to_json,
 )
-from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.ejection import GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import values_of
@@ -59,12 +60,12 @@ LISTS = {
 }
 """Options that list the available parts, and the parameter that each option varies."""
 
-_USUAL_RATE = 5000.0  # default sample rate of the measurement [Hz]
-_USUAL_NOISE = 2e-5  # default noise of the measurement [m]
-_PERIODS_SEEN = 3.0  # length of the measurement after the start of a throw [plate periods]
-_SHOWN = 8  # number of throws in the table
-_MOST_THROWS = 50  # largest number of planned throws
-_MOST_CONDITIONS = 200
+_DEFAULT_RATE = 5000.0  # sample rate of the measurement [Hz]
+_DEFAULT_NOISE = 2e-5  # noise of the measurement [m]
+_MEASURED_PERIODS = 3.0  # length of the measurement after the start of a throw [plate periods]
+_MAX_CANDIDATES = 8  # largest number of candidates in the table
+_MAX_THROWS = 50  # largest number of planned throws
+_MAX_CONDITIONS = 200  # largest number of combinations, each of which takes a simulation
 _COLUMNS = {
     'layer.wave_speed': ('c_s [%]', 100.0, True),
     'layer.thickness': ('L_s [%]', 100.0, True),
@@ -81,17 +82,16 @@ def main(args: list[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         description=__doc__,
-        usage='%(prog)s [-h] [FILE ...] [--masses KG ...] [--thicknesses M ...] '
-        '[--amplitudes M ...] [--goal PERCENT] [--json] [--config FILE] [--thickness M ...]',
+        usage='%(prog)s [OPTION ...] [FILE ...]',
         epilog='Ranked are the errors of wave speed, thickness and loss, as far as a fit varies '
         'them. With tracks, the plan goes on from their fit.',
-        allow_abbrev=False,
     )
     add = parser.add_argument
     add('files', metavar='FILE', nargs='*', help='tracks of earlier throws: CSV files, or bags')
     for name, parameter in LISTS.items():
         add(
-            f'--{name}', metavar=unit_of(parameter).upper(), nargs='+', type=number_or_text,
+            f'--{name}', metavar=unit_of(parameter).upper(), nargs='+',
+            type=parameter_type(parameter),
             help=f'those at hand (default: {parameter} of the rig)',
         )
     add(
@@ -100,9 +100,10 @@ def _parser() -> CommandParser:
     )
     add(
         '--rate', metavar='HZ', type=positive,
-        help=f'samples per second of the next throws (default: of the tracks, or {_USUAL_RATE:g})',
+        help='samples per second of the next throws '
+        f'(default: of the tracks, or {_DEFAULT_RATE:g})',
     )
-    add('--json', action='store_true', help='print one object: SI units')
+    parser.add_json_option()
     add_fit_options(parser)
     add_track_options(parser)
     add_rig_options(parser)
@@ -114,7 +115,7 @@ def _run(arguments: argparse.Namespace) -> int:
     settings = read_settings(arguments)
     throws, notes = read_all(arguments)
     for note in notes:
-        print(f'plan: {note}', file=sys.stderr)
+        print_note('plan', note)
     if not throws:
         description.check_throws(())
     rig = description.prepare(rig_of(settings))
@@ -129,42 +130,40 @@ def _run(arguments: argparse.Namespace) -> int:
         start = planner.start()
         candidates = planner.rank(start)
         goal = 0.01 * arguments.goal
-        before = planner.energy_transfer_error(start)
+        before = error = planner.energy_transfer_error(start)
         chosen: list[PlannedThrow] = []
-        for throw in itertools.islice(
-            planner.choose(start), 0 if before <= goal else _MOST_THROWS
-        ):
-            chosen.append(throw)
-            if throw.energy_transfer_error <= goal:
-                break
+        best_throws = planner.choose(start)
+        while error > goal and len(chosen) < _MAX_THROWS:
+            chosen.append(next(best_throws))
+            error = chosen[-1].energy_transfer_error
     if arguments.json:
-        parts = {'candidates': candidates, 'throws': chosen, 'goal': goal, 'before': before}
-        is_reached = not chosen or chosen[-1].energy_transfer_error <= goal
-        print_text(to_json({**parts, 'is_reached': is_reached, 'notes': notes}))
+        print_text(to_json({
+            'candidates': candidates,
+            'throws': chosen,
+            'goal': goal,
+            'before': before,
+            'is_reached': error <= goal,
+            'notes': notes,
+        }))
     else:
         if measured:
-            print_text(f'The present measurements determine alpha to {100.0 * before:.2g} %.\n')
-        lines = _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, setup)
-        print_text('\n'.join(lines) + '\n')
+            print_lines([f'The present measurements determine alpha to {100.0 * before:.2g} %.'])
+        print_lines(
+            _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, setup)
+        )
     return 0
 
 
 def _conditions(arguments: argparse.Namespace, rig: Rig) -> list[Condition]:
     """Return all possible combinations of the available parts."""
-    choices = []
-    for name, parameter in LISTS.items():
-        values = getattr(arguments, name) or list(values_of(rig, [parameter]).values())
-        entry = TWIN.by_name[parameter]
-        for value in values:
-            if not entry.allows(value):
-                raise ValueError(
-                    f'argument --{name}: {parameter} must be {entry.rule}, got {value!r}'
-                )
-        choices.append(sorted({float(value) for value in values}))
+    choices = [
+        sorted(set(getattr(arguments, name) or values_of(rig, [parameter]).values()))
+        for name, parameter in LISTS.items()
+    ]
     count = math.prod(map(len, choices))
-    if count > _MOST_CONDITIONS:
+    if count > _MAX_CONDITIONS:
         raise ValueError(
-            f'{count} combinations of masses, layers and amplitudes, where {_MOST_CONDITIONS} at '
+            f'{count} combinations of masses, layers and amplitudes, where {_MAX_CONDITIONS} at '
             'most can be judged'
         )
     return [Condition(*item) for item in itertools.product(*choices)]
@@ -174,13 +173,13 @@ def _setup(
     arguments: argparse.Namespace, rig: Rig, throws: Sequence[ThrowTracks]
 ) -> MeasurementSetup:
     """Return the setup of future measurements: as in the given throws, unless options differ."""
-    rate, noise = _USUAL_RATE, _USUAL_NOISE
+    rate, noise = _DEFAULT_RATE, _DEFAULT_NOISE
     if throws:
         rate = 1.0 / float(np.median([throw.plate.interval for throw in throws]))
         noise = float(np.median([throw.plate.noise for throw in throws]))
     duration = arguments.end
     if not 0.0 < duration < math.inf:
-        duration = _PERIODS_SEEN / rig.engine.frequency
+        duration = _MEASURED_PERIODS / rig.engine.frequency
     return MeasurementSetup(
         rate=arguments.rate or rate, noise=arguments.noise or noise, duration=duration
     )
@@ -198,21 +197,17 @@ def _lines(
         f'Throws seen for {1e3 * setup.duration:.3g} ms at {setup.rate:g} Hz with a noise of '
         f'{1e6 * setup.noise:.3g} um. The next one, the best first, and errors after it:'
     )
-    yield _heads(candidates[0])
-    for throw in candidates[:_SHOWN]:
-        yield _row('', throw, values)
-    if len(candidates) > _SHOWN:
-        yield f'and {len(candidates) - _SHOWN} more'
+    shown = candidates[:_MAX_CANDIDATES]
+    yield from _table(shown, values)
+    if len(candidates) > len(shown):
+        yield f'and {len(candidates) - len(shown)} more'
     yield ''
     if not chosen:
         yield f'Alpha is known to {goal:g} % already.'
         return
     yield 'The best throws one after the other:'
-    yield _heads(candidates[0])
-    for number, throw in enumerate(chosen, 1):
-        yield _row(str(number), throw, values)
-    reached = chosen[-1].energy_transfer_error <= 0.01 * goal
-    if reached:
+    yield from _table(chosen, values, labels=map(str, itertools.count(1)))
+    if chosen[-1].energy_transfer_error <= 0.01 * goal:
         several = 'throws are' if len(chosen) > 1 else 'throw is'
         yield f'{len(chosen)} {several} enough for {goal:g} % of alpha.'
     else:
@@ -220,24 +215,26 @@ def _lines(
             f'{len(chosen)} throws are not enough for {goal:g} % of alpha: its error comes '
             'from parameters that no throw measures, such as a mass or a thickness'
         )
-    if any(throw.leaves_linear_range for throw in (*candidates[:_SHOWN], *chosen)):
+    if any(throw.leaves_linear_range for throw in (*shown, *chosen)):
         yield '! The strain leaves the range in which the layer is linear.'
 
 
-def _heads(throw: PlannedThrow) -> str:
-    """Return the titles of a table."""
-    cells = [head for name, (head, _, _) in _COLUMNS.items() if name in throw.errors]
-    heads = ['mass [g]', 'L_s [mm]', 'A [mm]', *cells, 'alpha [%]', 'strain [%]']
-    return ' ' * 4 + ''.join(f'{head:>11}' for head in heads)
-
-
-def _row(label: str, throw: PlannedThrow, values: Mapping[str, float]) -> str:
-    """Return the row of a throw with the errors after it."""
-    cells = [f'{1e3 * value:.4g}' for value in throw.condition]
-    for name, (_, factor, is_relative) in _COLUMNS.items():
-        if name in throw.errors:
+def _table(
+    throws: Sequence[PlannedThrow],
+    values: Mapping[str, float],
+    labels: Iterable[str] = itertools.repeat(''),
+) -> Iterator[str]:
+    """Yield a table of throws with the errors after each of them."""
+    columns = {name: column for name, column in _COLUMNS.items() if name in throws[0].errors}
+    heads = [head for head, _, _ in columns.values()]
+    rows = [['', 'mass [g]', 'L_s [mm]', 'A [mm]', *heads, 'alpha [%]', 'strain [%]']]
+    for label, throw in zip(labels, throws):  # noqa: B905 labels have no end
+        cells = [f'{1e3 * value:.4g}' for value in throw.condition]
+        for name, (_, factor, is_relative) in columns.items():
             error = factor * throw.errors[name] / (values[name] if is_relative else 1.0)
             cells.append(f'{error:.2g}')
-    cells.append(f'{100.0 * throw.energy_transfer_error:.2g}')
-    cells.append(f'{100.0 * throw.peak_strain:.3g}' + '!' * throw.leaves_linear_range)
-    return f'{label:4}' + ''.join(f'{cell:>11}' for cell in cells)
+        alpha_error = f'{100.0 * throw.energy_transfer_error:.2g}'
+        strain = f'{100.0 * throw.peak_strain:.3g}' + '!' * throw.leaves_linear_range
+        rows.append([label, *cells, alpha_error, strain])
+    for label, *cells in rows:
+        yield f'{label:4}' + ''.join(f'{cell:>11}' for cell in cells)

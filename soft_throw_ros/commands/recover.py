@@ -18,7 +18,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from soft_throw_ros.commands.output import CommandParser, print_text, run_command
+from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 from soft_throw_ros.recording.recovery import recover, Recovery
 
 _SHOWN = 10  # number of unreadable ranges that are listed individually
@@ -30,7 +30,6 @@ def main(args: list[str] | None = None) -> int:
         description='Repair a bag after a crash or disk error: copy its readable messages to a '
         'new bag. The old bag is not changed.',
         epilog='Exit code: 0 if all messages were recovered, 1 if some were lost, 2 if all were.',
-        allow_abbrev=False,
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
     parser.add_argument(
@@ -44,7 +43,7 @@ def _run(arguments: argparse.Namespace) -> int:
     path = source.resolve()  # so that `.` has a name
     name = path.name if path.is_dir() else path.name.partition('.')[0]
     recovery = recover(source, arguments.to or path.with_name(f'{name}_recovered'))
-    print_text('\n'.join(_lines(recovery)) + '\n')
+    print_lines(_lines(recovery))
     return 1 if recovery.skipped or recovery.defects else 0
 
 

@@ -20,8 +20,7 @@ The options are the parameters of the twin, with the same ranges.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping
-import math
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 import sys
 from typing import TypedDict
@@ -32,13 +31,16 @@ from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     model_name,
+    number_type,
     OPTIONS,
+    positive,
     read_settings,
     UNCERTAINTY_OPTIONS,
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
     naming,
+    print_note,
     print_text,
     run_command,
     slow_notice,
@@ -48,7 +50,6 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
 from soft_throw_ros.configuration.csv_rows import read_rows
-from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
@@ -80,10 +81,8 @@ def main(args: list[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(
         description='Predict one throw by every model, or many first releases from a CSV file.',
-        usage='%(prog)s [-h] [--config FILE] [--thickness M ...] [--model NAME ...] '
-        '[--json | --cases FILE]',
+        usage='%(prog)s [OPTION ...]',
         argument_default=argparse.SUPPRESS,
-        allow_abbrev=False,
     )
     parser.add_argument(
         '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES), type=model_name,
@@ -107,7 +106,10 @@ def _parser() -> CommandParser:
 def _run(arguments: argparse.Namespace) -> int:
     options = vars(arguments)
     if 'cases' in options:
-        text = _compute_cases(options)
+        for name in sorted(options.keys() - {'cases'}):
+            option = {**OPTIONS, **UNCERTAINTY_OPTIONS}.get(name, f'--{name.replace("_", "-")}')
+            raise ValueError(f'argument {option}: not allowed with argument --cases')
+        text = _compute_cases(options['cases'])
     else:
         settings = read_settings(arguments)
         with slow_notice('throw'):
@@ -256,7 +258,7 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         'peak_plate_strain': throw.loads.plate_strain,
         'peak_contact_strain': throw.loads.contact_strain,
         'peak_acceleration': throw.loads.acceleration,
-        'peak_plate_force': throw.loads.plate_force,
+        'peak_force': throw.loads.plate_force,
         'plate_work': throw.energies.plate_work,
     }
     if model != 'cells_glued':  # where the layer is thrown, too
@@ -291,28 +293,22 @@ def table(prediction: Prediction) -> str:
     return '\n'.join(lines) + '\n'
 
 
-_CASES = {
-    'mu': ('finite and positive', lambda value: 0.0 < value < math.inf),
-    'kappa': ('finite and positive', lambda value: 0.0 < value < math.inf),
-    'zeta': ('at least 0 and below 1', lambda value: 0.0 <= value < 1.0),
+_CASES: Mapping[str, Callable[[str], float]] = {
+    'mu': positive,
+    'kappa': positive,
+    'zeta': number_type('at least 0 and below 1', lambda value: 0.0 <= value < 1.0),
 }
-"""Columns of a CSV file of cases: rule and check of their values."""
+"""Columns of a CSV file of cases, each with the function that reads its cells."""
 
 
-def _compute_cases(arguments: Mapping[str, str]) -> str:
+def _compute_cases(path: str) -> str:
     """Compute the first release for every row of a CSV file; return the results as CSV."""
-    others = sorted(arguments.keys() - {'cases'})
-    if others:
-        options = {**OPTIONS, **UNCERTAINTY_OPTIONS}
-        option = options.get(others[0], '--' + others[0].replace('_', '-'))
-        raise ValueError(f'argument {option}: not allowed with argument --cases')
-    path = arguments['cases']
     name = 'standard input' if path == '-' else path
     with naming(name):
         text = sys.stdin.read() if path == '-' else Path(path).read_text(encoding='utf-8')
     rows = _read_cases(text.split('\n'), name)
     if not rows:
-        print(f'throw: {name} has no rows below its header', file=sys.stderr)
+        print_note('throw', f'{name} has no rows below its header')
     mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
     with slow_notice('throw'):
         releases = first_releases(
@@ -337,19 +333,13 @@ def _read_cases(lines: Iterable[str], name: str) -> dict[int, list[float]]:
             f'{name}: the first row must name the columns {", ".join(_CASES)}, '
             f'got {",".join(header)!r}'
         )
-    return {
-        number: [
-            _case_value(column, dict(zip(header, cells, strict=False)), f'{name}:{number}')
-            for column in _CASES
-        ]
-        for number, cells in rows[1:]
-    }
-
-
-def _case_value(column: str, cells: Mapping[str, str], position: str) -> float:
-    rule, allows = _CASES[column]
-    text = cells.get(column, '')
-    value = float_of(text)
-    if value is None or not allows(value):
-        raise ValueError(f'{position}: {column} must be a number, {rule}, got {text!r}')
-    return value
+    cases: dict[int, list[float]] = {}
+    for number, cells in rows[1:]:
+        named_cells = dict(zip(header, cells, strict=False))
+        cases[number] = []
+        for column, read in _CASES.items():
+            try:
+                cases[number].append(read(named_cells.get(column, '')))
+            except argparse.ArgumentTypeError as error:
+                raise ValueError(f'{name}:{number}: {column} {error}') from None
+    return cases

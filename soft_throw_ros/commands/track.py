@@ -20,7 +20,6 @@ from collections.abc import Iterator, Mapping
 import contextlib
 import math
 from pathlib import Path
-import sys
 
 import numpy as np
 from soft_throw_ros.commands import identify_figure
@@ -28,13 +27,14 @@ from soft_throw_ros.commands.options import new_file, positive
 from soft_throw_ros.commands.output import (
     CommandParser,
     naming,
+    print_note,
     print_text,
     require,
     run_command,
 )
 from soft_throw_ros.commands.track_overlay import draw_overlay, PICTURES, VIDEOS
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.configuration.atomic_file import write_text
 from soft_throw_ros.identification.ringing import change_of_length, fit_ringing
 from soft_throw_ros.identification.spots import BODIES, follow_spots, FollowedSpots, tracks_of
 from soft_throw_ros.identification.track_csv import csv_lines
@@ -75,7 +75,6 @@ def _parser() -> CommandParser:
         description=__doc__,
         epilog='Spots are followed from the first picture on: the lowest is taken to be on the '
         'plate, the highest on the projectile. Where one is covered its samples are missing.',
-        allow_abbrev=False,
     )
     add = parser.add_argument
     add(
@@ -129,12 +128,12 @@ def _run(arguments: argparse.Namespace) -> int:
     lines = [_title(arguments, tracks), *(f'# {note}' for note in notes), *csv_lines(tracks)]
     text = '\n'.join(lines) + '\n'
     if arguments.output:
-        with naming(arguments.output), atomic_file(arguments.output) as unfinished:
-            unfinished.write_text(text, encoding='utf-8')
+        with naming(arguments.output):
+            write_text(arguments.output, text)
     else:
         print_text(text)
     for note in notes:
-        print(f'track: {arguments.video}: {note}', file=sys.stderr)
+        print_note('track', f'{arguments.video}: {note}')
     return 0
 
 

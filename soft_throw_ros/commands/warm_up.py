@@ -30,7 +30,6 @@ def main(args: list[str] | None = None) -> int:
     parser = CommandParser(
         description='Compile all kernels, once for this installation, so that nodes and commands '
         'start quickly. Kernels that are already compiled are only loaded.',
-        allow_abbrev=False,
     )
     parser.add_argument(
         'parts',

@@ -21,7 +21,7 @@ from soft_throw_ros.configuration import interface
 from soft_throw_ros.configuration.files import render
 from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
-from soft_throw_ros.configuration.table import Entry, Table, Value
+from soft_throw_ros.configuration.table import Entry, Table, value_text
 from soft_throw_ros.configuration.twin import TWIN
 
 _COMMAND = 'python -m soft_throw_ros.configuration'
@@ -74,7 +74,7 @@ def _row(entry: Entry) -> tuple[str, ...]:
     unit = f' [{entry.unit}]' if entry.unit and entry.is_result else ''
     return (
         f'`{entry.name}`',
-        'result' if entry.is_result else _text(entry.default),
+        'result' if entry.is_result else value_text(entry.default),
         entry.rule.replace("'", '`'),
         entry.meaning + unit,
     )
@@ -123,9 +123,9 @@ _STAGES = {'release': 'at the first release', 'final': 'at the end of the throw'
 def _topic_row(topic: interface.Topic) -> tuple[str, ...]:
     joints = topic.joints or topic.axes
     shown = joints if len(joints) < 4 else (joints[0], '...', joints[-1])
-    parts = ', '.join(name if name == '...' else f'`{name}`' for name in shown)
+    content = ', '.join(name if name == '...' else f'`{name}`' for name in shown)
     if topic.joints:
-        parts += f': {", ".join(topic.quantities)}'
+        content += f': {", ".join(topic.quantities)}'
     qos = [
         'reliable' if topic.is_reliable else 'best effort',
         *(['transient local'] if topic.is_latched else []),
@@ -133,7 +133,7 @@ def _topic_row(topic: interface.Topic) -> tuple[str, ...]:
     ]
     direction = ' (subscribed)' if topic.is_input else ''
     name = f'`{topic.name}`{direction}'
-    return name, _short(topic.type), topic.meaning, parts or '-', ', '.join(qos)
+    return name, _short(topic.type), topic.meaning, content or '-', ', '.join(qos)
 
 
 def _markdown(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
@@ -146,12 +146,3 @@ def _markdown(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterato
 def _short(type_name: str) -> str:
     """Return the short form of a type name."""
     return type_name.replace('/msg/', '/').replace('/srv/', '/')
-
-
-def _text(value: Value) -> str:
-    """Return a default as a cell of a table."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return f'{value:g}'
-    return ' '.join(map(_text, value)) if isinstance(value, tuple) else str(value)

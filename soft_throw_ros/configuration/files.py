@@ -12,10 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-ROS parameter files and arguments, read without ROS.
+ROS parameter files, read without ROS.
 
-Offline commands read the values here. A node gets its values from ROS, and finds here the file
-and line of each, for error messages and for the order of requests.
+Offline commands read the values here. A node gets its values from ROS, and finds here the source
+of each, file and line or argument, for error messages and for the order of requests.
 """
 
 from __future__ import annotations
@@ -40,17 +40,18 @@ import yaml
 _KEY = 'ros__parameters'
 
 
-class Given(NamedTuple):
-    """A value from a file or an argument, and its source."""
+class Source(NamedTuple):
+    """The source of a value: a line of a file, or an argument."""
 
     node: str
     """Pattern of node names."""
     name: str
-    value: Any
     where: str
     """`FILE:LINE` or `-p NAME:=VALUE`."""
     order: int = 0
     """Number of the file or of the row of arguments; later ones win."""
+    value: Any = None
+    """The value in a file; None for an argument, which ROS parses."""
     in_file: bool = True
 
 
@@ -59,7 +60,19 @@ def default_file(table: Table = TWIN) -> Path:
     return Path(str(resources.files('soft_throw_ros') / 'config' / f'{table.node}.yaml'))
 
 
-def read(path: str | Path, *, node: str = '/twin', table: Table = TWIN) -> dict[str, Value]:
+def print_warning(text: str) -> None:
+    """Print a warning to stderr."""
+    print(f'warning: {text}', file=sys.stderr)
+
+
+def read(
+    path: str | Path,
+    *,
+    node: str = '/twin',
+    table: Table = TWIN,
+    is_required: bool = True,
+    warn: Callable[[str], object] = print_warning,
+) -> dict[str, Value]:
     """
     Read complete settings for a node from a ROS parameter file.
 
@@ -74,6 +87,10 @@ def read(path: str | Path, *, node: str = '/twin', table: Table = TWIN) -> dict[
         Full name of the node, which is matched with the wildcards of the file as in ROS.
     table : Table
         Parameters of the node.
+    is_required : bool
+        Whether the file must have parameters of the node.
+    warn : callable
+        Called with a sentence for each deprecated name.
 
     Raises
     ------
@@ -83,22 +100,17 @@ def read(path: str | Path, *, node: str = '/twin', table: Table = TWIN) -> dict[
 
     """
     everything = list(_read_file(Path(path)))
-    given = select(everything, node)
-    if not given:
+    sources = select(everything, node)
+    if is_required and not sources:
         nodes = ', '.join(sorted({item.node for item in everything})) or 'no parameters'
         raise ParameterError(f'{path}: nothing for node {node}; it has {nodes}')
-    values = {name: item.value for name, item in given.items() if not is_foreign(name)}
-    return start(values, given, table)
-
-
-def print_warning(text: str) -> None:
-    """Print a warning to stderr."""
-    print(f'warning: {text}', file=sys.stderr)
+    values = {name: item.value for name, item in sources.items() if not is_foreign(name)}
+    return start(values, sources, table, warn=warn)
 
 
 def start(
     values: Settings,
-    given: dict[str, Given],
+    sources: dict[str, Source],
     table: Table = TWIN,
     *,
     warn: Callable[[str], object] = print_warning,
@@ -114,7 +126,7 @@ def start(
     ----------
     values : mapping of str to value
         Values that replace the defaults.
-    given : dict of str to Given
+    sources : dict of str to Source
         Sources of the values, as far as they are known.
     table, warn
         Parameters of the node; called with a sentence for each deprecated name.
@@ -127,14 +139,14 @@ def start(
     """
     requests: dict[int, dict[str, Value]] = {}
     for name, value in values.items():
-        source = given.get(name)
+        source = sources.get(name)
         is_argument = source is not None and not source.in_file
         is_result = name in table.by_name and table.by_name[name].is_result
         if is_argument or not is_result:  # `ros2 param dump` writes results to files
             requests.setdefault(source.order if source else 0, {})[name] = value
     locations = {}  # of values that have a known one, also by their present names
-    for name, item in given.items():
-        locations[name] = locations[table.deprecated.get(name, name)] = f'{item.where}: '
+    for name, source in sources.items():
+        locations[name] = locations[table.deprecated.get(name, name)] = f'{source.where}: '
     settings = table.defaults()
     try:
         for _, request in sorted(requests.items()):
@@ -157,9 +169,9 @@ def is_foreign(name: str) -> bool:
     )
 
 
-def read_arguments(arguments: Sequence[str]) -> list[Given]:
+def read_arguments(arguments: Sequence[str]) -> list[Source]:
     """
-    Return the values in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`).
+    Return the sources in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`).
 
     Raises
     ------
@@ -167,7 +179,7 @@ def read_arguments(arguments: Sequence[str]) -> list[Given]:
         If a file cannot be read; the message has file and line.
 
     """
-    values: list[Given] = []
+    sources: list[Source] = []
     order, in_file, inside = 0, True, False
     for flag, argument in pairwise(arguments):
         inside = (inside or flag == '--ros-args') and flag != '--'
@@ -175,20 +187,17 @@ def read_arguments(arguments: Sequence[str]) -> list[Given]:
             continue
         order += in_file or flag == '--params-file'
         in_file = flag == '--params-file'
-        target, separator, text = argument.partition(':=')
         if in_file:
-            values += _read_file(Path(argument), order)
-        elif separator and text:  # ROS refuses all others
-            node, _, name = target.rpartition(':')
-            where = f'-p {argument}'
-            value = located_yaml.parse(text, where)
-            values.append(Given(node or '/**', name, value, where, order, in_file=False))
-    return values
+            sources += _read_file(Path(argument), order)
+        else:
+            node, _, name = argument.partition(':=')[0].rpartition(':')
+            sources.append(Source(node or '/**', name, f'-p {argument}', order, in_file=False))
+    return sources
 
 
-def select(values: Iterable[Given], node: str) -> dict[str, Given]:
-    """Return the values for one node by parameter name; the last one wins."""
-    return {item.name: item for item in values if _matches(item.node, node)}
+def select(sources: Iterable[Source], node: str) -> dict[str, Source]:
+    """Return the sources for one node by parameter name; the last one wins."""
+    return {item.name: item for item in sources if _matches(item.node, node)}
 
 
 @lru_cache
@@ -234,7 +243,7 @@ def _text(value: Value) -> str:
     return text if isinstance(value, tuple) else text[1:-1]
 
 
-def _read_file(path: Path, order: int = 0) -> Iterator[Given]:
+def _read_file(path: Path, order: int = 0) -> Iterator[Source]:
     """Yield the values of a file in their order."""
     root = located_yaml.read(path)
     for names, leaf in _leaves(root) if root is not None else ():
@@ -246,7 +255,7 @@ def _read_file(path: Path, order: int = 0) -> Iterator[Given]:
         index = names.index(_KEY)
         node, name = '/'.join(names[:index]), '.'.join(names[index + 1:])
         if name:
-            yield Given(node, name, leaf.value, leaf.where, order)
+            yield Source(node, name, leaf.where, order, leaf.value)
 
 
 def _leaves(

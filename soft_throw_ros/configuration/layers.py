@@ -306,7 +306,7 @@ def _read_materials(
     root = located_yaml.read(path)
     if root is None:
         raise ParameterError(f'{path}: the file has no material')
-    for name, node in _parts(root, 'NAME: {density: ..., ...}').items():
+    for name, node in _items(root, 'NAME: {density: ..., ...}').items():
         if not re.fullmatch(r'[A-Za-z0-9][A-Za-z0-9_.-]*', name) or name == CUSTOM:
             raise ParameterError(
                 f'{node.where}: the name of a material is letters, digits, points, dashes and '
@@ -314,23 +314,23 @@ def _read_materials(
             )
         if name in materials or name in stacks:
             raise ParameterError(f'{node.where}: there is a material named {name} already')
-        parts = _parts(node, 'PROPERTY: VALUE')
-        values = {key: _value(key, part) for key, part in parts.items()}
-        required = _STACK if 'stack' in parts else _REQUIRED
-        missing = [key for key in required if key not in parts]
+        items = _items(node, 'PROPERTY: VALUE')
+        values = {key: _value(key, item) for key, item in items.items()}
+        required = _STACK if 'stack' in items else _REQUIRED
+        missing = [key for key in required if key not in items]
         if missing:
             raise ParameterError(f'{node.where}: {name} has no {", no ".join(missing)}')
-        if 'stack' not in parts:
-            materials[name] = _material(name, node, parts, values)
+        if 'stack' not in items:
+            materials[name] = _material(name, node, items, values)
             continue
-        other = [key for key in parts if key not in required]
-        if other:
-            raise ParameterError(f'{parts[other[0]].where}: a stack has no {other[0]}')
-        stacks[name] = parts['stack']
+        for key, item in items.items():
+            if key not in required:
+                raise ParameterError(f'{item.where}: a stack has no {key}')
+        stacks[name] = items['stack']
 
 
 def _material(
-    name: str, node: Located, parts: Mapping[str, Located], values: dict[str, Any]
+    name: str, node: Located, items: Mapping[str, Located], values: dict[str, Any]
 ) -> Material:
     stiffness = [key for key in _STIFFNESS if key in values]
     if len(stiffness) != 1:
@@ -340,22 +340,22 @@ def _material(
         )
     modulus = values.pop('youngs_modulus', None)
     if modulus is not None:
-        speeds = (math.sqrt(item / values['density'].value) for item in modulus)
+        speeds = (math.sqrt(end / values['density'].value) for end in modulus)
         values['wave_speed'] = MaterialProperty(*speeds)
-        _checked('wave_speed', values['wave_speed'].value, parts['youngs_modulus'].where)
+        _checked('wave_speed', values['wave_speed'].value, items['youngs_modulus'].where)
     return Material(name=name, **values)
 
 
-def _parts(node: Located, form: str) -> dict[str, Located]:
+def _items(node: Located, form: str) -> dict[str, Located]:
     """Return the values of a mapping; a key may not come twice."""
     if node.items is None:
         raise ParameterError(f'{node.where}: expected {form}, got {quote(node.value)}')
-    parts: dict[str, Located] = {}
+    items: dict[str, Located] = {}
     for key, value in node.items:
-        if key in parts:
+        if key in items:
             raise ParameterError(f'{value.where}: {key} is given twice')
-        parts[key] = value
-    return parts
+        items[key] = value
+    return items
 
 
 def _checked(key: str, value: object, where: str) -> Any:
@@ -371,17 +371,17 @@ def _value(key: str, node: Located) -> Any:
     if node.items is None or key not in _RANGED:
         value = _checked(key, node.value, node.where)
         return MaterialProperty(value, value, value) if key in _RANGED else value
-    parts = _parts(node, '{value: ..., range: [..., ...]}')
-    if set(parts) != {'value', 'range'}:
+    items = _items(node, '{value: ..., range: [..., ...]}')
+    if set(items) != {'value', 'range'}:
         raise ParameterError(
             f'{node.where}: {key} must be a number or {{value: ..., range: [..., ...]}}, got '
-            f'{", ".join(parts) or "nothing"}'
+            f'{", ".join(items) or "nothing"}'
         )
-    value = _checked(key, parts['value'].value, parts['value'].where)
-    given, where = parts['range'].value, parts['range'].where
-    ends = [_checked(key, item, where) for item in given] if isinstance(given, list) else []
+    value = _checked(key, items['value'].value, items['value'].where)
+    limits, where = items['range'].value, items['range'].where
+    ends = [_checked(key, end, where) for end in limits] if isinstance(limits, list) else []
     if len(ends) != 2 or not ends[0] <= value <= ends[1]:
         raise ParameterError(
-            f'{where}: the range of {key} must be two numbers around {value:g}, got {given}'
+            f'{where}: the range of {key} must be two numbers around {value:g}, got {limits}'
         )
     return MaterialProperty(value, *ends)

@@ -29,7 +29,7 @@ _MAX_BYTES = 1 << 18
 
 @dataclass(frozen=True)
 class Located:
-    """A value and its source, `FILE:LINE` or an argument."""
+    """A value and its source, `FILE:LINE`."""
 
     where: str
     value: Any = None
@@ -56,13 +56,7 @@ def read(path: Path) -> Located | None:
         raise ParameterError(f'{path}: is no UTF-8 text') from None
     except ValueError as error:
         raise ParameterError(f'{path}: {error}') from None  # no name that a file can have
-    return _parse(text, str(path), has_lines=True)
-
-
-def parse(text: str, where: str) -> Any:
-    """Parse the value of an argument; raise ParameterError with its source."""
-    root = _parse(text, where, has_lines=False)
-    return '' if root is None else root.value
+    return _parse(text, str(path))
 
 
 class _Loader(yaml.SafeLoader):
@@ -76,12 +70,9 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def _parse(text: str, name: str, *, has_lines: bool) -> Located | None:
-    def location(mark: yaml.Mark) -> str:
-        return f'{name}:{mark.line + 1}' if has_lines else name
-
+def _parse(text: str, name: str) -> Located | None:
     def locate(node: yaml.Node) -> Located:
-        where = location(node.start_mark)
+        where = f'{name}:{node.start_mark.line + 1}'
         if not isinstance(node, yaml.MappingNode):
             return Located(where, _value(node))
         items = ((str(key.value), locate(value)) for key, value in node.value)
@@ -93,7 +84,8 @@ def _parse(text: str, name: str, *, has_lines: bool) -> Located | None:
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, 'problem_mark', None)
         problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
-        raise ParameterError(f'{location(mark) if mark else name}: {problem}') from None
+        where = f'{name}:{mark.line + 1}' if mark else name
+        raise ParameterError(f'{where}: {problem}') from None
 
 
 def _value(node: yaml.Node) -> Any:

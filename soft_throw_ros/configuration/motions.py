@@ -24,7 +24,7 @@ import base64
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 import zlib
 
 import numpy as np
@@ -114,11 +114,24 @@ def decode(text: str) -> SampledMotion:
         raise ValueError(f'no motion can be read, {error}, from {quote(text)}') from error
 
 
-def csv_lines(motion: SampledMotion) -> Iterator[str]:
-    """Write a motion as lines of CSV that `read` reads."""
-    yield 't [s],z [m],velocity [m/s],acceleration [m/s2]'
-    for time, state in zip(motion.times.tolist(), motion.states.tolist(), strict=True):
-        yield ','.join(map(repr, (time, *state)))
+def to_csv(motion: SampledMotion) -> str:
+    """Write a motion as CSV that `read` reads."""
+    rows = np.column_stack([motion.times, motion.states]).tolist()
+    lines = ['t [s],z [m],velocity [m/s],acceleration [m/s2]']
+    return '\n'.join([*lines, *(','.join(map(repr, row)) for row in rows)]) + '\n'
+
+
+def trajectory_points(motion: SampledMotion) -> list[dict[str, Any]]:
+    """Return a motion as the fields of messages `trajectory_msgs/JointTrajectoryPoint`."""
+    points = []
+    for time, *state in np.column_stack([motion.times, motion.states]).tolist():
+        seconds, nanoseconds = divmod(round(1e9 * time), 1_000_000_000)
+        names = ('positions', 'velocities', 'accelerations')
+        points.append({
+            **{name: [value] for name, value in zip(names, state, strict=True)},
+            'time_from_start': {'sec': seconds, 'nanosec': nanoseconds},
+        })
+    return points
 
 
 @lru_cache(maxsize=64)

@@ -92,8 +92,8 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     times, heights = require_samples(times, heights, 'heights')
     if times.size < MIN_SAMPLES:
         raise ValueError(f'heights must be at least {MIN_SAMPLES}, got {times.size}')
-    start, rest = _find_start(times, heights)
-    spline = _fit_record(times - start, heights - rest)
+    start, rest_height = _find_start(times, heights)
+    spline = _fit_record(times - start, heights - rest_height)
     knots = np.unique(spline.t)
     states = np.stack([spline(knots, nu=order) for order in range(3)], axis=1)
     motion = SampledMotion(knots, states)
@@ -109,26 +109,28 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
     """Return the time at which a recorded plate starts to move, and its height before that."""
     noise = _noise(heights)
     moved = np.abs(heights - np.median(heights[:3]))
-    seen = max(_MOTION_SIGMAS * noise, 1e-6 * np.ptp(heights))
-    if not moved.max() > 2.0 * seen:
+    threshold = max(_MOTION_SIGMAS * noise, 1e-6 * np.ptp(heights))
+    if not moved.max() > 2.0 * threshold:
         raise ValueError(
             f'the plate must move, got heights from {heights.min():g} to {heights.max():g} m '
             f'with a noise of {noise:g} m'
         )
     # The last time that it was seen at rest before it was first far away
-    far = int((moved > max(_CERTAIN_MOTION * moved.max(), seen)).argmax())
-    first = far - int((moved[:far][::-1] <= seen).argmax()) if (moved[:far] <= seen).any() else 0
+    far = int((moved > max(_CERTAIN_MOTION * moved.max(), threshold)).argmax())
+    at_rest = np.flatnonzero(moved[:far] <= threshold)
+    first = int(at_rest[-1]) + 1 if at_rest.size else 0
     if first < 2:
         return float(times[0]), float(heights[0])
-    rest = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
-    t, z = times[: far + 1], heights[: far + 1] - rest
+    rest_height = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
+    t, z = times[: far + 1], heights[: far + 1] - rest_height
 
     def residual(start: float) -> float:
         s = np.maximum(t - start, 0.0) / (t[-1] - t[0])
         basis = np.stack([s**2, s**3, s**4, s**5], axis=1)
         return float(np.sum((z - basis @ np.linalg.lstsq(basis, z, rcond=None)[0]) ** 2))
 
-    return _lowest(residual, float(times[max(2 * first - far - 2, 0)]), float(times[first])), rest
+    earliest = float(times[max(2 * first - far - 2, 0)])
+    return _lowest(residual, earliest, float(times[first])), rest_height
 
 
 def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
@@ -190,13 +192,13 @@ def _fit_spline(times: Floats, heights: Floats, stride: int) -> _Fit:
     inner = times[:-2] if stride == 1 else times[:-1][stride - 1:: stride]
     knots = np.concatenate([[0.0] * 4, inner, [times[-1]] * 4])
     basis = BSpline.design_matrix(times, knots, 3).tocsc()
-    away = heights[(np.abs(heights) > _CERTAIN_MOTION * np.abs(heights).max()).argmax()]
+    direction = heights[(np.abs(heights) > _CERTAIN_MOTION * np.abs(heights).max()).argmax()]
     # Height and velocity at the start are 0. Noise must not make it a jump the other way, which
     # would throw the projectile off at once.
     for zeros in (2, 3, 4):
         free = basis[:, zeros:]
         coefficients = np.append(np.zeros(zeros), spsolve(free.T @ free, free.T @ heights))
-        if coefficients[zeros] * away >= 0.0 or stride == 1:
+        if coefficients[zeros] * direction >= 0.0 or stride == 1:
             break
     spline = BSpline(knots, coefficients, 3)
     misfit = float(np.sum((spline(times) - heights) ** 2))

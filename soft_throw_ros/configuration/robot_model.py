@@ -42,11 +42,8 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
         If the file cannot be read or has a refused value; the message has file and line.
 
     """
-    sections = files.read_arguments(['--ros-args', '--params-file', str(path)])
-    given = files.select(sections, node)
-    values = {name: item.value for name, item in given.items() if not files.is_foreign(name)}
     # The twin itself logs the warnings.
-    settings = files.start(values, given, warn=lambda _text: None)
+    settings = files.read(path, node=node, is_required=False, warn=lambda _text: None)
     return urdf_of(urdf, settings, frame_prefix=frame_prefix)
 
 

@@ -340,9 +340,9 @@ class Table:
         return changes
 
 
-def row(name: str, default: Value, meaning: str, **rest: Any) -> Entry:
+def row(name: str, default: Value, meaning: str, **fields: Any) -> Entry:
     """Make an entry, so that a table can be read in columns."""
-    return Entry(name=name, default=default, meaning=meaning, **rest)
+    return Entry(name=name, default=default, meaning=meaning, **fields)
 
 
 def float_of(text: str) -> float | None:
@@ -360,6 +360,15 @@ def number_of(text: str) -> float | None:
         return None if number is None else int(text)
     except ValueError:
         return number
+
+
+def value_text(value: Value) -> str:
+    """Return a value in short form for help texts and pages."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f'{value:g}'
+    return ' '.join(map(value_text, value)) if isinstance(value, tuple) else str(value)
 
 
 def quote(value: object) -> str:

@@ -343,10 +343,10 @@ def _custom_layer(settings: Settings, changes: Settings) -> Settings:
     if 'layer.name' in changes or name == CUSTOM or not touched:
         return {}
     try:
-        known = _layers({**settings, **changes})[name]
+        values = _layers({**settings, **changes})[name]
     except (KeyError, ParameterError):  # the library has changed, or cannot be read any more
         return {'layer.name': CUSTOM}
-    is_same = all(known[each] == changes.get(each, known[each]) for each in known)
+    is_same = all(changes.get(key, value) == value for key, value in values.items())
     return {} if is_same else {'layer.name': CUSTOM}
 
 

@@ -21,6 +21,7 @@ import struct
 from types import MappingProxyType
 from typing import Any
 
+from builtin_interfaces.msg import Duration as DurationMessage
 from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
@@ -36,6 +37,7 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings, TWIN
 from soft_throw_ros.configuration.interface import FRAME, JOINTS
+from soft_throw_ros.configuration.motions import trajectory_points
 from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
@@ -199,14 +201,9 @@ def motion_to_msg(start_ns: int, motion: SampledMotion) -> JointTrajectory:
         joint_names=[_PLATE],
         points=[
             JointTrajectoryPoint(
-                positions=[position],
-                velocities=[velocity],
-                accelerations=[acceleration],
-                time_from_start=Duration(seconds=time).to_msg(),
+                **{**point, 'time_from_start': DurationMessage(**point['time_from_start'])}
             )
-            for time, (position, velocity, acceleration) in zip(
-                motion.times.tolist(), motion.states.tolist(), strict=True
-            )
+            for point in trajectory_points(motion)
         ],
     )
 

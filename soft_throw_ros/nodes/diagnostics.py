@@ -86,7 +86,7 @@ class Diagnostics:
         """Return the statuses of the lateness and of the processor time of the ticks."""
         session, ticker, now = self._session, self._ticker, time.monotonic()
         times = ticker.take_times()
-        lateness, compute = [late for late, _ in times], [taken for _, taken in times]
+        lateness, compute = [late for late, _ in times], [duration for _, duration in times]
         self._max_lateness = max([self._max_lateness, *lateness])
         passed, self._time = now - self._time, now
         ticks = ticker.counts.copy()

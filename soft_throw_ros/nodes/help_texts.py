@@ -21,7 +21,7 @@ from typing import NamedTuple
 from soft_throw_ros.configuration import Entry, TWIN
 from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
-from soft_throw_ros.configuration.table import Table
+from soft_throw_ros.configuration.table import Table, value_text
 
 _MORE = 'docs/parameters.md lists all parameters, and ros2 param describe explains each.'
 
@@ -90,7 +90,6 @@ def help_text(name: str, usage: str) -> str:
 def _describe(entry: Entry) -> str:
     """Return meaning, default and unit of a parameter."""
     meaning = entry.meaning.replace('`', '')
-    values = entry.default if isinstance(entry.default, tuple) else (entry.default,)
-    default = ' '.join(f'{v:g}' if isinstance(v, float) else str(v).lower() for v in values)
+    default = value_text(entry.default)
     unit = f' {entry.unit}' if entry.unit else ''
     return f'{meaning} (default {default}{unit})' if default else meaning

@@ -113,9 +113,9 @@ class NodeParameters:
         self._log = _ChangeLog(node)
         overrides = parameter_overrides(node)
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
-        given = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
+        sources = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
         self.settings: Settings = files.start(
-            values, given, table, warn=node.get_logger().warning
+            values, sources, table, warn=node.get_logger().warning
         )
         self.checked = self._candidate = self._check_complete(self.settings)
         for entry in table.entries:

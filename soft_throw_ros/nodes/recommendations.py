@@ -25,7 +25,7 @@ import zlib
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.commands.design_texts import remarks_of, summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.configuration.atomic_file import write_text
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
@@ -119,12 +119,11 @@ class RecommendationState:
 
 def _save_motion(best: MotionDesign) -> Path:
     """Write a motion below ROS_HOME; the name of the file contains the checksum of the motion."""
-    text = '\n'.join(motions.csv_lines(best.motion)) + '\n'
+    text = motions.to_csv(best.motion)
     folder = Path(os.environ.get('ROS_HOME', '~/.ros')).expanduser() / 'soft_throw'
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f'motion_{zlib.crc32(text.encode()):08x}.csv'
-    with atomic_file(path) as unfinished:
-        unfinished.write_text(text, encoding='utf-8')
+    write_text(path, text)
     return path
 
 

@@ -86,7 +86,6 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
         prog='replay',
         description=__doc__,
         usage=_USAGE,
-        allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')

@@ -21,29 +21,29 @@ import traceback
 from typing import Generic, TypeVar
 
 Request = TypeVar('Request')
-Answer = TypeVar('Answer')
+Result = TypeVar('Result')
 
 
-class LatestOnlyWorker(Generic[Request, Answer]):
+class LatestOnlyWorker(Generic[Request, Result]):
     """
-    One thread that answers requests; a newer request replaces all earlier ones.
+    One thread that computes results for requests; a newer request replaces all earlier ones.
 
-    A newer request cancels the computation for an earlier one, whose answer is dropped. An
+    A newer request cancels the computation for an earlier one, whose result is dropped. An
     exception ends one computation, and not the thread.
 
     Parameters
     ----------
     compute : callable
-        Makes the answer to a request. Its second argument tells, when called, whether nobody
-        waits for the answer any more; then any answer will do.
-    on_answer : callable
-        Called in the thread with every answer.
+        Computes the result for a request. Its second argument is a function that returns whether
+        the request is cancelled; the result of a cancelled request is not used.
+    on_result : callable
+        Called in the thread with every result.
     on_failure : callable
-        Makes the answer to a request whose computation has raised an exception.
+        Returns the result for a request whose computation has raised an exception.
     log : callable
-        Takes the traceback of every such exception.
+        Called with the traceback of every such exception.
     interval : float
-        Time from an answer to the next beginning, so that a storm of requests costs little. [s]
+        Time from a result to the next computation, so that a storm of requests costs little. [s]
 
     Attributes
     ----------
@@ -54,16 +54,16 @@ class LatestOnlyWorker(Generic[Request, Answer]):
 
     def __init__(
         self,
-        compute: Callable[[Request, Callable[[], bool]], Answer],
-        on_answer: Callable[[Answer], None],
+        compute: Callable[[Request, Callable[[], bool]], Result],
+        on_result: Callable[[Result], None],
         *,
-        on_failure: Callable[[Request, Exception], Answer],
+        on_failure: Callable[[Request, Exception], Result],
         log: Callable[[str], object],
         interval: float = 0.0,
     ) -> None:
         self.failures = 0
         self._compute = compute
-        self._on_answer = on_answer
+        self._on_result = on_result
         self._on_failure = on_failure
         self._log = log
         self._interval = interval
@@ -87,12 +87,12 @@ class LatestOnlyWorker(Generic[Request, Answer]):
     def _work(self) -> None:
         while self._is_waiting.wait() and not self._is_closing.is_set():
             self._is_waiting.clear()
-            answer = self._answer(self._request)
+            result = self._result_of(self._request)
             if not self._is_waiting.is_set():
-                self._on_answer(answer)
+                self._on_result(result)
             self._is_closing.wait(self._interval)
 
-    def _answer(self, request: Request) -> Answer:
+    def _result_of(self, request: Request) -> Result:
         try:
             return self._compute(request, self._is_waiting.is_set)
         except Exception as error:  # noqa: BLE001  later requests must still be answered

@@ -76,7 +76,7 @@ def test_free_layers_of_two_materials_give_a_warning(command, write):
     ('args', 'message'),
     [
         ((), 'the following arguments are required: M FILE'),
-        (('x', SAMPLE), 'argument M FILE: M must be a number from 0.0005'),
+        (('x', SAMPLE), 'argument M FILE: layer.thickness must be a number from 0.0005'),
         ((SAMPLE,), 'argument M FILE: must be pairs'),
         (('1e-2', SAMPLE, '--thickness-error', '-1'), 'argument --thickness-error: must be'),
         (('1e-2', SAMPLE), f'{SAMPLE}:4: no column is named bottom or z_bottom or '),

@@ -324,7 +324,7 @@ THICKNESS = 'layer.thickness'
     ('args', 'message'),
     [
         (('none.csv',), 'none.csv: No such file or directory'),
-        ((SAMPLE, '--noise', '0'), 'argument --noise: must be finite and positive, got 0'),
+        ((SAMPLE, '--noise', '0'), "argument --noise: must be finite and positive, got '0'"),
         ((SAMPLE, '--fit', 'layer.colour'), 'argument --fit: what is fitted must be some of '),
         ((SAMPLE, '--fit', THICKNESS, '--hold', THICKNESS), f'argument --hold: {THICKNESS}'),
         ((SAMPLE, '--thickness', '7'), f'argument --thickness: {THICKNESS} must be a number from'),

@@ -58,8 +58,8 @@ def test_plan_continues_from_measured_throws(command):
     [
         (('--masses', 'heavy'), "argument --masses: projectile.mass must be .*'heavy'"),
         (('--thicknesses', '-1'), 'argument --thicknesses: layer.thickness must be'),
-        (('--goal', '0'), 'argument --goal: must be finite and positive, got 0'),
-        (('--rate', 'fast'), 'argument --rate: must be finite and positive, got fast'),
+        (('--goal', '0'), "argument --goal: must be finite and positive, got '0'"),
+        (('--rate', 'fast'), "argument --rate: must be finite and positive, got 'fast'"),
         (HOLD_ALL, 'nothing is sought'),
         (('--fit-file', 'FILE'), 'heavy'),
     ],

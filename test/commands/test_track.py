@@ -244,8 +244,8 @@ THROW = ('VIDEO', *AS_TAKEN)
     ('args', 'message'),
     [
         (('VIDEO', '--rate', '1'), 'the following arguments are required: --scale'),
-        ((*THROW, '--rate', 'fast'), 'argument --rate: must be finite and positive, got fast'),
-        ((*THROW, '--scale', '1', '0'), 'argument --scale: must be finite and positive, got 0'),
+        ((*THROW, '--rate', 'fast'), "argument --rate: must be finite and positive, got 'fast'"),
+        ((*THROW, '--scale', '1', '0'), "argument --scale: must be finite and positive, got '0'"),
         ((*THROW, '--line', '1', '2', '3', '--spots', 'plate'), 'argument --spots: is for spots'),
         ((*THROW, '--space-time', 'a.png'), 'argument --space-time: needs --line'),
         ((*THROW, '--line', '400', '2', '9'), 'VIDEO: a line from row 2 to row 9 of column 400'),

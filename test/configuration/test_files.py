@@ -27,9 +27,13 @@ def read_one(path: Path, name: str = 'layer.thickness', node: str = '/twin') -> 
 
 
 def start(arguments: list[str]) -> dict[str, Any]:
-    """Start from arguments as the node does."""
-    chosen = files.select(files.read_arguments(arguments), '/twin')
-    return files.start({name: item.value for name, item in chosen.items()}, chosen)
+    """Start from arguments as the node does, whose arguments ROS has parsed."""
+    sources = files.select(files.read_arguments(arguments), '/twin')
+    values = {
+        name: item.value if item.in_file else yaml.safe_load(item.where.partition(':=')[2])
+        for name, item in sources.items()
+    }
+    return files.start(values, sources)
 
 
 @pytest.mark.parametrize('table', [TWIN, RECORDER], ids=lambda table: table.node)

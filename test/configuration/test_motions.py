@@ -69,7 +69,7 @@ def test_other_columns_are_ignored(write):
 
 def test_written_motion_is_read_back_exactly(write):
     motion = motions.read(write('\n'.join(lines())))
-    again = motions.read(write('\n'.join(motions.csv_lines(motion)), 'again.csv'))
+    again = motions.read(write(motions.to_csv(motion), 'again.csv'))
     np.testing.assert_array_equal(again.times, motion.times)
     np.testing.assert_allclose(again.states, motion.states, rtol=1e-14, atol=1e-18)
 

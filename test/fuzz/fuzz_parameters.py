@@ -98,9 +98,12 @@ def test_file_of_parameters_is_read_or_refused(
 def test_ros_arguments_are_taken_or_refused(tmp_path: Path, words: list[str]) -> None:
     with bounded(tmp_path):
         try:
-            given_to_twin = files.select(files.read_arguments(['--ros-args', *words]), '/twin')
-            values = {name: each.value for name, each in given_to_twin.items()}
-            assert_valid(TWIN, files.start(values, given_to_twin))
+            sources = files.select(files.read_arguments(['--ros-args', *words]), '/twin')
+            values = {
+                name: item.value if item.in_file else item.where.partition(':=')[2]
+                for name, item in sources.items()
+            }
+            assert_valid(TWIN, files.start(values, sources))
         except ParameterError as error:
             assert_refusal(error)
 

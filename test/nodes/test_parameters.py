@@ -293,9 +293,9 @@ def test_files_types_a_value_as_ros_does(ros, tmp_path: Path) -> None:
         partial(Node, 'typing', automatically_declare_parameters_from_overrides=True),
         ros_args=arguments,
     )
-    parameters = files.select(files.read_arguments(['--ros-args', *arguments]), '/typing')
+    sources = files.select(files.read_arguments(['--ros-args', *arguments]), '/typing')
     for number, text in enumerate(TEXTS):
-        theirs, ours = node.get_parameter(f'a{number}').value, parameters[f'a{number}'].value
+        theirs, ours = node.get_parameter(f'a{number}').value, sources[f'a{number}'].value
         theirs = list(theirs) if isinstance(ours, list) else theirs
         assert repr(theirs) == repr(ours), text
 
