@@ -21,7 +21,7 @@ of its files, see `encode`, and a repetition of the run takes them from there.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
