@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 BODY = np.dtype(
     [
-        ('count', 'f8'),  # number of cells
+        ('count', 'i8'),  # number of cells
         ('thickness', 'f8'),  # 0 if its strain does not matter [m]
         ('mass', 'f8'),  # [kg]
         ('stiffness', 'f8'),  # at the plate's frequency [N/m]
@@ -63,7 +63,7 @@ MAX_PROJECTILE_CELLS = 1 << 15
 MIN_PROJECTILE_CELLS = 2
 """Fewest cells of an elastic projectile."""
 
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 """Relative rounding error of a crossing time. [-]"""
 
 _SHOCK_SPEED = 1.055
@@ -84,7 +84,8 @@ class Grid(NamedTuple):
     def counts(self) -> NDArray[np.int64]:
         """Cells of each sheet."""
         sheets = self.bodies.size - (self.projectile_cells > 0)
-        return self.bodies['count'][:sheets].astype(np.int64)
+        counts: NDArray[np.int64] = self.bodies['count'][:sheets]
+        return counts
 
     def points(self, count: int) -> NDArray[np.void]:
         """Return a `POINT` for each of some even heights from plate to top."""
@@ -185,7 +186,7 @@ def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
 
 def count_cells(crossings: Floats, step: Floats | float) -> NDArray[np.int64]:
     """Count the cells of sheets that their fastest wave crosses in a step or a little more."""
-    return np.maximum(1, (crossings / step * (1.0 + _ROUNDING)).astype(np.int64))
+    return np.maximum(1, (crossings / step * (1.0 + ROUNDING)).astype(np.int64))
 
 
 def crossing_time(rig: Rig) -> float:
@@ -248,12 +249,12 @@ def make_massless_grid(rig: Rig, *, step: float) -> Grid:
 
 def _count_projectile_cells(rig: Rig, step: float) -> int:
     """Count the cells of an elastic projectile, or refuse too many."""
-    wanted = rig.crossing_ratio * rig.crossing_time / step * (1.0 + _ROUNDING)
-    if wanted > MAX_PROJECTILE_CELLS:
+    count = rig.crossing_ratio * rig.crossing_time / step * (1.0 + ROUNDING)
+    if count > MAX_PROJECTILE_CELLS:
         modulus = rig.projectile.youngs_modulus
-        stiffer = modulus * (wanted / MAX_PROJECTILE_CELLS) ** 2
+        stiffer = modulus * (count / MAX_PROJECTILE_CELLS) ** 2
         raise ValueError(
-            f'projectile.youngs_modulus {modulus:g} Pa takes {wanted:.0f} cells, the limit is '
+            f'projectile.youngs_modulus {modulus:g} Pa takes {count:.0f} cells, the limit is '
             f'{MAX_PROJECTILE_CELLS}; feasible: {1.001 * stiffer:.4g} Pa or more'
         )
-    return max(MIN_PROJECTILE_CELLS, int(wanted))
+    return max(MIN_PROJECTILE_CELLS, int(count))

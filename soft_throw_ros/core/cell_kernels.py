@@ -61,7 +61,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 from soft_throw_ros.core import stepper
-from soft_throw_ros.core.cell_grid import POINT
+from soft_throw_ros.core.cell_grid import POINT, ROUNDING
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.plate_kernels import (
@@ -73,14 +73,11 @@ from soft_throw_ros.core.plate_kernels import (
     write_underdamped,
 )
 
-FORCE_NOISE = 1e-11
+_FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed [-]."""
 
 _AVERAGE_ACCELERATION = 0.25
 """Newmark's parameter beta of cells that a wave crosses in less than a step. [-]"""
-
-_ROUNDING = 1e-9
-"""Relative rounding error of a crossing time. [-]"""
 
 _SHOCK = 1.0
 """Artificial viscosity of von Neumann and Richtmyer, over the density. [-]"""
@@ -222,17 +219,16 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
         body = bodies[n]
         if first == top:
             first = face
-        count = int(body.count)
-        mass, spring = body.mass / count, body.stiffness * count
-        inverse = count / body.thickness if body.thickness > 0.0 else 0.0
+        mass, spring = body.mass / body.count, body.stiffness * body.count
+        inverse = body.count / body.thickness if body.thickness > 0.0 else 0.0
         tangent = body.relaxed  # of the stiffest state
         if body.max_compression > 0.0:
             tangent *= (1.0 + 2.0 / (1.0 - body.max_compression) ** 3) / 3.0
         tangent = (tangent + body.maxwell[0] + body.maxwell[1] + body.maxwell[2]) * spring
         implicit = 0.0
-        if 0.0 < math.sqrt(mass / tangent) * (1.0 + _ROUNDING) < s.step:
+        if 0.0 < math.sqrt(mass / tangent) * (1.0 + ROUNDING) < s.step:
             implicit = _AVERAGE_ACCELERATION * s.step * s.step * tangent
-        for j in range(first, first + count):
+        for j in range(first, first + body.count):
             nodes[ROW.mass, j] += 0.5 * mass
             nodes[ROW.mass, j + 1] += 0.5 * mass
             nodes[ROW.inverse_length, j] = inverse
@@ -246,7 +242,7 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
                 nodes[ROW.maxwell_stiffness + element, j] = body.maxwell[element] * spring
             nodes[ROW.viscosity, j] = nodes[ROW.viscosity + 1, j] = body.lag * spring
             nodes[ROW.implicit_stiffness, j] = implicit
-        first += count
+        first += body.count
     if first == top:
         nodes[ROW.mass, face] += s.mass
 
@@ -470,10 +466,10 @@ def prepare(
     """Complete the third record, which has the plate's motion already, and cut the bodies."""
     s = core[2]
     s.step, s.rate, s.mass, s.gravity = step, 2.0 / step, mass, gravity
-    s.release_threshold = -FORCE_NOISE * peak_force
+    s.release_threshold = -_FORCE_NOISE * peak_force
     sheets = bodies.size - (1 if is_elastic else 0)
     for n in range(sheets):
-        s.cells += int(bodies[n].count)
+        s.cells += bodies[n].count
     s.first_node, s.contact_link = (1, 0) if is_on_projectile else (0, s.cells)
     s.face_node_mass = 0.5 * mass / bodies[sheets].count if is_elastic else mass
     for end in range(2):
@@ -793,16 +789,12 @@ def _motion(s, nodes, j, fraction):
 def _advance(core, nodes, path, events, time):
     """Advance to `time`; return the number of events until now, or an error code."""
     grid, s = core[0], core[1]
-    if not time >= s.time:
-        return stepper.BACKWARDS
     step = grid.step
-    if time >= 4e15 * step:
-        return stepper.TOO_FAR
-    goal = int(time / step)
-    while goal * step < time:
+    goal = stepper.steps_until(s, step, time)
+    if goal < 0:
+        return goal
+    if goal * step < time:
         goal += 1
-    while goal > 0 and (goal - 1) * step >= time:
-        goal -= 1
     if goal * step > grid.horizon:
         return stepper.BEYOND_HORIZON
     _march(grid, nodes, path, events, goal)

@@ -162,8 +162,8 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
         )
     require_steps_per_period(rig, _MIN_STEPS_PER_PERIOD, limit=limit, unit='cells')
     periods = rig.crossing_time * rig.engine.frequency
-    wanted = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD * periods)
-    return min(max(_CELLS, math.ceil(min(wanted, MAX_CELLS))), limit)
+    needed = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD * periods)
+    return min(max(_CELLS, math.ceil(min(needed, MAX_CELLS))), limit)
 
 
 def _require_model(model: str) -> None:
@@ -273,18 +273,18 @@ def _throw_all(
     """Compute the rows of `FirstThrows` from rows of ratios."""
     mu, kappa, _, _, loss, crossing_ratio, strain_ratio, constant_loss = ratios
     results = np.full((6, mu.size), math.nan)
-    wanted = np.full(mu.size, cells or _CELLS)
+    counts = np.full(mu.size, cells or _CELLS)
     if cells is None:
         finer = np.where(strain_ratio > 0.0, _NEO_HOOKEAN_CELLS, 1.0)
-        wanted = (finer * wanted).astype(np.int64)
+        counts = (finer * counts).astype(np.int64)
         needed = finer * np.maximum(_CELLS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
-        while (too_few := (wanted < needed) & (wanted < _MAX_BATCH_CELLS)).any():
-            wanted[too_few] *= 2
+        while (too_few := (counts < needed) & (counts < _MAX_BATCH_CELLS)).any():
+            counts[too_few] *= 2
     bodies, crossings = make_bodies(
         speed_ratio=kappa, loss_tangent=loss, strain_ratio=strain_ratio,
         constant_loss=constant_loss, stack=stack,
     )
-    steps = crossings.sum(axis=1) / wanted
+    steps = crossings.sum(axis=1) / counts
     bodies['count'] = count_cells(crossings, steps[:, None])
     projectile_cells = np.maximum(MIN_PROJECTILE_CELLS, (crossing_ratio / steps).astype(np.int64))
     projectile_cells[crossing_ratio == 0.0] = 0
@@ -296,7 +296,7 @@ def _throw_all(
         advance = advance_compiled()
         for n in range(first, mu.size, stride):
             sheets, in_projectile = bodies[n], int(projectile_cells[n])
-            nodes = np.zeros((ROWS, int(sheets['count'].sum()) + in_projectile + 2))
+            nodes = np.zeros((ROWS, sheets['count'].sum() + in_projectile + 2))
             if in_projectile:
                 elastic = make_projectile(in_projectile, mu[n], mu[n] / crossing_ratio[n] ** 2)
                 sheets = np.concatenate([sheets, elastic])

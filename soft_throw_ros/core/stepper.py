@@ -451,6 +451,21 @@ def note_event(
         row[0], row[1], row[2], row[3] = kind, time, s.rest_height + height, velocity
 
 
+@subroutine
+def steps_until(s: Record, step: float, time: float) -> int:
+    """Return the number of whole steps until a time, or an error code."""
+    if not time >= s.time:
+        return BACKWARDS
+    if time >= 4e15 * step:
+        return TOO_FAR
+    steps = int(time / step)
+    while steps * step > time:
+        steps -= 1
+    while (steps + 1) * step <= time:
+        steps += 1
+    return steps
+
+
 def _are_in_order(times: Floats, states: Floats, last: float) -> bool:
     """Return whether states are finite, and times increase after `last` and are not negative."""
     for time in times.tolist():

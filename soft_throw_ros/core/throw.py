@@ -402,23 +402,23 @@ def _run(
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position
-    time, ticks, seen = 0.0, 0, 0
-    while time < latest and (max_events is None or seen < max_events):
+    time, ticks, event_count = 0.0, 0, 0
+    while time < latest and (max_events is None or event_count < max_events):
         ticks += 1
         time = min(ticks * tick, latest)
         count = stepper.advance_to(time)
-        if count > seen:
-            last = stepper.events(seen)[-1]
-            seen = count
+        if count > event_count:
+            last = stepper.events(event_count)[-1]
+            event_count = count
             low = high = stepper.surface_position
             if last.kind == 'landing' and max_events is None and until is None:
                 return
         if until is not None:
             continue
-        if time > affordable or (not seen and time > motion.start_time + wait):
+        if time > affordable or (not event_count and time > motion.start_time + wait):
             return
         low, high = min(low, stepper.surface_position), max(high, stepper.surface_position)
-        if seen and not stepper.in_contact and time - last.time > quiet:
+        if event_count and not stepper.in_contact and time - last.time > quiet:
             rise, speed = stepper.state[PROJECTILE_POSITION], stepper.state[PROJECTILE_VELOCITY]
             is_out_of_reach = rise - high > high - low and speed > 0.0
             if is_out_of_reach and (

@@ -606,18 +606,12 @@ def _complete_loads(s, waves):
 def _advance(core, waves, jumps, path, events, time):
     """Advance to `time`; return the number of events so far, or an error code."""
     grid, s = core[0], core[1]
-    if not time >= s.time:
-        return stepper.BACKWARDS
+    step = grid.step
+    goal = stepper.steps_until(s, step, time)
+    if goal < 0:
+        return goal
     if time > grid.horizon:
         return stepper.BEYOND_HORIZON
-    step = grid.step
-    if time >= 4e15 * step:
-        return stepper.TOO_FAR
-    goal = int(time / step)
-    while goal * step > time:
-        goal -= 1
-    while (goal + 1) * step <= time:
-        goal += 1
     _march(grid, waves, jumps, path, events, goal)
     core[1] = core[0]
     if s.cell != goal or s.events > events.shape[0]:

@@ -60,12 +60,12 @@ def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(first_throws, c
 
 @first_throws
 def test_arguments_are_broadcast(first_throws):
-    found = first_throws(
+    throws = first_throws(
         mass_ratio=[[0.5], [1.0]], speed_ratio=[5.0, 8.0, 12.0], damping_ratio=0.1
     )
-    assert all(values.shape == (2, 3) for values in found)
-    one = first_throws(mass_ratio=1.0, speed_ratio=8.0, damping_ratio=0.1)
-    assert found.energy_transfer[1, 1] == pytest.approx(one.energy_transfer, rel=1e-14)
+    assert all(values.shape == (2, 3) for values in throws)
+    throw = first_throws(mass_ratio=1.0, speed_ratio=8.0, damping_ratio=0.1)
+    assert throws.energy_transfer[1, 1] == pytest.approx(throw.energy_transfer, rel=1e-14)
     assert first_throws(mass_ratio=[], speed_ratio=[]).speed.shape == (0,)
     with pytest.raises(ValueError, match='shape'):
         first_throws(mass_ratio=[1.0, 2.0], speed_ratio=[1.0, 2.0, 3.0])
@@ -76,8 +76,8 @@ def test_projectile_that_does_not_leave_raises_an_error_or_is_nan(first_throws):
     case = {'mass_ratio': 1.0, 'speed_ratio': 5.0, 'gravity_ratio': [0.0, 9.0]}
     with pytest.raises(ThrowUnresolvedError, match='gravity_ratio 9'):
         first_throws(**case)
-    found = first_throws(**case, unresolved='nan')
-    assert np.isnan(found).tolist() == [[False, True]] * len(found)
+    throws = first_throws(**case, unresolved='nan')
+    assert np.isnan(throws).tolist() == [[False, True]] * len(throws)
 
 
 @pytest.mark.parametrize(

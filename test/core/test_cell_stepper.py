@@ -59,7 +59,7 @@ LOSSY = Rig(layer=Layer(loss_tangent=0.1))
 SHEETS = (Layer(thickness=6e-3), Layer(thickness=4e-3, wave_speed=20.0, loss_tangent=0.1))
 CAP = Layer(thickness=1e-4, wave_speed=200.0, density=5000.0)
 GEL = {'stress_strain_law': 'neo_hookean', 'loss': 'constant', 'loss_tangent': 0.1}
-GELS = Stack(sheets=tuple(replace(each, **GEL) for each in SHEETS))
+GELS = Stack(sheets=tuple(replace(sheet, **GEL) for sheet in SHEETS))
 CASES = {
     'neo_hookean': (Rig(layer=Layer(stress_strain_law='neo_hookean')), 'cells'),
     'constant': (Rig(layer=Layer(loss_tangent=0.1, loss='constant')), 'cells'),
@@ -215,7 +215,7 @@ def test_release_and_loads_agree_with_batched_throws(case):
     )
     [release], loads, layer = stepper.events(), stepper.loads, rig.layer
     speed, omega = rig.engine.speed_scale, rig.engine.angular_frequency
-    for ours, theirs in (
+    for computed, expected in (
         (throws.ejection_phase, release.time * FREQUENCY),
         (throws.speed, release.velocity / speed),
         (throws.peak_strain, loads.strain * layer.wave_speed / speed),
@@ -223,7 +223,7 @@ def test_release_and_loads_agree_with_batched_throws(case):
         (throws.peak_plate_force, loads.plate_force * layer.crossing_time / (speed * layer.mass)),
         (throws.plate_work, stepper.plate_work / (rig.projectile.mass * speed**2)),
     ):
-        assert ours == pytest.approx(theirs, rel=1e-9)
+        assert computed == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(('mu', 'kappa'), [(0.2342, 8.242), (5.2, 3.75)])
@@ -238,7 +238,7 @@ def test_every_event_is_of_second_order(mu, kappa):
         pairs = list(zip(stepper.events(), history.events, strict=False))
         assert len(pairs) == 6
         assert all((a.kind == 'release') == (b.kind == 'release') for a, b in pairs)
-        errors.append([ours.velocity - exact.velocity for ours, exact in pairs])
+        errors.append([computed.velocity - exact.velocity for computed, exact in pairs])
     assert (order(cells, errors) > 1.6).all()
 
 
@@ -254,9 +254,9 @@ def test_release_from_a_stack_is_of_second_order_and_1e_4_at_the_default():
     sheets = (Layer(thickness=7.8e-3), Layer(thickness=1e-2, wave_speed=20.0, loss_tangent=0.1))
     rig = Rig(layer=Stack(sheets=sheets))
     cells = np.array([36, 72, 144, 288])
-    found = [throw(rig, cells=int(count)).events()[0] for count in cells]
+    releases = [throw(rig, cells=int(count)).events()[0] for count in cells]
     finest = throw(rig, cells=2304).events()[0]
-    errors = [[a.time - finest.time, a.velocity - finest.velocity] for a in found]
+    errors = [[a.time - finest.time, a.velocity - finest.velocity] for a in releases]
     assert (order(cells, errors) > 1.7).all()
     release = throw(rig).events()[0]
     assert release.time == pytest.approx(finest.time, rel=1e-4)
@@ -356,8 +356,8 @@ def test_release_agrees_with_the_method_of_lines(case):
 # The default rig, without gravity (PHYSICS: the same equations, solved independently)
 def test_large_strain_of_the_default_rig_has_its_reference_value():
     linear, curved = (
-        throw(Rig(layer=Layer(stress_strain_law=each), gravity=0.0), cells=256).events()[0]
-        for each in ('linear', 'neo_hookean')
+        throw(Rig(layer=Layer(stress_strain_law=law), gravity=0.0), cells=256).events()[0]
+        for law in ('linear', 'neo_hookean')
     )
     plate = Underdamped.of(Engine()).peak_velocity
     assert (linear.velocity / plate) ** 2 == pytest.approx(3.637, abs=5e-4)
@@ -433,7 +433,7 @@ def test_every_sheet_of_a_neo_hookean_stack_follows_its_law(text, alpha):
             thickness=thickness, wave_speed=speed, density=density,
             stress_strain_law='neo_hookean',
         )
-        for thickness, speed, density in (map(float, each.split()) for each in text.split(', '))
+        for thickness, speed, density in (map(float, sheet.split()) for sheet in text.split(', '))
     )
     ratios = Rig(layer=Stack(sheets=sheets)).cell_ratios
     assert first_throws(**ratios).energy_transfer == pytest.approx(alpha, rel=5e-4)
@@ -457,9 +457,9 @@ def test_large_throws_can_be_simulated(amplitude, layer):
     assert stepper.event_count >= 1
     assert np.isfinite(stepper.state).all()
     assert np.isfinite(stepper.stored_energy())
-    found = simulate(rig, model='cells', max_events=1)
-    assert found.max_strain == 0.5
-    assert found.leaves_linear_range is (amplitude > 0.02)
+    result = simulate(rig, model='cells', max_events=1)
+    assert result.max_strain == 0.5
+    assert result.leaves_linear_range is (amplitude > 0.02)
 
 
 @pytest.mark.parametrize('frequency', [31.1, 63.2])
@@ -471,31 +471,32 @@ def test_linear_model_errs_by_five_percent_within_the_linear_range(frequency, th
     amplitude = rig.engine.amplitude * min(LINEAR_STRAIN / strain, 1.5)
     linear = replace(rig, engine=replace(rig.engine, amplitude=amplitude))
     stiffening = replace(linear, layer=replace(rig.layer, stress_strain_law='neo_hookean'))
-    found, known = (
-        simulate(each, model='cells', max_events=1) for each in (linear, stiffening)
+    by_linear, by_stiffening = (
+        simulate(rig, model='cells', max_events=1) for rig in (linear, stiffening)
     )
-    assert found.peak_strain < 1.01 * LINEAR_STRAIN
-    assert found.ejection_time == pytest.approx(known.ejection_time, rel=0.052)
-    assert found.energy_transfer == pytest.approx(known.energy_transfer, rel=0.052)
+    assert by_linear.peak_strain < 1.01 * LINEAR_STRAIN
+    assert by_linear.ejection_time == pytest.approx(by_stiffening.ejection_time, rel=0.052)
+    assert by_linear.energy_transfer == pytest.approx(by_stiffening.energy_transfer, rel=0.052)
 
 
 def test_sheets_of_one_material_agree_with_the_uniform_layer():
     stack = Stack(sheets=(Layer(thickness=16.8e-3 / 4),) * 4)
-    one, other = (throw(Rig(layer=layer), cells=128).events()[0] for layer in (stack, Layer()))
-    assert one[1:] == pytest.approx(other[1:], rel=1e-12)
+    layers = stack, Layer()
+    stacked, single = (throw(Rig(layer=layer), cells=128).events()[0] for layer in layers)
+    assert stacked[1:] == pytest.approx(single[1:], rel=1e-12)
 
 
 def test_stiff_sheet_between_two_layers_is_a_mass():
     """The step and the motion do not depend on the stiffness of a thin stiff sheet."""
-    found = []
+    releases = []
     for speed in (150.0, 300.0):
         cap = Layer(thickness=2e-4, wave_speed=speed, density=7800.0)
         layer = Stack(sheets=(Layer(thickness=8e-3), cap, Layer(thickness=8e-3)))
         stepper = throw(Rig(layer=layer), cells=200)
         assert stepper.step > 1e-5
-        found.append(stepper.events()[0])
-    assert found[0].time == pytest.approx(found[1].time, rel=1e-3)
-    assert found[0].velocity == pytest.approx(found[1].velocity, rel=1e-3)
+        releases.append(stepper.events()[0])
+    assert releases[0].time == pytest.approx(releases[1].time, rel=1e-3)
+    assert releases[0].velocity == pytest.approx(releases[1].velocity, rel=1e-3)
 
 
 @pytest.mark.parametrize('glued_to', ['plate', 'projectile'])
@@ -632,9 +633,9 @@ def test_falling_plate_releases_the_projectile(gravity):
     stepper = CellStepper(rig, motion, cells=400)
     stepper.advance_to(0.02)
     assert len(stepper.events()) == len(history.events) == 3
-    for ours, exact in zip(stepper.events(), history.events, strict=True):
-        assert ours.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=1e-3)
-        assert ours.velocity == pytest.approx(exact.velocity, abs=1e-3)
+    for computed, exact in zip(stepper.events(), history.events, strict=True):
+        assert computed.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=1e-3)
+        assert computed.velocity == pytest.approx(exact.velocity, abs=1e-3)
 
 
 def test_measured_plate_is_followed_to_the_last_whole_step():

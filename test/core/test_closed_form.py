@@ -260,11 +260,11 @@ def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, grav
     assert 1.0 < free.ejection_phase * speed_ratio < math.inf
     assert 0.0 < free.energy_transfer < 5.0
     try:
-        held = release_of(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
+        heavy = release_of(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
     except ThrowUnresolvedError:
         return
-    assert held.ejection_phase >= free.ejection_phase * (1.0 - 1e-14)
-    assert math.isfinite(held.speed)
+    assert heavy.ejection_phase >= free.ejection_phase * (1.0 - 1e-14)
+    assert math.isfinite(heavy.speed)
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,8 @@ def modulus(loss_tangent, frequency):
     ('loss_tangent', 'error'), [(1e-3, 0.06), (0.02, 0.06), (0.2, 0.06), (0.8, 0.13)]
 )
 def test_loss_tangent_is_the_same_over_the_band(loss_tangent, error):
-    found = modulus(loss_tangent, np.geomspace(*BAND, 100))
-    assert found.imag / found.real == pytest.approx(loss_tangent, rel=error)
+    computed = modulus(loss_tangent, np.geomspace(*BAND, 100))
+    assert computed.imag / computed.real == pytest.approx(loss_tangent, rel=error)
 
 
 @pytest.mark.parametrize('loss_tangent', [1e-3, 0.1, 0.5, 0.8])

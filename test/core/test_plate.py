@@ -73,9 +73,9 @@ def test_sampled_positions_converge_with_the_promised_order():
 
 
 def test_sampled_motion_stays_where_it_ends():
-    held = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
-    assert held.position(0.06) == pytest.approx(PLATE.position(0.05))
-    assert held.velocity(0.06) == 0.0
+    sampled = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
+    assert sampled.position(0.06) == pytest.approx(PLATE.position(0.05))
+    assert sampled.velocity(0.06) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -114,13 +114,13 @@ def test_steppers_accept_any_class_with_the_attributes_of_a_motion():
         times, states = np.array([0.0, 0.01]), np.array([[0.0] * 3, [1e-3, 0.0, 0.0]])
         start_time, end_time, peak_velocity = 0.0, 0.01, 0.1875
 
-    mine, known = (
+    custom, standard = (
         make_stepper(Rig(), motion)
         for motion in (Lift(), SampledMotion(Lift.times, Lift.states))
     )
-    for stepper in (mine, known):
+    for stepper in (custom, standard):
         stepper.advance_to(0.02)
-    assert mine.state.tolist() == known.state.tolist()
-    assert mine.state[PLATE_POSITION] == pytest.approx(1e-3)
+    assert custom.state.tolist() == standard.state.tolist()
+    assert custom.state[PLATE_POSITION] == pytest.approx(1e-3)
     with pytest.raises(ValueError, match="attributes of Underdamped or SampledMotion, got 'sine'"):
         make_stepper(Rig(), 'sine')

@@ -89,10 +89,10 @@ def test_processors_are_left_to_others_in_a_context_of_one_thread(machine):
 
 def test_loop_runs_in_as_many_threads_as_there_are_processors(machine):
     machine(64, 3.0)
-    parts = []
+    calls = []
 
-    def run(part, count):
-        parts.append((part, count, threading.get_ident()))
+    def run(first, stride):
+        calls.append((first, stride, threading.get_ident()))
 
     batch.in_threads(run, count=1000, per_thread=1, threads=None)
-    assert sorted(part[:2] for part in parts) == [(0, 3), (1, 3), (2, 3)]
+    assert sorted(call[:2] for call in calls) == [(0, 3), (1, 3), (2, 3)]

@@ -38,7 +38,7 @@ def test_derived_quantities_agree_with_the_rig_of_the_paper():
 
 @pytest.mark.parametrize('bad', [math.nan, math.inf, 0.0])
 @pytest.mark.parametrize(
-    ('part', 'name'),
+    ('component', 'name'),
     [
         (Engine, 'frequency'),
         (Engine, 'amplitude'),
@@ -51,13 +51,13 @@ def test_derived_quantities_agree_with_the_rig_of_the_paper():
         (Projectile, 'youngs_modulus'),
     ],
 )
-def test_components_refuse_and_quote_values_that_are_not_positive(part, name, bad):
-    with pytest.raises(ValueError, match=f'{part.__name__.lower()}.{name}.*got {bad}'):
-        part(**{name: bad})
+def test_components_refuse_and_quote_values_that_are_not_positive(component, name, bad):
+    with pytest.raises(ValueError, match=f'{component.__name__.lower()}.{name}.*got {bad}'):
+        component(**{name: bad})
 
 
 @pytest.mark.parametrize(
-    ('part', 'name', 'bad'),
+    ('component', 'name', 'bad'),
     [
         (Engine, 'damping_ratio', 1.0),
         (Engine, 'damping_ratio', -0.1),
@@ -69,9 +69,9 @@ def test_components_refuse_and_quote_values_that_are_not_positive(part, name, ba
         (Layer, 'loss', 'none'),
     ],
 )
-def test_components_refuse_and_quote_other_bad_values(part, name, bad):
-    with pytest.raises(ValueError, match=f'{part.__name__.lower()}.{name}.*got {bad!r}'):
-        part(**{name: bad})
+def test_components_refuse_and_quote_other_bad_values(component, name, bad):
+    with pytest.raises(ValueError, match=f'{component.__name__.lower()}.{name}.*got {bad!r}'):
+        component(**{name: bad})
 
 
 @pytest.mark.parametrize(
@@ -102,5 +102,5 @@ def test_waves_become_shocks_after_c_over_a_except_in_linear_layers():
     assert Rig(layer=Stack(sheets=(layer, layer))).shock_time == pytest.approx(7.8 / acceleration)
     plate, times = Underdamped.of(Engine(damping_ratio=0.0)), np.arange(0.0, 0.05, 2e-4)
     motion = SampledMotion.from_positions(times, plate.position(times))
-    found = Rig(engine=Engine(motion=motion), layer=layer).shock_time
-    assert found == pytest.approx(7.8 / acceleration, rel=0.05)
+    shock_time = Rig(engine=Engine(motion=motion), layer=layer).shock_time
+    assert shock_time == pytest.approx(7.8 / acceleration, rel=0.05)

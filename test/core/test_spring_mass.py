@@ -54,9 +54,9 @@ def test_arrays_keep_their_shape_and_scalars_are_floats():
     ratios = np.array([[0.5, 1.0, 2.0], [0.2, 1.62, 4.0]])
     released = spring_mass.first_release(frequency_ratio=ratios)
     assert all(values.shape == (2, 3) for values in released)
-    one = spring_mass.first_release(frequency_ratio=float(ratios[1, 2]))
-    assert one == tuple(float(values[1, 2]) for values in released)
-    assert all(isinstance(value, float) for value in one)
+    single = spring_mass.first_release(frequency_ratio=float(ratios[1, 2]))
+    assert single == tuple(float(values[1, 2]) for values in released)
+    assert all(isinstance(value, float) for value in single)
 
 
 @pytest.mark.parametrize('value', [0.0, math.nan])

@@ -99,10 +99,10 @@ def test_best_stacks_throw_as_stated_on_the_page():
         assert len(layer.sheets) == int(count)
         assert layer.thickness < 0.0501
         rig = Rig(layer=layer)
-        found = first_throws(**rig.cell_ratios, cells=256)
-        assert found.energy_transfer == pytest.approx(float(alpha), abs=0.02)
+        throws = first_throws(**rig.cell_ratios, cells=256)
+        assert throws.energy_transfer == pytest.approx(float(alpha), abs=0.02)
         unit = rig.engine.speed_scale / layer.wave_speed
-        assert 100.0 * found.peak_strain * unit == pytest.approx(float(strain), abs=1.0)
+        assert 100.0 * throws.peak_strain * unit == pytest.approx(float(strain), abs=1.0)
         best[int(count)] = rig
     _, speed, _ = method_of_lines.first_release(best[2], cells=300)  # by another method
     peak = Underdamped.of(best[2].engine).peak_velocity

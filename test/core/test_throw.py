@@ -63,9 +63,9 @@ def test_events_of_a_long_throw_are_read_at_most_twice(monkeypatch):
     read, events = [0], Stepper.events
 
     def counted(stepper, *start):
-        found = events(stepper, *start)
-        read[0] += len(found)
-        return found
+        new_events = events(stepper, *start)
+        read[0] += len(new_events)
+        return new_events
 
     monkeypatch.setattr(Stepper, 'events', counted)
     throw = simulate(make_rig(1000.0, 0.05, gravity=0.0), model='spring_mass')

@@ -42,19 +42,19 @@ CHANGES = {
 def test_first_throws_without_loss_agree_with_the_closed_form(gravity, error):
     rig = Rig()
     unit = rig.engine.speed_scale * rig.engine.angular_frequency
-    found = throw_many(
+    throws = throw_many(
         rig, {'thickness': THICKNESS, 'wave_speed': SPEED, 'gravity': gravity * unit}
     )
-    known = first_releases(
+    exact = first_releases(
         mass_ratio=rig.mass_ratio * rig.layer.thickness / THICKNESS,
         speed_ratio=SPEED / (THICKNESS * rig.engine.frequency),
         damping_ratio=rig.engine.damping_ratio,
         gravity_ratio=gravity,
         unresolved='nan',
     )
-    phase = found.ejection_time * rig.engine.frequency
-    np.testing.assert_allclose(phase, known.ejection_phase, rtol=error)
-    np.testing.assert_allclose(found.energy_transfer, known.energy_transfer, rtol=error)
+    phase = throws.ejection_time * rig.engine.frequency
+    np.testing.assert_allclose(phase, exact.ejection_phase, rtol=error)
+    np.testing.assert_allclose(throws.energy_transfer, exact.energy_transfer, rtol=error)
 
 
 @pytest.mark.parametrize(
@@ -71,13 +71,13 @@ def test_first_throws_without_loss_agree_with_the_closed_form(gravity, error):
 def test_release_and_loads_agree_with_a_simulated_throw(rig):
     model = 'cells' if rig.layer.needs_cells else 'travelling_wave'
     throw = simulate(rig, model=model, max_events=1)
-    found = throw_many(rig, loads=True)
-    known = (
+    throws = throw_many(rig, loads=True)
+    expected = (
         throw.ejection_time, throw.ejection_speed, throw.energy_transfer, throw.peak_strain,
         throw.loads.acceleration, throw.loads.plate_force, throw.energies.plate_work,
     )
-    assert found == pytest.approx(known, rel=1e-3 if rig.layer.needs_cells else 1e-4)
-    assert throw_many(rig)[:2] == found[:2]
+    assert throws == pytest.approx(expected, rel=1e-3 if rig.layer.needs_cells else 1e-4)
+    assert throw_many(rig)[:2] == throws[:2]
 
 
 def test_throw_does_not_depend_on_others_in_its_batch():
@@ -89,10 +89,10 @@ def test_throw_does_not_depend_on_others_in_its_batch():
     together = throw_many(rig, changes, threads=2).ejection_speed
     for i, thickness in enumerate(THICKNESS.ravel().tolist()):
         for j in range(gravity.size):
-            one = {'thickness': thickness, 'gravity': gravity[j], 'loss_tangent': loss[j]}
-            alone = throw_many(rig, one, threads=1)
-            known = pytest.approx(together[i, j], nan_ok=True, rel=1e-13)
-            assert float(alone.ejection_speed) == known
+            changes = {'thickness': thickness, 'gravity': gravity[j], 'loss_tangent': loss[j]}
+            alone = throw_many(rig, changes, threads=1)
+            expected = pytest.approx(together[i, j], nan_ok=True, rel=1e-13)
+            assert float(alone.ejection_speed) == expected
     assert np.isnan(together).all(axis=0).tolist() == [False, False, True, False]
 
 
@@ -101,29 +101,29 @@ def test_throw_does_not_depend_on_others_in_its_batch():
     ids=['closed_form', 'cells', 'waves'],
 )
 def test_loads_without_request_are_missing_or_equal(rig):
-    asked, found = throw_many(rig, loads=True), throw_many(rig)
-    for name, expected, value in zip(asked._fields, asked, found, strict=True):
+    with_loads, throws = throw_many(rig, loads=True), throw_many(rig)
+    for name, expected, value in zip(throws._fields, with_loads, throws, strict=True):
         assert np.isnan(value) or value == pytest.approx(expected), name
 
 
 def test_layer_with_zero_thickness_throws_nothing():
-    found = throw_many(Rig(), {'thickness': np.array([-1e-3, 0.0, 0.0168])}, loads=True)
-    assert np.isnan(found.energy_transfer).tolist() == [True, True, False]
+    throws = throw_many(Rig(), {'thickness': np.array([-1e-3, 0.0, 0.0168])}, loads=True)
+    assert np.isnan(throws.energy_transfer).tolist() == [True, True, False]
 
 
 @pytest.mark.parametrize(
     'rig', [Rig(), Rig(layer=STACK), Rig(engine=Engine(motion=MOTION))], ids=str
 )
 def test_changes_agree_with_another_rig(rig):
-    there = rig_with(rig, CHANGES)
+    changed = rig_with(rig, CHANGES)
     for name, value in CHANGES.items():
-        part = next(each for each in (there.engine, there.layer, there.projectile, there)
-                    if name in vars(each))
-        assert getattr(part, name) == pytest.approx(value)
-    assert there.layer.is_uniform is rig.layer.is_uniform
+        components = changed.engine, changed.layer, changed.projectile, changed
+        component = next(item for item in components if name in vars(item))
+        assert getattr(component, name) == pytest.approx(value)
+    assert changed.layer.is_uniform is rig.layer.is_uniform
     model = 'cells_elastic'
-    found, known = throw_many(rig, CHANGES, model=model), throw_many(there, model=model)
-    assert found[:3] == pytest.approx(known[:3], rel=1e-9)
+    throws, expected = throw_many(rig, CHANGES, model=model), throw_many(changed, model=model)
+    assert throws[:3] == pytest.approx(expected[:3], rel=1e-9)
 
 
 def test_different_rigs_agree_with_changes_of_one_rig():
@@ -157,14 +157,14 @@ def test_stepper_is_advanced_to_its_first_release_or_an_error():
     ],
 )
 def test_last_release_agrees_with_a_simulated_throw(rig):
-    throw, rest = simulate(rig, model=model_for(rig, 'travelling_wave')), rig.rest_height
-    assert throw.rest_height == pytest.approx(rest, rel=1e-9)
+    throw, rest_height = simulate(rig, model=model_for(rig, 'travelling_wave')), rig.rest_height
+    assert throw.rest_height == pytest.approx(rest_height, rel=1e-9)
     assert last_release(rig) == pytest.approx(
         (
             throw.last_release.time,
             throw.last_release.velocity,
-            throw.last_release.position - rest,
-            throw.apex_height - rest,
+            throw.last_release.position - rest_height,
+            throw.apex_height - rest_height,
         ),
         rel=1e-4,
     )

@@ -103,11 +103,11 @@ def test_later_events_agree_with_the_method_of_steps(ratios):
     assert len(history.events) >= 3
     model = WaveStepper(rig)
     model.advance_to(history.end_time + 1e-6)
-    ours = model.events()[: len(history.events)]
-    assert [event.kind == 'release' for event in ours] == [
+    computed = model.events()[: len(history.events)]
+    assert [event.kind == 'release' for event in computed] == [
         event.kind == 'release' for event in history.events
     ]
-    for number, (event, exact) in enumerate(zip(ours, history.events, strict=True)):
+    for number, (event, exact) in enumerate(zip(computed, history.events, strict=True)):
         tolerance = 1e-4 if number < 5 else 1e-3
         assert event.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=tolerance)
         scale = rig.engine.speed_scale
@@ -237,9 +237,9 @@ def test_sampled_plate_agrees_with_the_method_of_steps(end):
     model = WaveStepper(rig, motion)
     model.advance_to(0.04)
     assert model.event_count == len(history.events)
-    for ours, exact in zip(model.events(), history.events, strict=True):
-        assert ours.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=5e-5)
-        assert ours.velocity == pytest.approx(exact.velocity, abs=5e-5)
+    for computed, exact in zip(model.events(), history.events, strict=True):
+        assert computed.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=5e-5)
+        assert computed.velocity == pytest.approx(exact.velocity, abs=5e-5)
 
 
 @pytest.mark.parametrize(
@@ -267,19 +267,19 @@ def test_batched_throws_agree_with_steppers():
         'damping_ratio': rng.uniform(0.0, 0.3, 12),
         'gravity_ratio': rng.choice([0.0, 0.05], 12),
     }
-    found = first_throws(**ratios, unresolved='nan')
+    throws = first_throws(**ratios, unresolved='nan')
     exact = first_releases(**ratios, unresolved='nan')
-    assert found.ejection_phase == pytest.approx(exact.ejection_phase, abs=1e-5, nan_ok=True)
-    assert found.energy_transfer == pytest.approx(exact.energy_transfer, abs=1e-5, nan_ok=True)
-    for n in np.flatnonzero(np.isfinite(found.speed)):
+    assert throws.ejection_phase == pytest.approx(exact.ejection_phase, abs=1e-5, nan_ok=True)
+    assert throws.energy_transfer == pytest.approx(exact.energy_transfer, abs=1e-5, nan_ok=True)
+    for n in np.flatnonzero(np.isfinite(throws.speed)):
         rig = make_rig(*(values[n] for values in ratios.values()))
         model, scale = WaveStepper(rig), rig.engine.speed_scale
         model.advance_to((float(exact.ejection_phase[n]) + 0.01) / FREQUENCY)
         loads, layer, omega = model.loads, rig.layer, rig.engine.angular_frequency
-        for ours, theirs in (
-            (found.peak_strain[n], loads.strain * layer.wave_speed / scale),
-            (found.peak_acceleration[n], loads.acceleration / (scale * omega)),
-            (found.peak_plate_force[n], loads.plate_force / (scale * layer.impedance)),
-            (found.plate_work[n], model.plate_work / (rig.projectile.mass * scale**2)),
+        for computed, expected in (
+            (throws.peak_strain[n], loads.strain * layer.wave_speed / scale),
+            (throws.peak_acceleration[n], loads.acceleration / (scale * omega)),
+            (throws.peak_plate_force[n], loads.plate_force / (scale * layer.impedance)),
+            (throws.plate_work[n], model.plate_work / (rig.projectile.mass * scale**2)),
         ):
-            assert ours == pytest.approx(theirs, rel=1e-3)
+            assert computed == pytest.approx(expected, rel=1e-3)

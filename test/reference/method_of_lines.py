@@ -58,17 +58,17 @@ def first_release(rig, *, cells):
         ratio = 1.0 + strain
         return spring * np.where(is_curved, (ratio - ratio**-2) / 3.0, strain)
 
-    rest = -weight / spring  # Newton, in each cell
+    rest_strain = -weight / spring  # Newton, in each cell
     for _ in range(20):
-        slope = np.where(is_curved, (1.0 + 2.0 / (1.0 + rest) ** 3) / 3.0, 1.0) * spring
-        rest = rest - (tension(rest) + weight) / slope
+        slope = np.where(is_curved, (1.0 + 2.0 / (1.0 + rest_strain) ** 3) / 3.0, 1.0) * spring
+        rest_strain = rest_strain - (tension(rest_strain) + weight) / slope
 
     def forces(time, state):
         u, v = state[:n], state[n:2 * n]
         memory = state[2 * n:5 * n].reshape(3, n)
         strain = np.diff(u, prepend=float(plate.position(time))) / lengths
         rate = np.diff(v, prepend=float(plate.velocity(time))) / lengths
-        pull = tension(rest + strain) + weight + viscosity * rate
+        pull = tension(rest_strain + strain) + weight + viscosity * rate
         return pull + (strengths * memory).sum(axis=0), rate, memory
 
     def derivative(time, state):

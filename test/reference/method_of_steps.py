@@ -102,8 +102,8 @@ class _Series:
         first = bisect.bisect_right(self.edges, float(times.min())) - 1
         last = bisect.bisect_right(self.edges, float(times.max())) - 1
         if first == last and 0 <= first < len(self.pieces):
-            left, right = self.edges[first], self.edges[first + 1]
-            x = (2.0 * times - (left + right)) / (right - left)
+            start, end = self.edges[first], self.edges[first + 1]
+            x = (2.0 * times - (start + end)) / (end - start)
             return np.asarray(chebyshev.chebval(x, self.pieces[first]))
         if self._stack is None:
             self._stack = np.array(self.pieces)
@@ -371,10 +371,10 @@ def _first_negative(coefficients: Floats, noise: float) -> float | None:
     roots = chebyshev.chebroots(trimmed)
     real = np.sort(roots[np.abs(roots.imag) < 1e-7].real)
     edges = np.concatenate(([-1.0], real[(real > -1.0) & (real < 1.0)], [1.0]))
-    for left, right in pairwise(edges):
-        middle = chebyshev.chebval(0.5 * (left + right), coefficients)
+    for start, end in pairwise(edges):
+        middle = chebyshev.chebval(0.5 * (start + end), coefficients)
         if middle < -noise:
-            return _polished(coefficients, left) if left > -1.0 else -1.0
+            return _polished(coefficients, start) if start > -1.0 else -1.0
     return None
 
 

@@ -73,12 +73,12 @@ def first_release(
     fast = -half - split
     s, beta = np.concatenate((fast, beta**2 / fast)), np.tile(beta, 2)
     shape = 2.0 / ((1.0 + mu) * np.sin(beta) / beta + mu * np.cos(beta))
-    parts = s**3 / (beta**4 * (2.0 + theta * s)) * lam.imag / ((s - lam) * (s - lam.conjugate()))
-    parts = parts * shape
+    residues = s**3 / (beta**4 * (2.0 + theta * s)) * lam.imag
+    residues = residues / ((s - lam) * (s - lam.conjugate())) * shape
 
     def sum_up(time, order):
         growing = np.exp(np.maximum((s * time).real, -600.0) + 1j * (s * time).imag)
-        modes = (parts * s**order * growing).sum().real
+        modes = (residues * s**order * growing).sum().real
         return (steady * lam**order * cmath.exp(lam * time)).imag + modes
 
     def push(time):
