@@ -30,11 +30,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-from animation import END, STEP  # noqa: E402, I100
-from draw import ANIMATION, DRAWINGS, path_of  # noqa: E402
+from draw import ANIMATION, DRAWINGS, path_of  # noqa: E402, I100
 import fits  # noqa: E402
 from models import SERIES, THICKNESSES  # noqa: E402
 import style  # noqa: E402
+from throws import END, STEP  # noqa: E402
 
 DOCS = Path(__file__).parents[1] / 'docs'
 
