@@ -59,26 +59,15 @@ class Usage(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """
-    The messages that a subscriber has received.
-
-    Attributes
-    ----------
-    node : rclpy.node.Node
-        The subscribed node.
-    wait : callable
-        Receives messages for some seconds, or until a condition holds.
-    stamps : list of int
-        Stamps of the received states. [ns]
-    statuses : list of tuple
-        Name and values (as text) of every received status in `/diagnostics`.
-
-    """
+    """The messages that a subscriber has received."""
 
     node: Any
     wait: Callable[..., None]
+    """Receives messages for some seconds, or until a condition holds."""
     stamps: list[int]
+    """Stamps of the received states. [ns]"""
     statuses: list[tuple[str, dict[str, str]]]
+    """Name and values (as text) of every received status in `/diagnostics`."""
 
     def clear(self) -> None:
         """Discard the received messages."""
@@ -210,32 +199,36 @@ class RecordedStates(NamedTuple):
         return int((np.diff(self.numbers) - 1).sum())
 
 
-def recorded_states(bag: Path, topic: str = STATES) -> RecordedStates:
-    """Read a topic of stamped messages with the reader of the mcap library."""
+def _readers(bag: Path, **options: Any) -> Iterator[Any]:
+    """Open the files of a bag one after the other with the reader of the mcap library."""
     from mcap.reader import make_reader
 
-    rows = []
     for path in sorted(bag.glob('*.mcap')):
         with path.open('rb') as stream:
-            rows += [
-                (stamp_of(message.data), message.publish_time, message.sequence)
-                for _, _, message in make_reader(stream).iter_messages(topics=[topic])
-            ]
+            yield make_reader(stream, **options)
+
+
+def recorded_states(bag: Path, topic: str = STATES) -> RecordedStates:
+    """Read a topic of stamped messages."""
+    rows = [
+        (stamp_of(message.data), message.publish_time, message.sequence)
+        for reader in _readers(bag)
+        for _, _, message in reader.iter_messages(topics=[topic])
+    ]
     return RecordedStates(*np.array(rows, dtype=np.int64).reshape(-1, 3).T)
 
 
 def recorded_statuses(bag: Path) -> list[tuple[int, str, dict[str, str]]]:
     """Return publication time [ns], name and values of every status in `/diagnostics`."""
-    from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
-    statuses = []
-    for path in sorted(bag.glob('*.mcap')):
-        with path.open('rb') as stream:
-            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-            for decoded in reader.iter_decoded_messages(topics=['/diagnostics']):
-                published = decoded.message.publish_time
-                for status in decoded.decoded_message.status:
-                    values = {pair.key: pair.value for pair in status.values}
-                    statuses.append((published, status.name, values))
-    return statuses
+    return [
+        (
+            decoded.message.publish_time,
+            status.name,
+            {pair.key: pair.value for pair in status.values},
+        )
+        for reader in _readers(bag, decoder_factories=[DecoderFactory()])
+        for decoded in reader.iter_decoded_messages(topics=['/diagnostics'])
+        for status in decoded.decoded_message.status
+    ]

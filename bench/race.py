@@ -36,8 +36,10 @@ class Case(NamedTuple):
     name: str
     call: Callable[[], Any]
     units: float = 1.0
-    error: Callable[[Any], float] | None = None  # error of the returned result
-    goal: float | None = None  # required performance, in the unit of the table
+    error: Callable[[Any], float] | None = None
+    """Error of the returned result."""
+    goal: float | None = None
+    """Required performance, in the unit of the table."""
 
 
 class Table(NamedTuple):
@@ -45,30 +47,21 @@ class Table(NamedTuple):
 
     title: str
     unit: str
-    error: str  # head of the column of errors
+    error: str
+    """Head of the column of errors."""
     cases: list[Case]
-    is_factor: bool = False  # real-time factors (units per second) instead of us per unit
-    close: Callable[[], None] = lambda: None  # called after the measurement
+    is_factor: bool = False
+    """Whether to print real-time factors (units per second) instead of us per unit."""
 
 
 class Result(NamedTuple):
-    """
-    A measured table.
-
-    Attributes
-    ----------
-    heads : list of str
-        Heads of the columns.
-    rows : list of list
-        A title and its numbers; None marks an empty cell.
-    ratios : dict of str to float
-        Costs relative to the first case, which should be the same on all machines.
-
-    """
+    """A measured table."""
 
     heads: list[str]
     rows: list[list[str | float | None]]
+    """Title and numbers of each row; None marks an empty cell."""
     ratios: dict[str, float]
+    """Costs relative to the first case, which should be the same on all machines."""
 
     @classmethod
     def under(cls, *heads: str) -> Result:
@@ -127,7 +120,6 @@ def measure(table: Table) -> Result:
         result.rows.append([case.name, error, *numbers, ratio, case.goal])
         if case is not first:
             result.ratios[case.name] = ratio
-    table.close()
     return result
 
 

@@ -207,8 +207,9 @@ class _Soak:
                 thickness = THICKNESSES[len(self._changes) % 2]
                 future = client.set_parameters([Parameter('layer.thickness', value=thickness)])
                 heard.wait(processes.EXIT_TIMEOUT, future.done)
-                reasons = [result.reason for result in future.result().results]
-                self._changes.append(' '.join(reasons) if future.done() else 'no answer')
+                results = future.result().results if future.done() else []
+                reasons = [result.reason for result in results]
+                self._changes.append(' '.join(reasons) if results else 'no answer')
                 next_change += CHANGE_PERIOD
             heard.wait(SAMPLE_PERIOD)
             heard.clear()

@@ -39,8 +39,7 @@ from soft_throw_ros.configuration import files, rig_of
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.identification.fit_description import changed_rig
-from soft_throw_ros.identification.forward import first_releases
+from soft_throw_ros.core.throws import throw_many
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
@@ -135,18 +134,18 @@ def draw_better(rig: Rig, report: dict[str, Any], path: Path) -> None:
     thicknesses = np.linspace(3e-3, 30e-3, 400)
     figure = style.new_figure(
         'A better layer',
-        'Energy transfer of layers of the material that was found, and of the true one.',
+        'Energy transfer over the thickness of a layer of the fitted and of the true material.',
         height=3.6,
     )
     axes = figure.subplots()
     error = report['found']['layer.wave_speed']['error']
     speeds = rig.layer.wave_speed + error * np.array([-1.0, 0.0, 1.0])
-    curves = [_energy_transfer(rig, thicknesses, speed) for speed in speeds]
+    curves = [_energy_transfer(rig, thicknesses, speed) for speed in speeds.tolist()]
     axes.fill_between(
         1e3 * thicknesses, np.min(curves, axis=0), np.max(curves, axis=0), color=style.SKY,
         alpha=0.5, label='within one error of $c_s$',
     )
-    axes.plot(1e3 * thicknesses, curves[1], color=style.BLUE, label='layer that was found')
+    axes.plot(1e3 * thicknesses, curves[1], color=style.BLUE, label='fitted layer')
     true = _energy_transfer(RIG, thicknesses, RIG.layer.wave_speed)
     axes.plot(1e3 * thicknesses, true, color=style.BLACK, ls='--', lw=1.0, label='true layer')
     best = int(np.argmax(curves[1]))
@@ -165,12 +164,8 @@ def draw_better(rig: Rig, report: dict[str, Any], path: Path) -> None:
 
 
 def _energy_transfer(rig: Rig, thicknesses: Floats, speed: float) -> Floats:
-    """Return the energy transfer of layers with given thicknesses."""
-    layers = [
-        changed_rig(rig, {'layer.thickness': float(thickness), 'layer.wave_speed': float(speed)})
-        for thickness in thicknesses
-    ]
-    return first_releases(layers).energy_transfer
+    """Return the energy transfer of layers of some thicknesses with a wave speed."""
+    return throw_many(rig, {'thickness': thicknesses, 'wave_speed': speed}).energy_transfer
 
 
 def main(args: list[str] | None = None) -> int:

@@ -23,7 +23,6 @@ from typing import NamedTuple
 from fits import SLOPE
 import limits
 from models import (
-    best_layer,
     DAMPING_RATIO,
     period_of_free_layer,
     PROJECTILE_DENSITY,
@@ -36,13 +35,14 @@ from models import (
 )
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import bisect, minimize_scalar
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import first_throws
+from soft_throw_ros.design.recommendation import best_ratios
 
 Floats = NDArray[np.float64]
 
@@ -73,30 +73,18 @@ def printed(digits: str) -> Published:
 
 @dataclass(frozen=True)
 class Row:
-    """
-    A quantity of the paper.
-
-    Parameters
-    ----------
-    quantity, where : str
-        Name of the quantity, and its place in the paper.
-    paper : Published
-        The printed value.
-    ours : float or tuple of float
-        Computed value, or smallest and largest computed value.
-    digits : int
-        Number of decimals of `ours` in the table.
-    why : str
-        Reason of a difference, or a remark.
-
-    """
+    """A quantity of the paper."""
 
     quantity: str
     where: str
+    """Section or figure of the paper."""
     paper: Published
     ours: float | tuple[float, float]
+    """Computed value, or smallest and largest computed value."""
     digits: int
+    """Number of decimals of `ours` in the table."""
     why: str = ''
+    """Reason of a difference, or a remark."""
 
     @property
     def agrees(self) -> bool:
@@ -119,7 +107,7 @@ def published() -> tuple[Row, ...]:
 
 def _optimum() -> tuple[Row, ...]:
     """Return the rows of Secs. III and IV: the best layer with equal densities."""
-    best = best_layer(0.0)
+    best = best_ratios(0.0)
     x = 1.0 / (1.0 + best.mass_ratio)
     x_rig = 1.3 / (1.3 + best.mass_ratio)
     mu, kappa = 0.32, 8.4
@@ -207,9 +195,9 @@ def _rig() -> tuple[Row, ...]:
     third = SERIES[2]
     change = np.concatenate([_change_by_damping(series) for series in SERIES])
     engines = [Engine(frequency=series.frequency) for series in (third, SERIES[0])]
-    plate = [
+    low, high = (
         engine.speed_scale * engine.angular_frequency / STANDARD_GRAVITY for engine in engines
-    ]
+    )
     return (
         *(
             Row(f'largest strain at {frequency:g} Hz (%)', 'text',
@@ -218,7 +206,7 @@ def _rig() -> tuple[Row, ...]:
             for frequency in (63.2, 31.1)
         ),
         Row('acceleration of the plate, A omega^2 (g)', 'text', Published('3 to 16', 2.5, 16.5),
-            (plate[0], plate[1]), 1,
+            (low, high), 1,
             'with A = 2 mm and 31.1 and 63.2 Hz; 16 g at 63.2 Hz would be 1 mm'),
         Row('wave speed in the projectile, c_r (m/s)', 'text', printed('1700'),
             math.sqrt(Projectile().youngs_modulus / PROJECTILE_DENSITY), 0,
@@ -306,7 +294,7 @@ class Fact(NamedTuple):
 @functools.lru_cache(maxsize=1)
 def beyond() -> tuple[Fact, ...]:
     """Compute quantities that the paper does not give and that a builder of a rig needs."""
-    layers = {zeta: best_layer(zeta) for zeta in (0.0, DAMPING_RATIO, 0.2)}
+    layers = {zeta: best_ratios(zeta) for zeta in (0.0, DAMPING_RATIO, 0.2)}
     optima = (
         Fact(
             f'best layer for zeta = {zeta:g}, any density',
@@ -370,18 +358,22 @@ def _range(values: Floats) -> tuple[float, float]:
 
 def _strains_at(frequency: float) -> tuple[float, float]:
     """Return the smallest and the largest peak strain of the throws at a frequency [%]."""
-    selected = [series for series in SERIES if series.frequency == frequency]
-    strains = [series.peak_strains(damping_ratio=0.0) for series in selected]
+    strains = [
+        series.peak_strains(damping_ratio=0.0) for series in SERIES
+        if series.frequency == frequency
+    ]
     return _range(100.0 * np.concatenate(strains))
 
 
 def _end_of_plateau(mass_ratio: float) -> float:
     """Return the largest speed ratio whose release is before the return of the wave."""
-    low, high = 7.0, 9.0
-    while (middle := 0.5 * (low + high)) not in (low, high):
-        phase = first_release(mass_ratio=mass_ratio, speed_ratio=middle).ejection_phase
-        low, high = (middle, high) if phase * middle <= 3.0 else (low, middle)
-    return low
+
+    def excess(speed_ratio: float) -> float:
+        """Return the crossings until the release beyond 3."""
+        release = first_release(mass_ratio=mass_ratio, speed_ratio=speed_ratio)
+        return float(release.ejection_phase) * speed_ratio - 3.0
+
+    return float(bisect(excess, 7.0, 9.0, xtol=1e-12))
 
 
 def _ridge(x: float) -> tuple[float, float]:
@@ -451,7 +443,7 @@ def _change_by_elasticity() -> float:
     changes = []
     for series in SERIES:
         rigid = series.releases(THICKNESSES, damping_ratio=0.0)
-        for i, throw in enumerate(series.elastic_throws(damping_ratio=0.0)):
+        for i, throw in enumerate(series.throws(damping_ratio=0.0, model='cells_elastic')):
             phase, speed = np.asarray(rigid.ejection_phase)[i], np.asarray(rigid.speed)[i]
             changes.append(throw.ejection_time * series.frequency / phase - 1.0)
             changes.append(throw.ejection_speed / throw.rig.engine.speed_scale / speed - 1.0)

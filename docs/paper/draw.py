@@ -24,7 +24,6 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from animation import save_animation
 import fits
 import limits
 import maps
@@ -87,7 +86,7 @@ def main(args: list[str] | None = None) -> int:
             page = path_of(PAGE, DOCS).read_text(encoding='utf-8')
             path.write_text(update_page(page), encoding='utf-8')
         elif name == ANIMATION:
-            save_animation(path)
+            throws.save_animation(path)
         else:
             with style.settings():
                 style.save(DRAWINGS[name](), path)

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 
 from matplotlib.figure import Figure
-from models import DAMPING_RATIO, THICKNESS_ERROR, THICKNESSES, WAVE_SPEED_ERROR
+from models import DAMPING_RATIO, ERRORS, THICKNESSES
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
@@ -89,16 +89,16 @@ def draw_free_layers() -> Figure:
                   xlim=(0.0, 22.0), ylim=(-1.15, 1.45))
     thickness = np.array([0.0, 32e-3])
     panels[1].fill_between(
-        MILLI * thickness, MILLI * 2.0 * thickness / (speed + WAVE_SPEED_ERROR),
-        MILLI * 2.0 * thickness / (speed - WAVE_SPEED_ERROR), color='0.85', lw=0,
-        label=f'$c_s$ = {speed:g} $\\pm$ {WAVE_SPEED_ERROR:g} m/s',
+        MILLI * thickness, MILLI * 2.0 * thickness / (speed + ERRORS.wave_speed),
+        MILLI * 2.0 * thickness / (speed - ERRORS.wave_speed), color='0.85', lw=0,
+        label=f'$c_s$ = {speed:g} $\\pm$ {ERRORS.wave_speed:g} m/s',
     )
     panels[1].plot(
         MILLI * thickness, MILLI * SLOPE * thickness, color=RED, ls='--',
         label=f'paper: $T_0 / L_s$ = {SLOPE:g} s/m, $c_s$ = {2.0 / SLOPE:.2f} m/s',
     )
     panels[1].errorbar(
-        MILLI * THICKNESSES, MILLI * 2.0 * THICKNESSES / speed, xerr=MILLI * THICKNESS_ERROR,
+        MILLI * THICKNESSES, MILLI * 2.0 * THICKNESSES / speed, xerr=MILLI * ERRORS.thickness,
         fmt='o', color=BLACK, mec='white', ms=7, label="the rig's six layers, computed",
     )
     panels[1].set(title='(b) period', xlabel='thickness $L_s$ (mm)', ylabel='$T_0$ (ms)',

@@ -31,19 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_releases
-from style import (
-    BLACK,
-    BLUE,
-    broken,
-    GREEN,
-    label_results,
-    legend_below,
-    new_figure,
-    ORANGE,
-    PAPER,
-    RED,
-    SKY,
-)
+import style
 
 Floats = NDArray[np.float64]
 
@@ -104,7 +92,7 @@ def heavy_projectile(omega_tau: ArrayLike) -> ThickLayer:
 
 def draw_thick_layer() -> Figure:
     """Draw App. C: releases before the wave returns."""
-    figure = new_figure(
+    figure = style.new_figure(
         'App. C   Released from a thick layer before the wave comes back',
         r'Only $\omega\tau = 2\pi m c_s f / E_s S$ counts. For small $\omega\tau$ the paper '
         r'prints $4 - 2\,(\omega\tau + e^{-\pi/2\omega\tau})^2$;'
@@ -120,18 +108,18 @@ def draw_thick_layer() -> Figure:
         (panels[1], near, exact(near).energy_transfer),
         (panels[2], wide, exact(wide).energy_transfer),
     ):
-        axes.plot(values, curve, color=BLACK, lw=2.0, label='exact')
-    for approximate, color, style, label in (
-        (light_projectile, BLUE, '--', r'App. C(i) for small $\omega\tau$, corrected'),
-        (light_projectile_as_printed, RED, ':', 'the same as printed'),
+        axes.plot(values, curve, color=style.BLACK, lw=2.0, label='exact')
+    for approximate, color, dashes, label in (
+        (light_projectile, style.BLUE, '--', r'App. C(i) for small $\omega\tau$, corrected'),
+        (light_projectile_as_printed, style.RED, ':', 'the same as printed'),
     ):
         values = approximate(near)
-        panels[0].plot(near, values.angle / math.pi, color=color, ls=style, label=label)
-        panels[1].plot(near, values.energy_transfer, color=color, ls=style, label=label)
+        panels[0].plot(near, values.angle / math.pi, color=color, ls=dashes, label=label)
+        panels[1].plot(near, values.energy_transfer, color=color, ls=dashes, label=label)
     large = wide[wide > 3.0]
     label = r'App. C(ii) for large $\omega\tau$: $16/(\omega\tau)^2$'
     heavy = heavy_projectile(large).energy_transfer
-    panels[2].plot(large, heavy, color=GREEN, ls='--', label=label)
+    panels[2].plot(large, heavy, color=style.GREEN, ls='--', label=label)
     panels[0].set(title='(a) when', ylabel=r'$\omega\,(t_e - t_s)\,/\,\pi$', ylim=(0.45, 1.05))
     panels[1].set(title='(b) how much', ylabel=r'energy transfer $\alpha$', ylim=(0.0, 4.2))
     panels[2].set(title='(c) over a wide range', ylabel=r'energy transfer $\alpha$', xscale='log',
@@ -140,8 +128,8 @@ def draw_thick_layer() -> Figure:
         axes.set_xlabel(r'$\omega\tau$')
     for axes in panels[:2]:
         axes.set_xlim(0.0, 1.6)
-    panels[1].plot(0.0, 4.0, **PAPER, clip_on=False, label=r'paper: $\alpha = 4$')
-    legend_below(figure, panels[1], panels[2], columns=3)
+    panels[1].plot(0.0, 4.0, **style.PAPER, clip_on=False, label=r'paper: $\alpha = 4$')
+    style.legend_below(figure, panels[1], panels[2], columns=3)
     return figure
 
 
@@ -158,27 +146,26 @@ def best_frequency_ratio() -> float:
 
 def draw_spring() -> Figure:
     """Draw Fig. 7: the massless spring, and layers with different masses."""
-    figure = new_figure(
+    figure = style.new_figure(
         'Fig. 7   App. A: the massless spring, and layers that have mass',
-        'What is left of a layer much lighter than the projectile; lighter projectiles gain more '
-        'than any spring can give.',
+        'A layer much lighter than the projectile acts as a spring. Lighter projectiles gain more '
+        'energy than from any spring.',
         height=4.5,
     )
     panels = figure.subplots(1, 2)
     ratio = np.linspace(0.02, 5.0, 1200)
     spring = spring_mass.first_release(frequency_ratio=ratio)
-    for mu, color in ((0.25, ORANGE), (1.0, SKY), (4.0, BLUE)):
+    for mu, color in ((0.25, style.ORANGE), (1.0, style.SKY), (4.0, style.BLUE)):
         layer = first_releases(
             mass_ratio=mu, speed_ratio=2.0 * math.pi * math.sqrt(mu) * ratio, unresolved='nan'
         )
         label = rf'layer, $\mu = m/\rho_s S L_s$ = {mu:g}'
-        panels[0].plot(ratio, broken(layer.ejection_phase), color=color, label=label)
-        panels[1].plot(ratio, broken(layer.energy_transfer), color=color, label=label)
+        style.draw_results(panels, ratio, layer, color=color, label=label)
     best = best_frequency_ratio()
     for axes, values in zip(panels, (spring.ejection_phase, spring.energy_transfer), strict=True):
-        axes.plot(ratio, values, color=BLACK, ls='--', label=r'spring: $\mu \to \infty$')
+        axes.plot(ratio, values, color=style.BLACK, ls='--', label=r'spring: $\mu \to \infty$')
         axes.axvline(best, color='0.7', lw=0.8, zorder=0)
-    label_results(panels, phase_end=1.2, xlabel='$f_0 / f$', xlim=(0.0, 5.0))
-    panels[1].plot(1.62, 3.13, **PAPER, label=r'paper: $f_0/f$ = 1.62, $\alpha$ = 3.13')
-    legend_below(figure, panels[1], columns=3)
+    style.label_results(panels, phase_end=1.2, xlabel='$f_0 / f$', xlim=(0.0, 5.0))
+    panels[1].plot(1.62, 3.13, **style.PAPER, label=r'paper: $f_0/f$ = 1.62, $\alpha$ = 3.13')
+    style.legend_below(figure, panels[1], columns=3)
     return figure

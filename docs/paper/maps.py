@@ -24,10 +24,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from models import best_layer, DAMPING_RATIO, releases_at, releases_of, rig_of, SERIES
+from models import DAMPING_RATIO, releases_at, releases_of, rig_of, SERIES
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.closed_form import FirstRelease
+from soft_throw_ros.design.recommendation import best_ratios
 from style import BLACK, BLUE, broken, C_LABEL, legend_below, new_figure, PAPER, RED, X_LABEL
 
 Floats = NDArray[np.float64]
@@ -120,7 +121,7 @@ def _draw_series(axes: Axes) -> None:
 
 def _mark_optimum(axes: Axes, damping_ratio: float, label: str, *, marker: str = '+') -> None:
     """Mark the layer with the largest energy transfer."""
-    best = best_layer(damping_ratio)
+    best = best_ratios(damping_ratio)
     x = 1.0 / (1.0 + best.mass_ratio)
     c = best.speed_ratio * x
     axes.plot(

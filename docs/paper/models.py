@@ -16,18 +16,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import functools
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
-from scipy.optimize import minimize
-from soft_throw_ros.core.closed_form import first_release, first_releases, FirstRelease
+from soft_throw_ros.core.closed_form import first_releases, FirstRelease
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate, Throw
 from soft_throw_ros.core.wave_stepper import WaveStepper
+from soft_throw_ros.design.uncertainty import Uncertainties
 
 Floats = NDArray[np.float64]
 
@@ -40,41 +39,11 @@ DAMPING_RATIO = 0.064
 PROJECTILE_DENSITY = 1300.0
 """Density of the projectiles. [kg/m3]"""
 
-# Standard deviations that the paper gives
-WAVE_SPEED_ERROR = 0.3  # [m/s]
-THICKNESS_ERROR = 0.1e-3  # [m]
-FREQUENCY_ERROR = 0.1  # [Hz]
-DAMPING_ERROR = 0.003  # [-]
+ERRORS = Uncertainties()
+"""Standard deviations that the paper gives."""
 
 _DRAWS = 2000
 """Number of random rigs from which error bars are computed."""
-
-
-class Optimum(NamedTuple):
-    """The layer that transfers most energy, and its throw."""
-
-    mass_ratio: float
-    speed_ratio: float
-    ejection_phase: float
-    energy_transfer: float
-
-
-@functools.lru_cache(maxsize=8)
-def best_layer(damping_ratio: float) -> Optimum:
-    """Find the layer with the largest energy transfer, whose release is between 3 and 5 t_s."""
-
-    def release_from(ratios: Floats) -> FirstRelease:
-        return first_release(
-            mass_ratio=ratios[0], speed_ratio=ratios[1], damping_ratio=damping_ratio
-        )
-
-    def loss(ratios: Floats) -> float:
-        return -float(release_from(ratios).energy_transfer)
-
-    start, precision = (0.25, 8.4), {'xatol': 1e-7, 'fatol': 1e-13}
-    ratios = minimize(loss, start, method='Nelder-Mead', options=precision).x
-    best = release_from(ratios)
-    return Optimum(*ratios, float(best.ejection_phase), float(best.energy_transfer))
 
 
 def releases_at(x: ArrayLike, c: ArrayLike, *, damping_ratio: float = 0.0) -> FirstRelease:
@@ -184,18 +153,14 @@ class Series:
             gravity_ratio=gravity_ratio,
         )
 
-    def _throws(self, damping_ratio: float, **options: Any) -> list[Throw]:
+    def throws(self, *, damping_ratio: float, model: str = 'travelling_wave') -> list[Throw]:
         """Simulate the throws from the six layers up to the first release."""
         rigs = [self.rig(thickness, damping_ratio=damping_ratio) for thickness in THICKNESSES]
-        return [simulate(rig, max_events=1, **options) for rig in rigs]
-
-    def elastic_throws(self, *, damping_ratio: float) -> list[Throw]:
-        """Simulate the throws as in the paper, Eqs. (2)-(3), with an elastic projectile."""
-        return self._throws(damping_ratio, model='cells_elastic')
+        return [simulate(rig, model=model, max_events=1) for rig in rigs]
 
     def peak_strains(self, *, damping_ratio: float) -> Floats:
         """Return the largest strains in the six layers up to the first release [-]."""
-        return np.array([throw.peak_strain for throw in self._throws(damping_ratio)])
+        return np.array([throw.peak_strain for throw in self.throws(damping_ratio=damping_ratio)])
 
     def errors(self, *, damping_ratio: float) -> Errors:
         """
@@ -209,13 +174,14 @@ class Series:
 
         """
         deviations = np.random.default_rng(0).standard_normal((4, _DRAWS, 1))
-        thickness = THICKNESSES + THICKNESS_ERROR * deviations[0]
+        damping_error = ERRORS.damping_ratio if damping_ratio else 0.0
+        thickness = THICKNESSES + ERRORS.thickness * deviations[0]
         mass_ratio, speed_ratio = self.ratios(thickness)
-        speed_ratio = speed_ratio * (1.0 + WAVE_SPEED_ERROR / Layer().wave_speed * deviations[1])
+        speed_ratio = speed_ratio * (1.0 + ERRORS.wave_speed / Layer().wave_speed * deviations[1])
         releases = first_releases(
             mass_ratio=mass_ratio,
-            speed_ratio=speed_ratio / (1.0 + FREQUENCY_ERROR / self.frequency * deviations[2]),
-            damping_ratio=damping_ratio + bool(damping_ratio) * DAMPING_ERROR * deviations[3],
+            speed_ratio=speed_ratio / (1.0 + ERRORS.frequency / self.frequency * deviations[2]),
+            damping_ratio=damping_ratio + damping_error * deviations[3],
         )
         expected = self.releases(THICKNESSES, damping_ratio=damping_ratio)
 

@@ -20,22 +20,11 @@ from models import DAMPING_RATIO, releases_of, SERIES, Series, THICKNESSES
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Engine
-from style import (
-    BLUE,
-    broken,
-    GREEN,
-    label_results,
-    legend_below,
-    new_figure,
-    ORANGE,
-    PAPER,
-    RED,
-    X_LABEL,
-)
+import style
 
 Floats = NDArray[np.float64]
 
-_STYLES = tuple(zip(SERIES, (BLUE, ORANGE, GREEN), ('o', 's', '^'), strict=True))
+_STYLES = tuple(zip(SERIES, (style.BLUE, style.ORANGE, style.GREEN), ('o', 's', '^'), strict=True))
 
 THIN: Floats = np.geomspace(0.6e-3, 3e-3, 41)
 """Thicknesses of layers that may touch the projectile again. [m]"""
@@ -46,11 +35,11 @@ X: Floats = np.linspace(0.005, 0.995, 1189)
 
 def draw_series() -> Figure:
     """Draw Fig. 5: ejection time and energy transfer of the rig, with re-contacts."""
-    figure = new_figure(
+    figure = style.new_figure(
         'Fig. 5   Sec. III: the six layers, two projectiles, two frequencies',
         "Harmonic plate, the rig's densities. Lines: exact, rigid projectile, first release. "
-        "Points: the paper's layers by\nfinite differences with an elastic projectile; bars: what "
-        "the rig's uncertainties make of them. Dots: last release.",
+        "Points: the paper's layers by\nfinite differences with an elastic projectile. "
+        'Bars: uncertainties of the rig. Dots: last release.',
         height=5.6,
     )
     panels = figure.subplots(1, 2, sharex=True)
@@ -59,9 +48,9 @@ def draw_series() -> Figure:
         _draw_last_releases(panels, series, color)
     label = r'paper: no layer, $t_e f$ = 0.25, $\alpha$ = 1'
     for axes, value in zip(panels, (0.25, 1.0), strict=True):
-        axes.plot(0.0, value, **PAPER, clip_on=False, label=label)
-    label_results(panels, phase_end=0.9, xlabel=X_LABEL, xlim=(0.0, 1.0))
-    legend_below(figure, panels[1], columns=2)
+        axes.plot(0.0, value, **style.PAPER, clip_on=False, label=label)
+    style.label_results(panels, phase_end=0.9, xlabel=style.X_LABEL, xlim=(0.0, 1.0))
+    style.legend_below(figure, panels[1], columns=2)
     return figure
 
 
@@ -70,7 +59,8 @@ def _draw_one(
 ) -> None:
     """Draw the curve of a series and the points of the six layers."""
     curve = series.releases(series.thickness_of(X), damping_ratio=damping_ratio)
-    throws = series.elastic_throws(damping_ratio=damping_ratio)
+    style.draw_results(panels, X, curve, color=color, lw=1.4)
+    throws = series.throws(damping_ratio=damping_ratio, model='cells_elastic')
     errors = series.errors(damping_ratio=damping_ratio)
     label = (
         f'$f$ = {series.frequency:g} Hz, $L_r$ = {1e3 * series.projectile_length:g} mm: '
@@ -78,11 +68,10 @@ def _draw_one(
     )
     phases = [throw.ejection_time * series.frequency for throw in throws]
     transfers = [throw.energy_transfer for throw in throws]
-    for axes, line, points, error in (
-        (panels[0], curve.ejection_phase, phases, errors.ejection_phase),
-        (panels[1], curve.energy_transfer, transfers, errors.energy_transfer),
+    for axes, points, error in (
+        (panels[0], phases, errors.ejection_phase),
+        (panels[1], transfers, errors.energy_transfer),
     ):
-        axes.plot(X, broken(line), color=color, lw=1.4)
         axes.errorbar(
             series.x_of(THICKNESSES), points, xerr=errors.x, yerr=error, fmt=marker, color=color,
             mec='white', ms=7, elinewidth=1.2, capsize=2.5, label=label,
@@ -101,26 +90,25 @@ def _draw_last_releases(panels: NDArray[np.object_], series: Series, color: str)
 
 def draw_damped_series() -> Figure:
     """Draw Fig. 12: the series with the damped plate, and the largest strain of the layers."""
-    figure = new_figure(
+    figure = style.new_figure(
         'Fig. 12   App. D: the same with the damped plate of the rig',
         rf'$\zeta$ = {DAMPING_RATIO:g}, first release; thin lines: harmonic plate (Fig. 5). '
         'Damping changes $\\alpha$ by a few percent, mostly.\nAt $A$ = '
-        f'{1e3 * Engine().amplitude:g} mm and 63.2 Hz the strain is above the 10 % below which '
-        'the paper puts it.',
+        f'{1e3 * Engine().amplitude:g} mm and 63.2 Hz the strain is above the 10 % that the paper '
+        'gives as its limit.',
         height=5.6,
     )
     panels = figure.subplots(1, 3)
     for series, color, marker in _STYLES:
         harmonic = series.releases(series.thickness_of(X), damping_ratio=0.0)
-        panels[0].plot(X, broken(harmonic.ejection_phase), color=color, lw=0.6)
-        panels[1].plot(X, broken(harmonic.energy_transfer), color=color, lw=0.6)
+        style.draw_results(panels, X, harmonic, color=color, lw=0.6)
         _draw_one(panels, series, DAMPING_RATIO, color, marker)
         strains = 100.0 * series.peak_strains(damping_ratio=DAMPING_RATIO)
         panels[2].plot(series.x_of(THICKNESSES), strains, marker, color=color, mec='white', ms=7)
-    panels[2].axhline(10.0, color=RED, ls='--', label='paper: below 10 %')
+    panels[2].axhline(10.0, color=style.RED, ls='--', label='paper: below 10 %')
     panels[2].set(
         title='(c) largest strain', ylabel='strain (%)', ylim=(0.0, 22.0), yticks=range(0, 21, 5)
     )
-    label_results(panels, phase_end=0.9, xlabel=X_LABEL, xlim=(0.0, 1.0))
-    legend_below(figure, panels[1], panels[2], columns=2)
+    style.label_results(panels, phase_end=0.9, xlabel=style.X_LABEL, xlim=(0.0, 1.0))
+    style.legend_below(figure, panels[1], panels[2], columns=2)
     return figure

@@ -100,6 +100,13 @@ def label_results(
         axes.set(**options)
 
 
+def draw_results(panels: NDArray[np.object_], x: Floats, releases: Any, **options: Any) -> None:
+    """Draw ejection phase and energy transfer in the first two panels, broken at jumps."""
+    results = releases.ejection_phase, releases.energy_transfer
+    for axes, values in zip(panels[:2], results, strict=True):
+        axes.plot(x, broken(values), **options)
+
+
 def broken(values: ArrayLike) -> Floats:
     """Return a copy with NaN at jumps, where a line is interrupted."""
     copy = np.array(values, dtype=np.float64)

@@ -11,13 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figs. 1 and 2 and the picture of the README: one throw as a strip and over time."""
+"""Figs. 1 and 2, and the pictures of the README: one throw as a strip, over time, in motion."""
 
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import matplotlib as mpl
+from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
@@ -29,11 +31,12 @@ from scipy.integrate import cumulative_trapezoid
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate, Throw
-from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, WIDTH
+import style
+from style import MILLI
 
 Floats = NDArray[np.float64]
 
-PLATE, PROJECTILE, BARE = BLACK, BLUE, GREEN
+PLATE, PROJECTILE, BARE = style.BLACK, style.BLUE, style.GREEN
 """Colours of the plate, the projectile on the layer, and the projectile on the bare plate."""
 
 _THICKNESS = 16.8e-3
@@ -44,6 +47,21 @@ _END = 0.016
 
 _GAP = 1.5
 """Distance of a projectile from the middle of a panel of Fig. 1. [mm]"""
+
+STEP = 2e-4
+"""Time between two frames. [s]"""
+
+END = 0.022
+"""Time of the last frame, and end of the picture of the README. [s]"""
+
+_RATE = 15
+"""Frames per second; with `STEP`, the picture is slower than the throw by a factor of 333. [Hz]"""
+
+_PAUSE = 15
+"""Number of frames for which the last picture stays. [-]"""
+
+_DPI = 90
+"""Resolution. [dots per inch]"""
 
 
 @functools.lru_cache(maxsize=1)
@@ -90,7 +108,7 @@ def draw_states() -> Figure:
         (release, 'layer throws'),
         (0.0125, 'in flight'),
     )
-    figure = new_figure(
+    figure = style.new_figure(
         'Fig. 1   A projectile on the bare plate, and one on a soft layer',
         f"The paper's rig: $f$ = {rig.engine.frequency:g} Hz, $\\zeta$ = "
         f'{rig.engine.damping_ratio:g}, $A$ = {MILLI * rig.engine.amplitude:g} mm, $L_s$ = '
@@ -146,7 +164,7 @@ def draw_state(
 def draw_traces() -> Figure:
     """Draw Fig. 2: positions and velocities of plate and projectile over time."""
     throw = shown_throw()
-    figure = new_figure(
+    figure = style.new_figure(
         'Fig. 2   The same throw against time',
         'The projectile moves once the first wave has crossed the layer, in $t_s$, and leaves '
         'when the layer no longer pushes.\nHeights count from rest, so that they are those of its '
@@ -180,7 +198,7 @@ def draw_traces() -> Figure:
     )
     _mark_crossings(panels, MILLI * throw.rig.crossing_time)
     _quote_release(panels[1], throw)
-    legend_below(figure, panels[0], columns=4)
+    style.legend_below(figure, panels[0], columns=4)
     return figure
 
 
@@ -209,13 +227,13 @@ def _quote_release(axes: Axes, throw: Throw) -> None:
 def draw_throw() -> Figure:
     """Draw the picture of the README: a throw of the default rig, with the strain of the layer."""
     rig = Rig()
-    throw = simulate(rig, until=0.022)
-    time = np.linspace(0.0, 0.022, 1101)
+    throw = simulate(rig, until=END)
+    time = np.linspace(0.0, END, 1101)
     path = throw.trajectory(time)
     heights, strain = heights_of_layer(throw, time, points=97)
     release = throw.ejection_time
 
-    figure = Figure(figsize=(WIDTH, 4.8), layout='constrained')
+    figure = Figure(figsize=(style.WIDTH, 4.8), layout='constrained')
     axes = figure.subplots()
     limit = 100.0 * np.abs(strain).max()
     corners = 0.5 * (strain[:-1] + strain[1:])
@@ -253,3 +271,38 @@ def draw_throw() -> Figure:
         axes.text(x, y, text, color=color, rotation=angle, rotation_mode='anchor')
     axes.set(xlabel='time $t$ (ms)', ylabel='height $z$ (mm)', xlim=(0.0, 22.0), ylim=(-1.0, 47.0))
     return figure
+
+
+def save_animation(path: Path) -> None:
+    """Write a throw of the default rig as an animated GIF, which repeats without end."""
+    throw = simulate(Rig(), until=END)
+    # Displacements are integrals of velocities, so heights need smaller steps than frames.
+    time = np.linspace(0.0, END, 1 + 10 * round(END / STEP))
+    heights, strain = heights_of_layer(throw, time, points=61)
+    limit = 100.0 * np.abs(strain[time < throw.ejection_time]).max()  # colours of Fig. 1
+    bare_release = Underdamped.of(throw.rig.engine).peak_velocity_time
+    frames = [*range(0, time.size, 10), *[time.size - 1] * _PAUSE]
+    with style.settings():
+        figure = Figure(figsize=(4.6, 4.6), layout='constrained')
+        axes = figure.subplots()
+        image = draw_state(axes, throw, 0.0, heights[0], strain[0], limit)
+        figure.colorbar(image, ax=axes, label='strain of the layer (%)', shrink=0.7,
+                        extend='both')
+
+        def draw(row: int) -> tuple[()]:
+            axes.clear()
+            draw_state(axes, throw, time[row], heights[row], strain[row], limit)
+            axes.set(xlim=(-15.5, 15.5), ylim=(-8.0, 48.0), xticks=[], aspect='equal')
+            axes.spines['bottom'].set_visible(False)
+            axes.set_ylabel('height $z$ (mm)')
+            axes.set_title(f'$t$ = {MILLI * time[row]:4.1f} ms', loc='left')
+            for x, name, color, release, speed in (
+                (-7.5, 'bare plate', BARE, bare_release, throw.peak_plate_speed),
+                (7.5, 'on the layer', PROJECTILE, throw.ejection_time, throw.ejection_speed),
+            ):
+                text = f'{name}\n{speed:.2f} m/s' if time[row] >= release else name
+                axes.text(x, -2.0, text, color=color, ha='center', va='top')
+            return ()
+
+        animation = FuncAnimation(figure, draw, frames=frames)
+        animation.save(path, writer=PillowWriter(fps=_RATE), dpi=_DPI)
