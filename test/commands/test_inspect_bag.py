@@ -36,7 +36,7 @@ from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
 
-from test.recording.recordings import Recording, viewer_at  # noqa: E402, I100
+from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E402
 
@@ -70,7 +70,7 @@ def run(capsys, *args: Any) -> tuple[int, list[str]]:
 
 def rows(path: Path) -> dict[str, int]:
     """Count the rows of each entity in a recording, without rows of style."""
-    return Recording(path).rows
+    return RrdFile(path).rows
 
 
 def test_bag_is_drawn_in_the_requested_size(capsys, bag, tmp_path) -> None:
@@ -121,7 +121,7 @@ def test_throw_and_time_to_show_can_be_chosen(
     assert run(capsys, bag, '--save', path, *options) == (0, [])
     entity = '/twin/position', 'Scalars:scalars'
     (stamps, _), (times, _) = (
-        Recording(path).series(*entity, name) for name in (STAMP, THROW_TIME)
+        RrdFile(path).series(*entity, name) for name in (STAMP, THROW_TIME)
     )
     assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
 
