@@ -223,7 +223,6 @@ class _TwinView:
         self._node = node
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
         self._canvas = canvas
-        self._pool = pool
         self._reader = series.TwinReader()
         self._period_of_stamps = 1.0  # of the plate, by the clock of the stamps [s]
         self._side = RigPicture(canvas, self._path('side'))
