@@ -125,10 +125,8 @@ class Player(RunnableNode):
             lambda message: message.log_time,
             begin_ns=self._begin,
             end_ns=self._end,
-            now=0,
             rate=rate,
             is_looping=loop,
-            is_paused=True,
         )
         self._lock = threading.Lock()  # guards the schedule and publishing
         self._woken = threading.Event()

@@ -38,6 +38,8 @@ class PlaybackSchedule(Generic[Item]):
     """
     Deadlines of the items of a recording, at a selectable rate, optionally repeated.
 
+    Playback is paused at the beginning until it is resumed.
+
     Parameters
     ----------
     items : callable
@@ -50,10 +52,6 @@ class PlaybackSchedule(Generic[Item]):
         Time of the recording over time of the caller. [-]
     is_looping : bool
         Whether to repeat the recording.
-    is_paused : bool
-        Whether the playback starts paused.
-    now : int
-        Start of the playback, in time of the caller. [ns]
 
     Raises
     ------
@@ -62,7 +60,8 @@ class PlaybackSchedule(Generic[Item]):
 
     Examples
     --------
-    >>> schedule = PlaybackSchedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1, now=100)
+    >>> schedule = PlaybackSchedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1)
+    >>> schedule.resume(100)
     >>> schedule.next_due(100), schedule.next_due(100), schedule.deadline(), schedule.time(110)
     (5, None, 120, 6)
     >>> schedule.next_due(120), schedule.is_over
@@ -77,15 +76,13 @@ class PlaybackSchedule(Generic[Item]):
         *,
         begin_ns: int,
         end_ns: int,
-        now: int,
         rate: float = 1.0,
         is_looping: bool = False,
-        is_paused: bool = False,
     ) -> None:
         if not 0.0 < rate < math.inf:
             raise ValueError(f'a rate must be positive and finite, got {rate!r}')
         self.rate = rate
-        self.is_paused = is_paused
+        self.is_paused = True
         self._begin = begin_ns
         self._loop_length = end_ns - begin_ns
         if is_looping:  # the beginning must come later than the end
@@ -93,8 +90,7 @@ class PlaybackSchedule(Generic[Item]):
         self._is_looping = is_looping
         # Times of the recording count from its beginning, and continue through repetitions.
         # At the caller's time `_now`, the time of the recording was `_passed`.
-        self._now = now
-        self._passed = 0
+        self._now = self._passed = 0
         self._stepped_to = -math.inf  # items up to this time are due while paused
         self._coming = self._repeat(items, time_of)
         self._next_time, self._next = next(self._coming, (0, None))

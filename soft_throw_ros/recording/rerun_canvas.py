@@ -82,6 +82,10 @@ class Canvas:
         columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
         self._keep('content', path, partial(self.log_columns, path, np.array([stamp]), columns))
 
+    def log_text(self, path: str, stamp: int, text: str) -> None:
+        """Write a text (Markdown) that holds until it is replaced."""
+        self.log_latched(path, stamp, rr.TextDocument(text, media_type='text/markdown'))
+
     def _keep(self, kind: str, path: str, draw: Callable[[], None]) -> None:
         self._kept[kind, path] = draw
         draw()

@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 import math
 from typing import Any
@@ -24,19 +24,15 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import JOINT_STATE, Topic, TWIN_TOPICS
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording import timeseries as series
 from soft_throw_ros.recording.cdr import decode
-from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.recording.rerun_canvas import Text
-from soft_throw_ros.recording.rig_picture import RigPicture
+from soft_throw_ros.recording.pictures import RigPicture, StrainPicture
+from soft_throw_ros.recording.recommendation_panel import RecommendationPanel
 from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart
 
 _MILLI, _MICRO = 1e3, 1e6
@@ -227,31 +223,26 @@ class _TwinView:
         self._node = node
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
         self._canvas = canvas
-        self._pool = pool
         self._reader = series.TwinReader()
         self._period_of_stamps = 1.0  # of the plate, by the clock of the stamps [s]
         self._side = RigPicture(canvas, self._path('side'))
-        self._recommendation: tuple[Rig | None, series.Values] = (None, {})
+        self._strain = StrainPicture(canvas, self._path('strain'))
+        self._recommendation = RecommendationPanel(canvas, self._root, pool)
         self._track: dict[str, str] = {}  # texts by the task of the node
         self._has_residuals = self._has_energies = False
         self._period = 0.0  # of the layout [s]
-        self._maps: list[tuple[int, Future[EnergyMap]]] = []
-        self._map_rig: Rig | None = None
         self._has_phase_changes = False
         phases = rr.StateConfiguration(
             values=list(layout.PHASES), colors=list(layout.PHASES.values())
         )
-        smooth = rr.Image.from_fields(magnification_filter='linear')
         canvas.log_style(self._path('phase'), phases)
-        canvas.log_style(self._path('strain/picture'), smooth)
 
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
 
     def _write(self, name: str, stamp: int, text: str) -> None:
         self.is_drawn = True
-        document = rr.TextDocument(text, media_type='text/markdown')
-        self._canvas.log_latched(self._path(name), stamp, document)
+        self._canvas.log_text(self._path(name), stamp, text)
 
     def stamp_of(self, message: Message) -> int:
         """Return the time of the step that a message belongs to [ns]."""
@@ -271,8 +262,7 @@ class _TwinView:
         stamp = reader.throw.stamp if reader.throw and is_throw else self.stamp_of(message)
         self._period_of_stamps = 1.0 / (reader.rig.engine.frequency * reader.time_scale)
         self._side.change_rig(stamp, reader.rig)
-        if self._map_rig != reader.rig:  # the map for its recommendation exists
-            self._request_map(stamp, reader.rig, reader.settings)
+        self._recommendation.change_rig(stamp, reader.rig, reader.settings)
 
     # plots
 
@@ -321,42 +311,12 @@ class _TwinView:
         contact = field.strain[field.times <= (field.ejection_time or field.times[-1])]
         limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
-        self._draw_strain(field, limit)
+        self._strain.draw(field, limit)
         throw = self._reader.interpolate_throw(field)
         if throw is not None:
             position, layer = throw
             self._side.draw_positions(field.stamps, position)
             self._side.draw_layer(layer)
-
-    def _draw_strain(self, field: series.StrainField, limit: float) -> None:
-        """Draw strain in colours up to a limit, with axes, the ejection and a moving cursor."""
-        log, stamps = self._canvas.log_latched, field.stamps
-        start, end = int(stamps[0]), float(field.times[-1])
-        x, y, width, height = charts.FRAME_BOX
-        frame = charts.strain_frame(_MILLI * end, _MILLI * field.thickness, 100.0 * limit)
-        log(self._path('strain/frame'), start, drawing.encoded_image(frame))
-        pixels = charts.signed_colours(field.strain.T[::-1], limit)
-        picture = drawing.picture(pixels, x=x, y=y, w=width, h=height)
-        log(self._path('strain/picture'), start, *picture)
-        ejection = [time for time in (field.ejection_time,) if time is not None]
-        heights = y, y + height
-        strips = [[(x + width * time / end, level) for level in heights] for time in ejection]
-        log(self._path('strain/ejection'), start, drawing.lines(strips, drawing.BLACK))
-        titles = [
-            Text(x + width * time / end, y - 37.0, f'tₑ {_MILLI * time:.2f} ms')
-            for time in ejection
-        ]
-        log(self._path('strain/ejection/text'), start, drawing.texts(titles))
-        cursors = np.zeros((stamps.size, 2, 2), np.float32)
-        cursors[:, :, 0] = (x + width * field.times / end)[:, None]
-        cursors[:, :, 1] = heights
-        columns = rr.LineStrips2D.columns(
-            strips=cursors,
-            colors=[drawing.RED] * stamps.size,
-            radii=rr.Radius.ui_points([1.0] * stamps.size),
-        ).partition([1] * stamps.size + [0])
-        after = np.append(stamps, 2 * stamps[-1] - stamps[-2])  # where the cursor disappears
-        self._canvas.log_columns(self._path('strain/now'), after, columns)
 
     def draw_energies(self, message: Message) -> None:
         energies = self._reader.read_energies(message)
@@ -405,34 +365,15 @@ class _TwinView:
             lines = [self._track[name] for name in words.TRACK_TASKS if name in self._track]
             self._write('track', stamp, '  \n'.join(lines))
 
-    # the best layer
-
     def draw_recommendation(self, message: Message) -> None:
-        reader = self._reader
-        rig = reader.wanted_rig()
+        rig, settings = self._reader.wanted_rig(), self._reader.wanted
         for stamp, status, values in series.read_statuses(message):
-            self._recommendation = rig, values
-            text = words.recommendation_text(str(status.message), values)
-            self._write('recommendation', stamp, text)
-            if rig is not None:
-                self._request_map(stamp, rig, reader.wanted)
-
-    def _request_map(self, stamp: int, rig: Rig, settings: Settings) -> None:
-        """Compute a map in the background; the last requested one is shown last."""
-        recommended_for, values = self._recommendation
-        if recommended_for not in (None, rig):
-            values = {}
-            self._write('recommendation', stamp, words.UNKNOWN_BEST)  # it was of another rig
-        self._map_rig = rig
-        stamp = max([stamp, *(earlier for earlier, _ in self._maps)])
-        self._maps.append((stamp, self._pool.submit(compute_energy_map, rig, settings, values)))
+            self.is_drawn = True
+            self._recommendation.draw(stamp, str(status.message), values, rig, settings)
 
     def draw_maps(self, *, is_waiting: bool = False) -> None:
         """Draw the maps that are complete; with `is_waiting` wait for all."""
-        while self._maps and (is_waiting or self._maps[0][1].done()):
-            stamp, future = self._maps.pop(0)
-            image = drawing.encoded_image(charts.to_png(future.result().draw()))
-            self._canvas.log_latched(self._path('landscape'), stamp, image)
+        self._recommendation.draw_maps(is_waiting=is_waiting)
 
     # layout
 

@@ -195,7 +195,7 @@ class TwinReader:
         self.states: RigStates | None = None  # from one state before this throw on
         self._schedule: TickSchedule | None = None
         self._motions: dict[str, str] = {}  # encoded motions by file
-        self._rest: tuple[float, float] | None = None  # heights measured before the throw
+        self._rest_heights: tuple[float, float] | None = None  # heights measured before the throw
 
     @property
     def time_scale(self) -> float:
@@ -256,10 +256,10 @@ class TwinReader:
             self._schedule = journal.decode_schedule(entry['schedule'])
         due = stamp if self._schedule is None else self._schedule.deadline(step)
         onset = entry.get('onset')
-        self._rest = None
+        self._rest_heights = None
         if onset is not None:
             due = operator.index(onset['onset_ns'])
-            self._rest = onset['plate_rest'], onset['projectile_rest'] or math.nan
+            self._rest_heights = onset['plate_rest'], onset['projectile_rest'] or math.nan
         stamp = due if abs(due - stamp) < _SAME_CLOCK else stamp
         if self.states is not None:
             first = max(int(np.searchsorted(self.states.stamps, stamp)) - 1, 0)
@@ -273,16 +273,16 @@ class TwinReader:
 
     def read_states(self, messages: Sequence[Message]) -> RigStates | None:
         """Read messages of plate and projectile; return None for those of another machine."""
-        read = _read_joint_states(messages)
-        if not set(JOINTS) <= set(read.names):
+        joints = _read_joint_states(messages)
+        if not set(JOINTS) <= set(joints.names):
             return None
         records = np.zeros(len(messages), _STATE)
-        columns = [read.names.index(name) for name in JOINTS]
-        for name, values in vars(read).items():
-            if name in ('position', 'velocity', 'effort') and values.shape[1] == len(read.names):
+        columns = [joints.names.index(name) for name in JOINTS]
+        for name, values in vars(joints).items():
+            if name in ('position', 'velocity', 'effort') and values.shape[1] == len(joints.names):
                 records['force' if name == 'effort' else name] = values[:, columns]
         _check_numbers(records['position'], records['velocity'], records['force'])
-        records['stamps'], records['published'] = read.stamps, list(map(_published, messages))
+        records['stamps'], records['published'] = joints.stamps, list(map(_published, messages))
         states = RigStates.join(records)
         before = () if self.states is None else (self.states,)
         self.states = RigStates.join(*before, states)[-_KEPT_STATES:].view(RigStates)
@@ -297,41 +297,41 @@ class TwinReader:
         Measured positions are relative to rest, and NaN for a joint without measurement. Return
         None for another machine, or while the rest is unknown.
         """
-        read = _read_joint_states(messages)
-        if topic.joints[0] not in read.names or read.position.shape[1] != len(read.names):
+        joints = _read_joint_states(messages)
+        if topic.joints[0] not in joints.names or joints.position.shape[1] != len(joints.names):
             return None
         position = np.full((len(messages), len(topic.joints)), math.nan)
         for column, name in enumerate(topic.joints):
-            if name in read.names:
-                position[:, column] = read.position[:, read.names.index(name)]
+            if name in joints.names:
+                position[:, column] = joints.position[:, joints.names.index(name)]
         if topic == TWIN_TOPICS.measured_joint_states:
-            if self._rest is None or self.rig is None:
+            if self._rest_heights is None or self.rig is None:
                 return None
-            position -= [self._rest[0], self._rest[1] - self.rig.rest_height]
+            position -= [self._rest_heights[0], self._rest_heights[1] - self.rig.rest_height]
         is_number = (np.abs(position) <= _LARGEST).any(axis=1)
-        return read.stamps[is_number], position[is_number]
+        return joints.stamps[is_number], position[is_number]
 
     def read_phase_changes(self, messages: Sequence[Message]) -> list[tuple[int, str]]:
         """Read stamps [ns] and names of phases; those of another machine are left out."""
-        read = _read_joint_states(messages)
-        if read.names != TWIN_TOPICS.phase_change.joints or read.position.shape[1] != 1:
+        joints = _read_joint_states(messages)
+        if joints.names != TWIN_TOPICS.phase_change.joints or joints.position.shape[1] != 1:
             return []
-        pairs = zip(read.stamps.tolist(), read.position[:, 0].tolist(), strict=True)
+        pairs = zip(joints.stamps.tolist(), joints.position[:, 0].tolist(), strict=True)
         return [(stamp, _PHASES[number]) for stamp, number in pairs if number in _PHASES]
 
     # the layer
 
     def read_layer(self, messages: Sequence[Message]) -> LayerStates | None:
         """Read messages of the layer; None while the rig is not known."""
-        read = _read_joint_states(messages)
-        if len(read.names) < 2 or read.position.shape[1] != len(read.names):
-            raise MessageError(f'a layer of {len(read.names)} joints')
-        _check_numbers(read.position)
+        joints = _read_joint_states(messages)
+        if len(joints.names) < 2 or joints.position.shape[1] != len(joints.names):
+            raise MessageError(f'a layer of {len(joints.names)} joints')
+        _check_numbers(joints.position)
         if self.rig is None:
             return None
-        step = self.rig.layer.thickness / (len(read.names) - 1)
-        strain = np.asarray(np.gradient(read.position, step, axis=1) - 1.0)
-        return LayerStates(read.stamps, read.position, strain)
+        step = self.rig.layer.thickness / (len(joints.names) - 1)
+        strain = np.asarray(np.gradient(joints.position, step, axis=1) - 1.0)
+        return LayerStates(joints.stamps, joints.position, strain)
 
     def read_field(self, message: Message) -> StrainField | None:
         """Read the field of the throw under way; None while no throw is known."""

@@ -103,7 +103,7 @@ def test_map_without_a_release_has_a_note_and_can_be_drawn(command, tmp_path):
 def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypatch):
     module = pytest.importorskip('matplotlib.figure', reason='comes with the extra [plot]')
     pytest.importorskip('rerun', reason='comes with the extra [rerun]')
-    from test.recording.recordings import Recording
+    from test.recording.rrd_files import RrdFile
 
     figures = []
     save = module.Figure.savefig
@@ -127,7 +127,7 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path, monkeypa
     best = f'{alpha} at layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg'
     assert best in printed
     assert all(path.stat().st_size > 1000 for path in files)
-    saved, recording = netcdf_file(files[0], mmap=False), Recording(files[2])
+    saved, recording = netcdf_file(files[0], mmap=False), RrdFile(files[2])
     (figure, _) = figures
     for panel, name in zip(figure.axes, ('ejection_phase', 'energy_transfer'), strict=False):
         values = getattr(landscape, name)

@@ -32,7 +32,7 @@ from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
 
-from test.recording.recordings import Recording, viewer_at  # noqa: E402, I100
+from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E402
 

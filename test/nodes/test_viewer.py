@@ -37,7 +37,7 @@ from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
 
-from test.recording.recordings import Recording, viewer_at  # noqa: E402, I100
+from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
 
 from rerun.experimental import ViewerClient  # noqa: E402
 from soft_throw_ros.recording.rerun_view import is_drawn  # noqa: E402
@@ -182,7 +182,7 @@ def test_file_has_every_message_that_came_before_the_end(ros, show, twin, tmp_pa
 
     ros.spin_until(has_reported, 'the diagnostics')
     assert node.end(signal.SIGINT) == 0
-    assert Recording(path).rows['/twin/position'] == 500
+    assert RrdFile(path).rows['/twin/position'] == 500
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def read(path: Path) -> SimpleNamespace:
         return contents
 
 
-class Recording:
+class SampleBag:
     """A bag, and the messages that were written into it."""
 
     def __init__(self, folder: Path) -> None:
@@ -127,7 +127,7 @@ class Recording:
                 self.messages.append(self.text(number, f'step {number} äöü'))
         return self.messages
 
-    def write(self, count: int = 3000, *, flush_every: int = 1000, **options: Any) -> Recording:
+    def write(self, count: int = 3000, *, flush_every: int = 1000, **options: Any) -> SampleBag:
         """Write such messages into the bag, and close it."""
         with BagWriter(self.folder, distribution='jazzy', **options) as writer:
             writer.add_metadata('parameters of /twin', {'gravity': '9.81', 'model': 'exact'})
@@ -140,9 +140,9 @@ class Recording:
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Recording:
+def recording(tmp_path: Path) -> SampleBag:
     """Return a bag that is not written yet."""
-    return Recording(tmp_path / 'bag')
+    return SampleBag(tmp_path / 'bag')
 
 
 @pytest.fixture(scope='session')

@@ -29,13 +29,13 @@ START = 17 * SECOND
 """When the caller begins, by its own clock."""
 
 
-def scheduled(*times: int, end: int | None = None, **kwargs: Any) -> PlaybackSchedule[int]:
+def scheduled(*times: int, is_paused: bool = False, **kwargs: Any) -> PlaybackSchedule[int]:
     """Schedule items that are their own times, of a recording that begins with the first."""
-    kwargs.setdefault('now', START)
-    last = max(times, default=0) if end is None else end
-    return PlaybackSchedule(
-        lambda: times, int, begin_ns=min(times, default=0), end_ns=last, **kwargs
-    )
+    first, last = min(times, default=0), max(times, default=0)
+    schedule = PlaybackSchedule(lambda: times, int, begin_ns=first, end_ns=last, **kwargs)
+    if not is_paused:
+        schedule.resume(START)
+    return schedule
 
 
 def play(
@@ -116,10 +116,11 @@ def test_empty_recording_ends_at_once_and_invalid_rate_is_refused() -> None:
 
 
 def test_recording_is_read_only_as_far_as_it_is_played() -> None:
-    asked = iter(range(10**9))
-    schedule = PlaybackSchedule(lambda: asked, int, begin_ns=0, end_ns=10**9, now=START)
+    items = iter(range(10**9))
+    schedule = PlaybackSchedule(lambda: items, int, begin_ns=0, end_ns=10**9)
+    schedule.resume(START)
     assert due_now(schedule, START + 3) == [0, 1, 2, 3]
-    assert next(asked) == 5  # one ahead
+    assert next(items) == 5  # one ahead
 
 
 @given(

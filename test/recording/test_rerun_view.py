@@ -35,7 +35,7 @@ from twin_messages import TwinMessages
 
 rr = pytest.importorskip('rerun')
 
-from test.recording.recordings import record, Recording, viewer_at  # noqa: E402, I100
+from test.recording.rrd_files import record, RrdFile, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording import charts  # noqa: E402
 from soft_throw_ros.recording.energy_map import EnergyMap  # noqa: E402
@@ -69,8 +69,8 @@ def path(twin, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope='module')
-def recording(path) -> Recording:
-    return Recording(path)
+def recording(path) -> RrdFile:
+    return RrdFile(path)
 
 
 def test_scene_has_every_state_in_its_units(twin, recording) -> None:

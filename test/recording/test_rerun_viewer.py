@@ -41,7 +41,7 @@ from soft_throw_ros.recording.rerun_viewer import (
 
 pytest.importorskip('rerun')
 
-from test.recording.recordings import viewer_at  # noqa: E402, I100
+from test.recording.rrd_files import viewer_at  # noqa: E402, I100
 
 
 @pytest.fixture

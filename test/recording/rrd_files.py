@@ -40,7 +40,7 @@ def viewer_at(port: int, *options: str | Path) -> Iterator[Viewer]:
         yield viewer
 
 
-class Recording:
+class RrdFile:
     """A Rerun file opened for reading: rows by entity and component, times in [ns]."""
 
     def __init__(self, path: Path) -> None:
@@ -93,7 +93,7 @@ class Recording:
         return {name for batch in self.entities[entity] for name in batch.schema.names}
 
 
-def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> Recording:
+def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> RrdFile:
     """Write a scene, including its earlier state, to a file and return the recording."""
     stream = new_stream()
     save_to(stream, path, is_live=False)
@@ -104,4 +104,4 @@ def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000)
     assert flush(stream, 10.0)
     stream.disconnect()
     scene.connect(None)
-    return Recording(path)
+    return RrdFile(path)
