@@ -35,8 +35,7 @@ sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not 
 
 import comparison  # noqa: E402, I100
 import draw  # noqa: E402
-import limits  # noqa: E402
-from models import best_layer, SERIES  # noqa: E402
+from models import SERIES  # noqa: E402
 
 DOCS = Path(__file__).parents[1] / 'docs'
 
@@ -52,57 +51,6 @@ def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
     highest = np.argmax(alphas)
     assert 4.12 < alphas.flat[highest] < 4.123215
     assert (x.flat[highest], c.flat[highest]) == pytest.approx((0.8102, 6.678), abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ('damping_ratio', 'expected'),
-    [
-        (0.0, (0.234231, 8.242210, 0.399440, 4.123215)),
-        (0.064, (0.255397, 8.575921, 0.386675, 4.142897)),
-        (0.2, (0.295132, 9.243476, 0.363366, 4.185170)),
-    ],
-)
-def test_optimum_depends_on_damping(damping_ratio, expected):
-    # These values are not in the paper; two methods with 40 digits agree
-    assert best_layer(damping_ratio) == pytest.approx(expected, rel=2e-5)
-
-
-def test_thick_soft_layer_gives_4_up_to_a_speed_of_7_9():
-    # Sec. IV A, x = 1: a projectile without mass against the layer's
-    for c in (1.0, 4.0, 7.9):
-        assert release_at(1.0 - 1e-6, c).energy_transfer == pytest.approx(4.0, abs=1e-3)
-    assert release_at(1.0 - 1e-6, 9.0).energy_transfer < 3.95
-
-
-@pytest.mark.parametrize('omega_tau', [0.02, 0.05, 0.1])
-def test_limit_of_a_light_projectile_is_that_of_appendix_c_corrected(omega_tau):
-    exact = limits.exact(omega_tau)
-    corrected = limits.light_projectile(omega_tau)
-    as_printed = limits.light_projectile_as_printed(omega_tau)
-    assert exact.angle == pytest.approx(corrected.angle, abs=omega_tau**3)
-    assert exact.energy_transfer == pytest.approx(
-        corrected.energy_transfer, abs=5.0 * omega_tau**4
-    )
-    error = as_printed.energy_transfer - exact.energy_transfer
-    assert error == pytest.approx(2.0 * omega_tau**2, rel=0.05)
-
-
-def test_exponential_in_that_limit_is_negative_and_has_a_factor_1_over_e():
-    omega_tau = 0.2
-    remainder = limits.exact(omega_tau).angle - (math.pi / 2.0 + math.atan(omega_tau))
-    assert remainder == pytest.approx(-math.exp(-math.pi / (2.0 * omega_tau) - 1.0), rel=0.05)
-
-
-def test_limit_of_a_heavy_projectile_is_that_of_appendix_c():
-    alpha = limits.exact(500.0).energy_transfer
-    assert alpha == pytest.approx(limits.heavy_projectile(500.0).energy_transfer, rel=0.01)
-
-
-@pytest.mark.parametrize('omega_tau', [30.0, 100.0, 1000.0])
-def test_ejection_time_of_a_heavy_projectile_is_that_of_appendix_c(omega_tau):
-    # The expansion omits terms of the third order
-    angle = limits.heavy_projectile(omega_tau).angle
-    assert limits.exact(omega_tau).angle == pytest.approx(angle, abs=8.0 / omega_tau**3)
 
 
 def test_ejection_time_jumps_where_it_passes_an_odd_crossing():
