@@ -58,6 +58,13 @@ def test_table_compares_the_recommended_and_the_present_layer(command):
         shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx([scale * value for value in expected], rel=1e-5)
     assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
+    _, table = printed.split('around the recommended layer')
+    for item, scale in zip(best.sensitivities, (1e3, 1.0, 1e3), strict=False):
+        (line,) = re.findall(rf'^{item.name.replace("_", " ")} .*', table, re.MULTILINE)
+        value, within, more = map(float, re.findall(r'[-+]?\d+\.?\d*', line))
+        expected = [scale * item.value, scale * item.tolerance]
+        assert [value, within] == pytest.approx(expected, rel=0.05)
+        assert more == pytest.approx(item.sensitivity, abs=0.006)
 
 
 def test_json_has_everything_to_the_last_digit(command):
