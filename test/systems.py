@@ -32,7 +32,7 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 TIMEOUT = 90.0
-"""Longest wait for states. [s]"""
+"""Longest wait for an event. [s]"""
 
 SETTLING = 2.5
 """Time for two reports of every node. [s]"""
@@ -133,32 +133,25 @@ class System:
 
     def wait_for_states(self) -> None:
         """Wait until recorder and subscriber receive states published after the call."""
-        deadline, start = time.monotonic() + TIMEOUT, time.time_ns()
+        start = time.time_ns()
         self.wait_for_heard(1250)
-        while _last_recorded_stamp(self.bags[-1]) < start:
-            assert time.monotonic() < deadline, 'no new states are recorded'
-            time.sleep(0.1)
+        _wait(lambda: _last_recorded_stamp(self.bags[-1]) >= start, 'no new states are recorded')
 
     def wait_for_heard(self, count: int) -> None:
         """Wait until the subscriber has received a number of additional states."""
-        deadline, before = time.monotonic() + TIMEOUT, _size(self._heard)
-        while _size(self._heard) < before + 8 * count:
-            assert time.monotonic() < deadline, 'no states are received'
-            time.sleep(0.1)
+        size = _size(self._heard) + 8 * count
+        _wait(lambda: _size(self._heard) >= size, 'no states are received')
 
     def wait_for_viewer(self, *, not_pid: int) -> None:
         """Wait until the recorder has a viewer with another process number."""
-        deadline = time.monotonic() + TIMEOUT
-        while self.pids('viewer') in ([], [not_pid]):
-            assert time.monotonic() < deadline, 'no viewer was started again'
-            time.sleep(0.1)
+        _wait(lambda: self.pids('viewer') not in ([], [not_pid]), 'no viewer was started again')
 
     def wait_for_states_of(self, moment: int) -> None:
         """Wait until the subscriber receives states published after a given time [ns]."""
-        deadline = time.monotonic() + TIMEOUT
-        while int(np.fromfile(self._heard, dtype='<i8')[-1]) < moment:
-            assert time.monotonic() < deadline, 'only old states are received'
-            time.sleep(0.1)
+        _wait(
+            lambda: int(np.fromfile(self._heard, dtype='<i8')[-1]) >= moment,
+            'only old states are received',
+        )
 
     def end(self) -> Outcome:
         """End all processes, the twin first, and return the outcome."""
@@ -192,6 +185,13 @@ def missing(states: processes.RecordedStates, twins: int = 1) -> int:
     runs = np.split(states.numbers, np.sort(pauses) + 1)
     assert all((np.diff(run) > 0).all() for run in runs)
     return sum(int(run[-1]) for run in runs) - states.numbers.size
+
+
+def _wait(is_reached: Callable[[], bool], failure: str) -> None:
+    deadline = time.monotonic() + TIMEOUT
+    while not is_reached():
+        assert time.monotonic() < deadline, failure
+        time.sleep(0.1)
 
 
 def _size(path: Path) -> int:

@@ -49,6 +49,7 @@ def test_every_message_of_the_page_is_in_the_sources():
         assert any(message in text for text in texts), message
 
 
+@pytest.mark.slow
 def test_pictures_of_the_page_are_current_and_small(tmp_path, capsys):
     draw = runpy.run_path(str(SCRIPT))
     assert draw['main'](['--output', str(tmp_path)]) == 0

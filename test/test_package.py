@@ -136,7 +136,11 @@ def environment(tmp_path):
     return folder
 
 
-@pytest.fixture(scope='module', params=[(), ('--symlink-install',)], ids=['copies', 'links'])
+@pytest.fixture(
+    scope='module',
+    params=[(), pytest.param(('--symlink-install',), marks=pytest.mark.slow)],
+    ids=['copies', 'links'],
+)
 def colcon_prefix(request, source, tmp_path_factory):
     """Build a colcon workspace, and return the install prefix of the package."""
     colcon = shutil.which('colcon', path=Path(sys.executable).parent) or shutil.which('colcon')

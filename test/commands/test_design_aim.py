@@ -13,23 +13,18 @@
 # limitations under the License.
 """The command `design aim`."""
 
-from dataclasses import replace
 import re
 
 import pytest
 from soft_throw_ros.commands import design, design_search
 from soft_throw_ros.commands.design_texts import uncertainty_text
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import aim, Target
 from soft_throw_ros.design.prediction import predict
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.uncertainty import prediction_uncertainty
 
 COMMAND = (design.main, 'aim')
-
-
-def with_amplitude(amplitude):
-    return replace(Rig(), engine=replace(Rig().engine, amplitude=amplitude))
 
 
 def test_table_has_the_present_throw_the_aim_and_the_aim_with_this_layer(command):
@@ -73,23 +68,6 @@ def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
     aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
     assert command.json('--config', aims)['aim']['target_speed'] == 1.5
     assert 'no target: give' in command.refused('--config', write(rig + '}}', 'other.yaml'))
-
-
-def test_layer_is_chosen_from_a_user_library(command, write):
-    path = write(
-        'jelly: {description: Firm jelly, source: measured, density: 1000.0, wave_speed: 22.6,\n'
-        '  loss_tangent: 0.0}\n'
-    )
-    args = ('--vary', 'library', '--library', path, '--target-speed', 2)
-    result = command.json(*args, '--uncertain-wave-speed', 1.0)
-    layer = result['aim']['layer'], result['aim']['wave_speed']
-    assert layer == ('jelly', 22.6)
-    best = aim(Rig(), Target(speed=2.0), vary='both')
-    assert best.amplitude <= result['aim']['amplitude'] * 1.00001 < 1.0002 * best.amplitude
-    rig = with_amplitude(result['aim']['amplitude'])
-    rig = replace(rig, layer=Layer(thickness=result['aim']['thickness'], wave_speed=22.6))
-    uncertainty = prediction_uncertainty(rig, Uncertainties(wave_speed=1.0))
-    assert result['uncertainty'] == uncertainty.values()
 
 
 @pytest.mark.parametrize(

@@ -68,8 +68,8 @@ def test_table_compares_the_recommended_and_the_present_layer(command):
     for item, scale in zip(best.sensitivities, (1e3, 1.0, 1e3), strict=False):
         (line,) = re.findall(rf'^{item.name.replace("_", " ")} .*', table, re.MULTILINE)
         value, within, more = map(float, re.findall(r'[-+]?\d+\.?\d*', line))
-        known = [scale * item.value, scale * item.tolerance]
-        assert [value, within] == pytest.approx(known, rel=0.05)
+        expected = [scale * item.value, scale * item.tolerance]
+        assert [value, within] == pytest.approx(expected, rel=0.05)
         assert more == pytest.approx(item.sensitivity, abs=0.006)
 
 

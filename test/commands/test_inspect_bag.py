@@ -16,11 +16,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-import signal
 import socket
-import subprocess
 import sys
-from test.recording.conftest import wait_until
 from typing import Any
 
 from bags import write
@@ -35,10 +32,6 @@ pytest.importorskip('rerun')
 from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E402
-
-ROOT = Path(__file__).parents[2]
-
-INSPECT = 'import sys; from soft_throw_ros.commands.inspect_bag import main; sys.exit(main())'
 
 
 @pytest.fixture(scope='module')
@@ -75,27 +68,6 @@ def test_bag_is_drawn_in_the_requested_size(capsys, bag, tmp_path) -> None:
         assert picture.size == (800, 600)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('how', ['SIGINT', 'SIGHUP', 'SIGKILL'])
-def test_killed_screenshot_leaves_no_viewer_behind(bag, tmp_path, how) -> None:
-    command = [sys.executable, '-c', INSPECT, bag, '--screenshot', tmp_path / 'scene.png']
-    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
-        try:
-            wait_until(lambda: viewers_of(process.pid) != [])
-            (viewer,) = viewers_of(process.pid)
-        finally:
-            process.send_signal(getattr(signal, how))
-    wait_until(lambda: not Path(f'/proc/{viewer}').exists())
-    assert not (tmp_path / 'scene.png').exists()
-
-
-def viewers_of(pid: int) -> list[int]:
-    """Return the child processes that run the program of Rerun."""
-    children = Path(f'/proc/{pid}/task').glob('*/children')
-    found = [int(child) for path in children for child in path.read_text().split()]
-    return [each for each in found if Path(f'/proc/{each}/comm').read_text().strip() == 'rerun']
-
-
 def test_throw_and_time_to_show_can_be_chosen(capsys, twin, bag, tmp_path) -> None:
     chosen = ['--throw=1', '--at=0.002']
     with viewer_at(free_port()) as viewer:
@@ -108,7 +80,7 @@ def test_throw_and_time_to_show_can_be_chosen(capsys, twin, bag, tmp_path) -> No
         assert run(capsys, bag, '--save', path, *options) == (0, [])
         entity = '/twin/position', 'Scalars:scalars'
         (stamps, _), (times, _) = (
-            Recording(path).series(*entity, name) for name in (STAMP, THROW_TIME)
+            RrdFile(path).series(*entity, name) for name in (STAMP, THROW_TIME)
         )
         assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
 
@@ -153,7 +125,7 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(capsys, twin, t
     code, (lost,) = run(capsys, path, '--save', tmp_path / 'scene.rrd')
     assert code == 0
     assert 'messages are left out, /twin/phase_change' in lost
-    assert Recording(tmp_path / 'scene.rrd').rows['/twin/position'] == 500
+    assert RrdFile(tmp_path / 'scene.rrd').rows['/twin/position'] == 500
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     code, (cut,) = run(capsys, path, '--save', tmp_path / 'scene.rrd')
     assert code == 2

@@ -381,6 +381,12 @@ def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
     return listen_to(twin)  # type: ignore[no-any-return]
 
 
+@pytest.fixture
+def talker(ros: Ros) -> Node:
+    """Return a node for publishers of the test."""
+    return ros.node(Node, 'talker')
+
+
 class Process:
     """
     A process and its output, without the messages of Fast DDS.

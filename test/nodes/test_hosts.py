@@ -113,14 +113,13 @@ class Cable:
     ----------
     is_cut : bool
         Whether all frames are lost.
-    forwarded, lost : int
-        Number of frames.
+    lost : int
+        Number of lost frames.
 
     """
 
     def __init__(self, hosts: list[Host], *, delay: float, loss: float) -> None:
         self.is_cut = False
-        self.forwarded = 0
         self.lost = 0
         self._ports = [host.port for host in hosts]
         self._delay = delay
@@ -159,7 +158,6 @@ class Cable:
             if port != origin:
                 try:
                     os.write(port, frame)
-                    self.forwarded += 1
                 except OSError:  # the queue is full, or the host has ended
                     self.lost += 1
 

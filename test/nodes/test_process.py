@@ -16,13 +16,14 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
 from typing import Any
 
 import pytest
-from soft_throw_ros.nodes.help_texts import HELP
+from soft_throw_ros.nodes.help_texts import HELP, help_text
 from soft_throw_ros.nodes.twin import main
 
 pytestmark = pytest.mark.timeout(300)
@@ -207,8 +208,22 @@ def test_refused_node_ends_with_exit_code_2(start) -> None:
     assert 'maybe' in line
 
 
+@pytest.mark.parametrize('name', HELP)
+def test_parameters_and_examples_follow_the_table(name) -> None:
+    node = HELP[name]
+    settings = re.findall(r'-p ([\w.]+):=(\S+)', node.example)
+    assert settings
+    for key, value in settings:
+        default = node.table.by_name[key].default
+        node.table.change(node.table.defaults(), {key: type(default)(value)})
+    words = ' '.join(help_text(name, f'usage: {name}').split())
+    for key in node.parameters:
+        assert f'{key} {node.table.by_name[key].meaning.replace("`", "")}' in words
+
+
 def test_help_has_usage_and_an_example(capsys) -> None:
     assert main(['--help']) == 0
     printed = capsys.readouterr().out
     assert printed.startswith('usage: twin [--ros-args')
     assert printed.endswith(f'{HELP["twin"].example}\n')
+    assert help_text('replay', 'usage: replay BAG') == 'usage: replay BAG'

@@ -41,11 +41,6 @@ BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @pytest.fixture
-def talker(ros: Any) -> Node:
-    return ros.node(Node, 'talker')
-
-
-@pytest.fixture
 def listener(ros: Any) -> Node:
     return ros.node(Node, 'listener')
 

@@ -27,7 +27,6 @@ from typing import Any
 from bags import attachments, saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
-from rclpy.node import Node
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
@@ -72,11 +71,6 @@ def recorder(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
         return node
 
     return start
-
-
-@pytest.fixture
-def talker(ros: Any) -> Node:
-    return ros.node(Node, 'talker')
 
 
 def say(ros: Any, recorder: Recorder, publisher: Any, contents: list[str]) -> None:
