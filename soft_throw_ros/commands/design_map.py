@@ -35,14 +35,13 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    naming,
     print_lines,
     print_note,
     require,
     slow_notice,
+    written_file,
 )
 from soft_throw_ros.configuration import rig_of, TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.design.landscape import (
     AXES,
@@ -141,8 +140,8 @@ def run(arguments: argparse.Namespace) -> int:
                 progress=bar.update,
             )
         for path in arguments.output:
-            with naming(path):
-                _WRITERS[path.suffix](landscape, path)
+            with written_file(path) as unfinished:
+                _WRITERS[path.suffix](landscape, unfinished)
         if arguments.rerun:
             _view(landscape)
     except ViewerError as error:
@@ -258,15 +257,13 @@ def _draw_file(landscape: Landscape, path: Path) -> None:
     """Draw a landscape into a PNG file."""
     from soft_throw_ros.recording.charts import to_png
 
-    with atomic_file(path) as unfinished:
-        unfinished.write_bytes(to_png(draw(landscape), dpi=_DPI))
+    path.write_bytes(to_png(draw(landscape), dpi=_DPI))
 
 
 def _record(landscape: Landscape, path: Path) -> None:
     """Write a landscape as a recording of Rerun."""
     stream = new_stream()
-    with atomic_file(path) as unfinished:
-        save_recording(stream, unfinished, partial(_send, landscape, stream))
+    save_recording(stream, path, partial(_send, landscape, stream))
 
 
 def _view(landscape: Landscape) -> None:

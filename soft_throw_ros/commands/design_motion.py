@@ -27,21 +27,19 @@ from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
     new_file,
-    OPTIONS,
     read_settings,
-    RECOMMENDATION_OPTIONS,
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    naming,
     print_lines,
     print_text,
     slow_notice,
     to_json,
     write_predictions,
+    written_file,
 )
 from soft_throw_ros.configuration import motions, TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.design.motion_design import MotionDesign, MotionVary
 from soft_throw_ros.design.plate_motion import PlateLimits
@@ -75,7 +73,6 @@ def add_arguments(parser: CommandParser) -> None:
         'or .rrd (recording of Rerun)',
     )
     names = [f'recommendation.{name}' for name in _LIMITS]
-    assert set(names) <= set(RECOMMENDATION_OPTIONS)
     add_options(parser, names, title='limits of the actuator and the layer', entries=[_VARY])
     add_rig_options(parser)
 
@@ -87,10 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
         vary = vars(arguments).get('recommendation.vary', _VARY.default)
         design = solve_motion_request(settings, vary=vary)
         for path in arguments.output:
-            with naming(path), atomic_file(path) as unfinished:
+            with written_file(path) as unfinished:
                 _WRITERS[path.suffix](design, unfinished)
     if arguments.json:
-        parameters = {name: settings[name] for name in settings if name in OPTIONS}
+        parameters = {name: settings[name] for name in RIG_PARAMETERS}
         motion = {**vars(design), 'summary': motion_summary(design)}
         print_text(to_json({'parameters': parameters, 'motion': motion}))
         return 0

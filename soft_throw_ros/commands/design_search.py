@@ -24,10 +24,9 @@ from soft_throw_ros.commands.design_texts import remarks_of, summary_of, uncerta
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
-    OPTIONS,
     read_settings,
-    RECOMMENDATION_OPTIONS,
-    UNCERTAINTY_OPTIONS,
+    RECOMMENDATION_PARAMETERS,
+    UNCERTAINTY_PARAMETERS,
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
@@ -37,7 +36,7 @@ from soft_throw_ros.commands.output import (
     write_predictions,
 )
 from soft_throw_ros.configuration import Entry, rig_of, Settings, TWIN
-from soft_throw_ros.configuration.twin import OBJECTIVES
+from soft_throw_ros.configuration.twin import OBJECTIVES, RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import Aim
@@ -86,9 +85,9 @@ def _add_arguments(
 ) -> None:
     parser.usage = '%(prog)s [OPTION ...]'
     parser.add_json_option()
-    names = [name for name in RECOMMENDATION_OPTIONS if not name.endswith(without)]
+    names = [name for name in RECOMMENDATION_PARAMETERS if not name.endswith(without)]
     add_options(parser, names, title=title, entries=entries)
-    add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
+    add_options(parser, UNCERTAINTY_PARAMETERS, title='uncertainties')
     add_rig_options(parser)
 
 
@@ -127,9 +126,8 @@ def _print_answer(
         summary = summary_of(best, rig_of(settings), settings)
         if as_json:
             parameters = {
-                key: value
-                for key, value in settings.items()
-                if key in OPTIONS or key.startswith(('recommendation.', 'uncertainty.'))
+                key: settings[key]
+                for key in (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS, *RECOMMENDATION_PARAMETERS)
             }
             uncertainties = Uncertainties.from_settings(settings)
             uncertainty = prediction_uncertainty(best.rig, uncertainties).values()

@@ -122,8 +122,7 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
     if arguments.with_loss:
         result['layer.loss_tangent'] = loss.value
     if arguments.figure:
-        with naming(arguments.figure):
-            identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
+        identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
     lines = [f'{"thickness":>12} {"period T_0":>22} {"loss tangent there":>22}']
     lines += [
         f'{1e3 * thickness:9.4g} mm {with_unit(ringing.period, "s"):>22} '
@@ -170,10 +169,9 @@ def _disagreement(common: CommonValue, claim: str, question: str) -> Iterator[st
 
 def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
     """Fit the oscillation of a free layer."""
-    try:
-        return fit_ringing(change_of_length(*read_layer(path, arguments)))
-    except FitError as error:
-        raise FitError(f'{path}: {error}') from None
+    ends = read_layer(path, arguments)
+    with naming(path, FitError):
+        return fit_ringing(change_of_length(*ends))
 
 
 def _thickness(text: str) -> float:

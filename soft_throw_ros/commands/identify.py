@@ -41,11 +41,10 @@ from soft_throw_ros.commands.identify_report import (
 )
 from soft_throw_ros.commands.options import (
     add_rig_options,
-    number_or_text,
-    OPTIONS,
+    option_of,
     read_settings,
 )
-from soft_throw_ros.commands.output import CommandParser, naming, print_note, run_command
+from soft_throw_ros.commands.output import CommandParser, print_note, run_command
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.identification.ejection import answer_of, ejection_of
 from soft_throw_ros.identification.fit_description import (
@@ -138,7 +137,7 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
     both = sorted(set(fitted) & set(arguments.hold))
     if both:
         raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
-    options = {OPTIONS[name].removeprefix('--'): {name: text} for name, text in known.items()}
+    options = {option_of(name).removeprefix('--'): {name: text} for name, text in known.items()}
     options |= {'fit': fitted, 'hold': dict.fromkeys(arguments.hold, 'held')}
     for option, changes in options.items():
         try:
@@ -154,7 +153,7 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, str]:
     for name in PARAMETERS:
         value, sign, error = str(getattr(arguments, name, '')).partition('+-')
         if sign:
-            setattr(arguments, name, number_or_text(value))
+            setattr(arguments, name, value)
             known[name] = f'+- {error}'
     return known
 
@@ -203,8 +202,7 @@ def _identify(
             f'{name.rpartition(".")[2].replace("_", " ")} {with_unit(value, unit_of(name))}'
             for name, value in values.items()
         ]
-        with naming(arguments.figure):
-            identify_figure.draw_throws(result, ejection, summary, arguments.figure)
+        identify_figure.draw_throws(result, ejection, summary, arguments.figure)
     return IdentificationReport(
         sources=tuple(throw.name for throw in result.throws),
         result=values,

@@ -21,7 +21,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.commands.output import written_file
 from soft_throw_ros.identification.ejection import Ejection
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import RigFit
@@ -209,5 +209,5 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    with atomic_file(path) as unfinished:
+    with written_file(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix[1:], dpi=150)

@@ -21,8 +21,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-import contextlib
+from collections.abc import Sequence
 from dataclasses import replace
 import io
 import math
@@ -97,10 +96,10 @@ def read_throws(path: str, arguments: argparse.Namespace, notes: list[str]) -> l
     tracks = {body: _with_noise(track, arguments) for body, track in tracks.items()}
     plate, projectile = tracks['plate'], tracks.get('projectile')
     whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
-    with _naming(whole.name):
+    with naming(whole.name, TrackError):
         whole = whole.between(arguments.start, arguments.end)
         whole = _without_lone_samples(whole, notes)
-        return [throw for part in split_at_breaks(whole) for throw in _throws_of(part)]
+        return [throw for record in split_at_breaks(whole) for throw in _throws_of(record)]
 
 
 def _without_lone_samples(record: ThrowTracks, notes: list[str]) -> ThrowTracks:
@@ -133,21 +132,12 @@ def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
     tracks = _read_csv(path, ('bottom', 'top'), arguments.unit)
     if 'top' not in tracks:
         raise TrackError(f'{path}: must have a time and both ends of the layer, got one end')
-    with _naming(path):
+    with naming(path, TrackError):
         bottom, top = (
             _with_noise(tracks[end], arguments).between(arguments.start, arguments.end)
             for end in ('bottom', 'top')
         )
     return bottom, top
-
-
-@contextlib.contextmanager
-def _naming(name: str) -> Iterator[None]:
-    """Add the name of the file to errors of its tracks."""
-    try:
-        yield
-    except TrackError as error:
-        raise TrackError(f'{name}: {error}') from None
 
 
 def _with_noise(track: Track, arguments: argparse.Namespace) -> Track:

@@ -24,13 +24,12 @@ from pathlib import Path
 from soft_throw_ros.commands.options import new_file
 from soft_throw_ros.commands.output import (
     CommandParser,
-    naming,
     print_note,
     print_text,
     to_json,
+    written_file,
 )
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
-from soft_throw_ros.configuration.atomic_file import write_text
 from soft_throw_ros.identification.ejection import Answer, Ejection, GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.fit_warnings import (
@@ -153,8 +152,7 @@ class IdentificationReport:
         """Write the parameter file on request, and print the report, notes and warnings."""
         identified = self.put_into(settings)
         if arguments.output:
-            with naming(arguments.output):
-                self.write(identified, arguments.output)
+            self.write(identified, arguments.output)
         print_text(self.json() if arguments.json else self.table())
         for message in (*self.notes, *self.warnings):
             print_note(command, message)
@@ -173,7 +171,8 @@ class IdentificationReport:
         title = [f'Identified from {", ".join(names)}:']
         title += [f'{name} {text}' for name, text in self._estimates()]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
-        write_text(path, files.render(kept, title='\n'.join(title)))
+        with written_file(path) as unfinished:
+            unfinished.write_text(files.render(kept, title='\n'.join(title)), 'utf-8')
 
 
 def add_report_options(parser: CommandParser) -> None:

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 import contextlib
 from dataclasses import replace
+from functools import partial
 import math
 import multiprocessing
 from pathlib import Path
@@ -28,13 +29,14 @@ import signal
 from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
 from soft_throw_ros.configuration.table import float_of, value_text
+from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 
 
 class WorkersLostError(RuntimeError):
     """The worker processes have ended unexpectedly."""
 
 
-def _option(name: str) -> str:
+def option_of(name: str) -> str:
     """Return the option of a parameter: the last part of its name, with a prefix."""
     group, _, last = name.rpartition('.')
     if name == 'layer.name':
@@ -42,22 +44,16 @@ def _option(name: str) -> str:
     return ('--uncertain-' if group == 'uncertainty' else '--') + last.replace('_', '-')
 
 
-def _group(group: str) -> dict[str, str]:
-    return {entry.name: _option(entry.name) for entry in TWIN.entries if entry.group == group}
+RECOMMENDATION_PARAMETERS = tuple(TWIN.names_in('recommendation'))
+"""Parameters with the objective and the limits of a recommendation."""
 
+UNCERTAINTY_PARAMETERS = tuple(TWIN.names_in('uncertainty'))
+"""Parameters with the uncertainties of a rig."""
 
-OPTIONS = {
-    entry.name: _option(entry.name)
-    for entry in TWIN.entries
-    if entry.is_of_rig and entry.name != 'model'
-}
-"""Options of the parameters that describe a rig, by the names of the parameters."""
-
-RECOMMENDATION_OPTIONS = _group('recommendation')
-"""Options of the objective and the limits of a recommendation."""
-
-UNCERTAINTY_OPTIONS = _group('uncertainty')
-"""Options of the uncertainties of a rig."""
+_WITH_OPTION = (
+    *RIG_PARAMETERS, *RECOMMENDATION_PARAMETERS, *UNCERTAINTY_PARAMETERS, 'max_strain'
+)
+"""Parameters that are options of a command."""
 
 _MOTION = replace(
     TWIN.by_name['engine.motion'],
@@ -74,10 +70,6 @@ _NEEDED = {
 }
 """Extra of this package and module that are required to write a file, by suffix."""
 
-_ALL_OPTIONS = {
-    **OPTIONS, **RECOMMENDATION_OPTIONS, **UNCERTAINTY_OPTIONS, 'max_strain': '--max-strain'
-}
-
 
 def add_rig_options(parser: argparse.ArgumentParser) -> None:
     """Add `--config` and an option for each parameter of a rig; `read_settings` reads them."""
@@ -85,7 +77,7 @@ def add_rig_options(parser: argparse.ArgumentParser) -> None:
         '--config', metavar='FILE', default=argparse.SUPPRESS, help='parameter file of the twin'
     )
     title, text = 'parameters of the rig', 'as for the twin; options override the file'
-    add_options(parser, OPTIONS, title=title, description=text)
+    add_options(parser, RIG_PARAMETERS, title=title, description=text)
 
 
 def model_name(text: str) -> str:
@@ -93,17 +85,18 @@ def model_name(text: str) -> str:
     return str(TWIN.without_deprecated({'model': text}, files.print_warning)['model'])
 
 
-def _former_option(
-    option: str, new_option: str, convert: Callable[[str], Value]
-) -> Callable[[str], Value]:
-    """Return the type of a deprecated option, which prints a warning."""
-    def value_of(text: str) -> Value:
-        files.print_warning(
-            f'{option} is deprecated and will be refused from the next release on: '
-            f'use {new_option}'
-        )
-        return convert(text)
-    return value_of
+def _number_or_text(text: str) -> float | str:
+    """Parse a number; return any other text unchanged, for the table of parameters to refuse."""
+    value = float_of(text)
+    return text if value is None else value
+
+
+def _warn_of_option(option: str, new_option: str, text: str) -> str:
+    """Print that an option is deprecated, and return its value."""
+    files.print_warning(
+        f'{option} is deprecated and will be refused from the next release on: use {new_option}'
+    )
+    return text
 
 
 def add_options(
@@ -124,26 +117,24 @@ def add_options(
     group = parser.add_argument_group(title, description)
     for name in names:
         entry = special.get(name, TWIN.by_name[name])
-        is_text = isinstance(entry.default, str)
-        convert: Callable[[str], Value] = str if is_text else number_or_text
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':
             text += f' (default {value_text(entry.default)})'
         group.add_argument(
-            _ALL_OPTIONS[name],
+            option_of(name),
             dest=name,
-            metavar=entry.unit.upper() or ('NAME' if is_text else 'NUMBER'),
+            metavar=entry.unit.upper() or ('NAME' if isinstance(entry.default, str) else 'NUMBER'),
             nargs='+' if isinstance(entry.default, tuple) else None,
-            type=convert,
+            type=str if isinstance(entry.default, str) else _number_or_text,
             choices=entry.choices or None,
             default=argparse.SUPPRESS,
             help=text.replace('`', '').replace('%', '%%'),
         )
-        for option in (_option(old) for old, new in TWIN.deprecated.items() if new == name):
+        for option in (option_of(old) for old, new in TWIN.deprecated.items() if new == name):
             group.add_argument(
                 option,
                 dest=name,
-                type=_former_option(option, _ALL_OPTIONS[name], convert),
+                type=partial(_warn_of_option, option, option_of(name)),
                 choices=entry.choices or None,
                 default=argparse.SUPPRESS,
                 help=argparse.SUPPRESS,
@@ -163,7 +154,7 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
 
     """
     values = vars(arguments)
-    request = {name: values[name] for name in _ALL_OPTIONS if name in values}
+    request = {name: values[name] for name in _WITH_OPTION if name in values}
     motion = request.get('engine.motion', 'harmonic')
     if motion in TWIN.by_name['engine.motion'].choices[2:]:
         raise ParameterError(f'argument --motion: must be {_MOTION.kind}, got {motion!r}')
@@ -173,7 +164,7 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     try:
         settings.update(TWIN.change(settings, request))
     except ParameterError as error:
-        options = (f'argument {_ALL_OPTIONS[name]}: ' for name in error.names if name in request)
+        options = (f'argument {option_of(name)}: ' for name in error.names if name in request)
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
     return settings
 
@@ -224,12 +215,6 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
                 raise WorkersLostError(
                     'a worker process was killed, perhaps because memory ran out'
                 ) from None
-
-
-def number_or_text(text: str) -> float | str:
-    """Parse a number; return any other text unchanged, for the table of parameters to check."""
-    value = float_of(text)
-    return text if value is None else value
 
 
 def number_type(rule: str, allows: Callable[[float], bool]) -> Callable[[str], float]:

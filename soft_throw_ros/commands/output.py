@@ -24,12 +24,14 @@ import itertools
 import json
 import math
 import os
+from pathlib import Path
 import re
 import sys
 import threading
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
 
 _WIDTH = 12  # width of a column of numbers [characters]
@@ -90,14 +92,24 @@ def run_command(
 
 
 @contextlib.contextmanager
-def naming(path: object) -> Iterator[None]:
-    """Convert errors of reading or writing a file into ValueErrors that name the file."""
+def naming(path: object, *kinds: type[ValueError]) -> Iterator[None]:
+    """Convert errors of a file, and those of the given kinds, into ValueErrors that name it."""
     try:
         yield
     except UnicodeDecodeError:
         raise ValueError(f'{path}: not a UTF-8 text') from None
     except OSError as error:
-        raise ValueError(f'{path}: {error.strerror or error}') from None
+        reason = error.strerror or str(error).partition('\n')[0]
+        raise ValueError(f'{path}: {reason}') from None
+    except kinds as error:
+        raise ValueError(f'{path}: {error}') from None
+
+
+@contextlib.contextmanager
+def written_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary name for the content of a file; raise ValueError that names the file."""
+    with naming(path), atomic_file(path) as unfinished:
+        yield unfinished
 
 
 def require(feature: str, extra: str, *modules: str) -> None:

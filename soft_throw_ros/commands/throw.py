@@ -32,10 +32,10 @@ from soft_throw_ros.commands.options import (
     add_rig_options,
     model_name,
     number_type,
-    OPTIONS,
+    option_of,
     positive,
     read_settings,
-    UNCERTAINTY_OPTIONS,
+    UNCERTAINTY_PARAMETERS,
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
@@ -50,6 +50,7 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
 from soft_throw_ros.configuration.csv_rows import read_rows
+from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.models import CELL_MODELS
@@ -98,7 +99,7 @@ def _parser() -> CommandParser:
         'the columns te_f and alpha are added, computed without gravity',
     )
     add_options(parser, ['max_strain'], title='range of the linear models')
-    add_options(parser, UNCERTAINTY_OPTIONS, title='uncertainties')
+    add_options(parser, UNCERTAINTY_PARAMETERS, title='uncertainties')
     add_rig_options(parser)
     return parser
 
@@ -107,8 +108,7 @@ def _run(arguments: argparse.Namespace) -> int:
     options = vars(arguments)
     if 'cases' in options:
         for name in sorted(options.keys() - {'cases'}):
-            option = {**OPTIONS, **UNCERTAINTY_OPTIONS}.get(name, f'--{name.replace("_", "-")}')
-            raise ValueError(f'argument {option}: not allowed with argument --cases')
+            raise ValueError(f'argument {option_of(name)}: not allowed with argument --cases')
         text = _compute_cases(options['cases'])
     else:
         settings = read_settings(arguments)
@@ -179,12 +179,13 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     if max(times, default=0.0) > rig.shock_time:
         notes['shocks'] = (
             f'the layer compresses into shocks after {1e3 * rig.shock_time:.3g} ms, before the '
-            'release: ejection time and speed by finite differences have errors up to 4e-3'
+            'release: ejection time and speed of models with cells have errors up to 4e-3'
         )
     strains = [(result or {}).get('peak_strain', 0.0) for result in models.values()]
     return {
         'parameters': {
-            name: settings[name] for name in (*OPTIONS, *UNCERTAINTY_OPTIONS, 'max_strain')
+            name: settings[name]
+            for name in (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS, 'max_strain')
         },
         'rig': {
             'mass_ratio': rig.mass_ratio,

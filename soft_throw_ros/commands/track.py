@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping
-import contextlib
 import math
 from pathlib import Path
 
@@ -31,10 +30,10 @@ from soft_throw_ros.commands.output import (
     print_text,
     require,
     run_command,
+    written_file,
 )
 from soft_throw_ros.commands.track_overlay import draw_overlay, PICTURES, VIDEOS
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.configuration.atomic_file import write_text
 from soft_throw_ros.identification.ringing import change_of_length, fit_ringing
 from soft_throw_ros.identification.spots import BODIES, follow_spots, FollowedSpots, tracks_of
 from soft_throw_ros.identification.track_csv import csv_lines
@@ -117,7 +116,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     require('a video', 'video', 'imageio', 'av', 'skimage')
     notes: list[str] = []
-    with _naming_video(arguments.video):
+    with naming(arguments.video, ValueError):
         recorded = camera_rate(arguments.video)
         if recorded and abs(arguments.rate / recorded - 1.0) > _MAX_RATE_ERROR:
             notes.append(
@@ -128,8 +127,8 @@ def _run(arguments: argparse.Namespace) -> int:
     lines = [_title(arguments, tracks), *(f'# {note}' for note in notes), *csv_lines(tracks)]
     text = '\n'.join(lines) + '\n'
     if arguments.output:
-        with naming(arguments.output):
-            write_text(arguments.output, text)
+        with written_file(arguments.output) as unfinished:
+            unfinished.write_text(text, encoding='utf-8')
     else:
         print_text(text)
     for note in notes:
@@ -172,8 +171,7 @@ def _track_edges(arguments: argparse.Namespace, _: list[str]) -> dict[str, Track
     ends = line.edges()
     if arguments.space_time:
         ringing = fit_ringing(change_of_length(*ends))
-        with naming(arguments.space_time):
-            identify_figure.draw_space_time(line, ends, ringing, arguments.space_time)
+        identify_figure.draw_space_time(line, ends, ringing, arguments.space_time)
     return dict(zip(('bottom', 'top'), ends, strict=True))
 
 
@@ -193,8 +191,7 @@ def _track_spots(arguments: argparse.Namespace, notes: list[str]) -> dict[str, T
             raise TrackError(message)
         notes.append(message)
     if arguments.overlay:
-        with naming(arguments.overlay):
-            draw_overlay(read_pictures(arguments.video), followed.spots, arguments.overlay)
+        draw_overlay(read_pictures(arguments.video), followed.spots, arguments.overlay)
     length, pixels = arguments.scale
     tracks = tracks_of(followed.spots, bodies, rate=arguments.rate, scale=length / pixels)
     if 'plate' in tracks:
@@ -253,15 +250,3 @@ def _check_rate(tracks: Mapping[str, Track], *, rate: float, pictures: int) -> N
             f'of {_GRAVITY:g} m/s2, as with {rate * math.sqrt(_GRAVITY / max(fall, 1e-9)):.4g} '
             f'pictures per second, or another scale{hint}'
         )
-
-
-@contextlib.contextmanager
-def _naming_video(path: str) -> Iterator[None]:
-    """Convert every error of a video into one message that names the file."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error).partition('\n')[0]
-        raise TrackError(f'{path}: {reason}') from None
-    except ValueError as error:
-        raise TrackError(f'{path}: {error}') from None

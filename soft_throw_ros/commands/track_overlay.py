@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration.atomic_file import atomic_file
+from soft_throw_ros.commands.output import written_file
 from soft_throw_ros.identification.spots import Picture, Spot
 
 Bytes = NDArray[np.uint8]
@@ -54,7 +54,7 @@ def draw_overlay(pictures: Iterable[Picture], spots: Sequence[Spot], path: Path)
         a picture contains.
 
     """
-    with atomic_file(path) as unfinished:
+    with written_file(path) as unfinished:
         if path.suffix in PICTURES:
             _draw_picture(next(iter(pictures)), spots, unfinished, path.suffix[1:])
         else:

@@ -45,9 +45,3 @@ def atomic_file(path: Path) -> Iterator[Path]:
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Create or replace a UTF-8 text file as a whole."""
-    with atomic_file(path) as unfinished:
-        unfinished.write_text(text, encoding='utf-8')

@@ -237,6 +237,10 @@ class Table:
         """Return the entries by their names."""
         return {entry.name: entry for entry in self.entries}
 
+    def names_in(self, group: str) -> list[str]:
+        """Return the names of the parameters in a group."""
+        return [entry.name for entry in self.entries if entry.group == group]
+
     def defaults(self) -> dict[str, Value]:
         """Return the settings to begin with."""
         return {entry.name: entry.default for entry in self.entries if not entry.is_result}

@@ -465,6 +465,11 @@ TWIN = Table(
 )
 """The parameters of the twin."""
 
+RIG_PARAMETERS = tuple(
+    entry.name for entry in TWIN.entries if entry.is_of_rig and entry.name != 'model'
+)
+"""Parameters that describe a rig, and require a new one when they change."""
+
 
 def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -> Rig:
     """

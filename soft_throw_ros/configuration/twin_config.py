@@ -24,7 +24,7 @@ import math
 
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.table import Settings
-from soft_throw_ros.configuration.twin import rig_of, TWIN
+from soft_throw_ros.configuration.twin import rig_of, RIG_PARAMETERS
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import model_for, Rig
 
@@ -188,12 +188,8 @@ class TwinConfig:
         """
         settings, before = {**self.settings, **values}, self.settings
         rig, motion = self.rig, self.rig.engine.motion
-        if all(settings[name] == before[name] for name in _OF_RIG):
+        if all(settings[name] == before[name] for name in RIG_PARAMETERS):
             return self.from_settings(settings, rig=rig)
         if motion is not None and settings[motions.PARAMETER] == before[motions.PARAMETER]:
             return self.from_settings(settings, lambda _path: motion)
         return self.from_settings(settings, motion_of)
-
-
-_OF_RIG = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig and entry.name != 'model')
-"""Parameters that require a new rig when they change."""

@@ -254,11 +254,11 @@ def _refuse_long_requests(node: RunnableNode) -> None:
     """Refuse requests with too many parameters or too long values before they are converted."""
     for service in node.services:
         if service.srv_type in (SetParameters, SetParametersAtomically):
-            service.callback = partial(_answer_if_short, service.callback)
+            service.callback = partial(_call_if_short, service.callback)
 
 
-def _answer_if_short(answer: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    """Answer a request to set parameters, or refuse the whole request if it is too long."""
+def _call_if_short(callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+    """Call the callback of a request to set parameters, or refuse a request that is too long."""
     count = len(request.parameters)
     reason = ''
     if count > MAX_REQUEST:
@@ -270,7 +270,7 @@ def _answer_if_short(answer: Callable[[Any, Any], Any], request: Any, response: 
                 f'{parameter.name[:MAX_NAME]} must have at most {MAX_TEXT} characters or items, '
                 f'got {size}'
             )
-    return refuse(request, response, reason) if reason else answer(request, response)
+    return refuse(request, response, reason) if reason else callback(request, response)
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:

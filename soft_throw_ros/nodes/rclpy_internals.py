@@ -39,8 +39,8 @@ def take_messages(
     """
     handle = subscription.handle
     with handle:
-        while (taken := handle.take_message(message_type, True)) is not None:
-            yield taken
+        while (message := handle.take_message(message_type, True)) is not None:
+            yield message
 
 
 def open_event(handle: Any, kind: Any) -> Any:

@@ -25,7 +25,7 @@ import zlib
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.commands.design_texts import remarks_of, summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
-from soft_throw_ros.configuration.atomic_file import write_text
+from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
@@ -123,7 +123,8 @@ def _save_motion(best: MotionDesign) -> Path:
     folder = Path(os.environ.get('ROS_HOME', '~/.ros')).expanduser() / 'soft_throw'
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f'motion_{zlib.crc32(text.encode()):08x}.csv'
-    write_text(path, text)
+    with atomic_file(path) as unfinished:
+        unfinished.write_text(text, encoding='utf-8')
     return path
 
 
@@ -139,7 +140,7 @@ def recommend_for(
 ) -> RecommendationState:
     """Return a recommendation or an aim, or the reason why there is none."""
     settings = config.settings
-    names = [name for name in settings if name.startswith('recommendation.')]
+    names = TWIN.names_in('recommendation')
     for error in TWIN.contradictions(settings, names):  # single changes may cause some
         if set(error.names) <= set(names):
             return RecommendationState(config=config, reason=str(error))
