@@ -508,7 +508,7 @@ class _SpotTracker:
         numbers = np.array([number for number, _ in self._seen], dtype=np.int64)
         runs = np.split(np.arange(numbers.size), np.flatnonzero(np.diff(numbers) > 1) + 1)
         kept = [
-            run[(0 if number == 0 else 1):run.size - (0 if number == len(runs) - 1 else 1)]
+            run[int(number > 0):run.size - int(number < len(runs) - 1)]
             for number, run in enumerate(runs)
             if run.size >= _MIN_RUN + (number > 0) + (number < len(runs) - 1)
         ]
@@ -529,21 +529,24 @@ class _SpotTracker:
 
     def _is_one_motion(self, before: Integers, after: Integers) -> bool:
         """Return whether the speeds on both sides of a gap explain the path in between."""
-        pairs = ((before[-_MIN_RUN], before[-1]), (after[0], after[_MIN_RUN - 1]))
-        (one, end), (start, other) = ((self._seen[i], self._seen[k]) for i, k in pairs)
-        speeds = [
-            (late[1].position - early[1].position) / (late[0] - early[0])
-            for early, late in ((one, end), (start, other))
-        ]
-        pictures = start[0] - end[0]
-        deviation = start[1].position - end[1].position - 0.5 * pictures * (speeds[0] + speeds[1])
-        most = 0.5 * self.diameter + _BEND * self.acceleration * pictures**2
-        up, aside = np.abs(start[1].position - end[1].position)
-        return bool(np.linalg.norm(deviation) < most and aside < _ASIDE + _TILT * up)
+
+        def path(first: int, last: int) -> tuple[int, Floats]:
+            """Return the number of pictures between two samples, and the way in between."""
+            (start, one), (end, other) = self._seen[first], self._seen[last]
+            return end - start, other.position - one.position
+
+        count, way = path(before[-_MIN_RUN], before[-1])
+        count_after, way_after = path(after[0], after[_MIN_RUN - 1])
+        pictures, step = path(before[-1], after[0])
+        deviation = step - 0.5 * pictures * (way / count + way_after / count_after)
+        largest = 0.5 * self.diameter + _BEND * self.acceleration * pictures**2
+        up, aside = np.abs(step)
+        return bool(np.linalg.norm(deviation) < largest and aside < _ASIDE + _TILT * up)
 
     def _find(self, picture: Picture, others: Sequence[_Circle]) -> SpotMeasurement | None:
         """Search the spot; return None if it is covered or missing, or for two candidates."""
         from skimage.measure import label, regionprops
+        from skimage.segmentation import clear_border
 
         smear = float(np.linalg.norm(self._velocity))  # motion during the exposure at most [px]
         reach = self.diameter + _MARGIN + self.uncertainty + self._velocity_uncertainty + smear
@@ -556,10 +559,8 @@ class _SpotTracker:
         usual = self._seen[-1][1].area if self._seen else 0.25 * math.pi * self.diameter**2
         candidates = [
             region
-            for region in regionprops(label(smooth < self._level))
+            for region in regionprops(label(clear_border(smooth < self._level)))
             if usual / _MAX_CHANGE < region.area < usual * _MAX_CHANGE
-            and min(region.bbox[:2]) > 0
-            and (np.array(region.bbox[2:]) < window.shape).all()
             and _is_round(region, smeared=smear > _SMEARED * self.diameter)
             and not any(other.has(corner + region.centroid) for other in others)
         ]
