@@ -68,7 +68,7 @@ class IdentificationReport:
     ----------
     sources : tuple of str
         Names of the throws or files.
-    found : mapping of str to Estimate
+    result : mapping of str to Estimate
         Fitted parameters of the twin.
     held : mapping of str to float
         Parameters that the fit assumed as known.
@@ -312,10 +312,10 @@ def layer_lines(layers: Sequence[LayerModel]) -> Iterator[str]:
     """Return a table that compares the fits of different models of the layer."""
     if layers:
         yield f'{"layer":{_NAME_WIDTH}} {"chi squared":>12} {"each":>8} {"BIC":>8}'
-    for each in layers:
+    for layer in layers:
         yield (
-            f'{each.name:{_NAME_WIDTH}} {each.chi2:12.1f} {each.chi2 / each.dof:8.3f} '
-            f'{each.criterion:+8.1f}'
+            f'{layer.name:{_NAME_WIDTH}} {layer.chi2:12.1f} {layer.chi2 / layer.dof:8.3f} '
+            f'{layer.criterion:+8.1f}'
         )
 
 
@@ -341,8 +341,8 @@ def fit_lines(fit: Fit) -> Iterator[str]:
     for residual in fit.residuals:
         if residual.outliers:
             listed = [
-                f'{each.time:.6g} s ({1e3 * each.deviation:+.3g} mm)'
-                for each in residual.outliers[:_MAX_OUTLIERS]
+                f'{outlier.time:.6g} s ({1e3 * outlier.deviation:+.3g} mm)'
+                for outlier in residual.outliers[:_MAX_OUTLIERS]
             ]
             more = len(residual.outliers) - len(listed)
             yield (
