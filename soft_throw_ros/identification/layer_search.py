@@ -16,7 +16,7 @@ Search for the layer: start values without a guess, and other minima of chi squa
 
 With a stiff layer, on which the projectile chatters, chi squared has several minima. `find_layers`
 compares the tracks with many layers; `find_best_minimum` fits those that may turn out to be the
-best, too. Minima within `NEAR` of the best are reported.
+best, too. Minima within `MAX_EXCESS` of the best are reported.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import Track
 
-NEAR = 9.0
+MAX_EXCESS = 9.0
 """Largest increase of chi squared at another minimum that is reported. [-]"""
 
 _WAVE_SPEEDS = np.geomspace(1.0, 200.0, 641).tolist()
@@ -47,18 +47,18 @@ _THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Thicknesses of the grid, relative to the given one. [-]"""
 
 _MIN_THICKNESS = 1e-4  # smallest thickness of the search [m]
-_LOSS_TANGENT = 0.05  # initial loss tangent
+_INITIAL_LOSS = 0.05  # initial loss tangent
 
-_THROWS = 3  # largest number of throws in the search
-_PERIODS = 2.0  # time of each throw in the search [plate periods]
-_SAMPLES = 120  # largest number of samples of each track in the search
+_MAX_THROWS = 3  # largest number of throws in the search
+_SEARCH_PERIODS = 2.0  # time of each throw in the search [plate periods]
+_MAX_SAMPLES = 120  # largest number of samples of each track in the search
 
-_REFINED = 6  # largest number of refined candidates
-_EVALUATIONS = 20  # largest number of evaluations of the model in a fit of a candidate
+_MAX_REFINED = 6  # largest number of refined candidates
+_MAX_EVALUATIONS = 20  # largest number of evaluations of the model in a fit of a candidate
 _MAX_RATIO = 20.0  # sum of squares, relative to the best, above which candidates are dropped
-_ALIKE = 5e-3  # relative difference below which two layers count as equal
+_LAYER_TOLERANCE = 5e-3  # relative difference below which two layers count as equal
 _MAX_STARTS = 4  # largest number of fits of other minima, the most promising ones first
-_APART = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
+_MIN_SEPARATION = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
 
 
 class SearchedThrow(NamedTuple):
@@ -82,7 +82,7 @@ class LayerCandidate(NamedTuple):
         """Return whether two layers are almost equal."""
         layer, rival = self.rig.layer, other.rig.layer
         pairs = (layer.wave_speed, rival.wave_speed), (layer.thickness, rival.thickness)
-        return all(math.isclose(*pair, rel_tol=_ALIKE) for pair in pairs)
+        return all(math.isclose(*pair, rel_tol=_LAYER_TOLERANCE) for pair in pairs)
 
 
 def find_layers(model: RigModel) -> list[Rig]:
@@ -98,7 +98,7 @@ def find_layers(model: RigModel) -> list[Rig]:
 
     """
     free = {name for name in LAYER if model.description.is_free(name)}
-    used = [series.throw for series in model.projectiles[:_THROWS]]
+    used = [series.throw for series in model.projectiles[:_MAX_THROWS]]
     throws = tuple(
         throw.apply(Track.without_spikes) if number in used else replace(throw, projectile=None)
         for number, throw in enumerate(model.throws)
@@ -113,12 +113,12 @@ def find_layers(model: RigModel) -> list[Rig]:
             model.value(start, START, number),
             tuple(name for name, treatment in treatments.items() if treatment.value is None),
         )
-    early = model.cut_after(_PERIODS / model.rig.engine.frequency)
+    early = model.cut_after(_SEARCH_PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
     candidates = _best_of(_search_grid(early, searched, free))
     # Early heights are much alike on many layers; the flight afterwards is not
-    end = max(model.flight_end(candidates[0].rig), _PERIODS / model.rig.engine.frequency)
+    end = max(model.flight_end(candidates[0].rig), _SEARCH_PERIODS / model.rig.engine.frequency)
     refined = _refine(model.cut_after(end), candidates, free)
     return [candidate.rig for candidate in _best_of(refined or candidates)]
 
@@ -149,12 +149,12 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
     fits = [fit]
     for start in starts[:_MAX_STARTS]:
         with contextlib.suppress(FitError):
-            fits.append(model.fit(start, noise=fit.noise, max_evaluations=_EVALUATIONS))
+            fits.append(model.fit(start, noise=fit.noise, max_evaluations=_MAX_EVALUATIONS))
     best, *others_found = sorted(fits, key=attrgetter('chi2'))
     minima = [best]
     for other in others_found:
-        is_near = other.chi2 - best.chi2 < NEAR
-        if is_near and all(_is_apart(minimum, other) for minimum in minima):
+        is_near = other.chi2 - best.chi2 < MAX_EXCESS
+        if is_near and all(_is_separate(minimum, other) for minimum in minima):
             minima.append(other)
     alternatives = [Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]]
     if best is not fit:
@@ -162,11 +162,11 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
     return best.spanning(alternatives)
 
 
-def _is_apart(fit: Fit, other: Fit) -> bool:
+def _is_separate(fit: Fit, other: Fit) -> bool:
     """Return whether a fit is another minimum, and not on the slope of the same one."""
     way = other.values - fit.values
     parabola = float(way @ np.linalg.lstsq(fit.covariance, way, rcond=1e-14)[0])
-    return parabola > _APART + 2.0 * (other.chi2 - fit.chi2)
+    return parabola > _MIN_SEPARATION + 2.0 * (other.chi2 - fit.chi2)
 
 
 def _search_grid(
@@ -192,14 +192,14 @@ def _refine(
     model: RigModel, candidates: Sequence[LayerCandidate], free: set[str]
 ) -> list[LayerCandidate]:
     """Fit the layer alone from each candidate; leave out those that no model can follow."""
-    loss = {'layer.loss_tangent': _LOSS_TANGENT} if 'layer.loss_tangent' in free else {}
+    loss = {'layer.loss_tangent': _INITIAL_LOSS} if 'layer.loss_tangent' in free else {}
     noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
     refined = []
     for candidate in candidates:
         trial = replace(model, rig=changed_rig(candidate.rig, loss))
         with contextlib.suppress(FitError):
             fit = trial.fit(
-                trial.start(), noise=noise, only=(*free, *OWN), max_evaluations=_EVALUATIONS
+                trial.start(), noise=noise, only=(*free, *OWN), max_evaluations=_MAX_EVALUATIONS
             )
             refined.append(LayerCandidate(fit.chi2, trial.rig_of(trial.start(fit))))
     return refined
@@ -209,7 +209,8 @@ def _best_of(candidates: Sequence[LayerCandidate]) -> list[LayerCandidate]:
     """Return the candidates with the lowest sums of squares, without near duplicates."""
     chosen: list[LayerCandidate] = []
     for candidate in sorted(candidates, key=attrgetter('chi2')):
-        if len(chosen) == _REFINED or (chosen and candidate.chi2 > _MAX_RATIO * chosen[0].chi2):
+        is_bad = bool(chosen) and candidate.chi2 > _MAX_RATIO * chosen[0].chi2
+        if is_bad or len(chosen) == _MAX_REFINED:
             break
         if not any(map(candidate.is_like, chosen)):
             chosen.append(candidate)
@@ -233,7 +234,7 @@ def _mismatch(model: RigModel, searched: Mapping[int, SearchedThrow], rig: Rig) 
     total = 0.0
     for number, _, track in model.projectiles:
         throw = searched[number]
-        some = slice(None, None, -(-track.time.size // _SAMPLES))
+        some = slice(None, None, -(-track.time.size // _MAX_SAMPLES))
         time, height = track.time[some] - throw.start_time, track.position[some]
         changed = changed_rig(throw.rig, values_of(rig, throw.searched))
         try:

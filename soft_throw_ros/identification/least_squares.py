@@ -56,18 +56,18 @@ OUTLIER_LIMIT = 6.0
 _NEIGHBOURHOOD = 7  # number of neighbouring samples, of which two may be outliers
 _RANKS = (2, 4)  # ranks of the neighbours, by size, that bound the usual residuals
 _MAX_OUTLIER_SHARE = 0.1  # share of outliers of a track above which the model is wrong
-_OUTLIER_ROUNDS = 6  # largest number of repeated fits without outliers
+_MAX_OUTLIER_ROUNDS = 6  # largest number of repeated fits without outliers
 _AUTOCORRELATION_LAGS = 10
 _TOLERANCE = 1e-8  # relative tolerance of chi squared: 1e-2 of an error, as exact as steppers
-_SPARSE_ABOVE = 40  # parameters: of many throws each has its own, which no other depends on
+_MAX_DENSE_PARAMETERS = 40  # more ones are of many throws, and their Jacobian is sparse
 _SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
 _NEGLIGIBLE_RMS = 0.5  # residual over noise below which correlations do not matter (rms)
 _ESTIMATED_NOISE_FACTOR = 3.0  # variance of chi squared if noise was estimated, over if known
-_NOISE_ROUNDS = 2  # largest number of fits with a new estimate of the noise
+_MAX_NOISE_ROUNDS = 2  # largest number of fits with a new estimate of the noise
 _NOISE_TOLERANCE = 0.1  # relative change of the noise below which no further fit is needed
-_STRAY = 5.0  # standard deviations beyond which a difference is excluded from the noise
+_NOISE_SIGMAS = 5.0  # standard deviations beyond which a difference is excluded from the noise
 _JITTER_SIGNIFICANCE = 4.0  # significance of noise that grows with speed [standard errors]
-_SLOW_PART = 25  # number of residuals in a mean that shows systematic errors
+_SLOW_WINDOW = 25  # number of residuals in a mean that shows systematic errors
 _CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # preserves the size of white noise
 
 
@@ -163,7 +163,7 @@ class TrackResidual:
     @property
     def worst_part(self) -> tuple[float, float]:
         """From when to when the residuals are least like noise [s]."""
-        width = min(_SLOW_PART, self.track.time.size)
+        width = min(_SLOW_WINDOW, self.track.time.size)
         slow = np.abs(uniform_filter1d(self.values / self.noise, width, mode='constant'))
         times = self.track.time[max(0, int(np.argmax(slow)) - width // 2):][:width]
         return float(times[0]), float(times[-1])
@@ -388,7 +388,7 @@ def fit_tracks(
     problem = _LeastSquares(model, tracks, noise, max_evaluations)
     values = problem.begin(start)
     if noise is None:
-        for _ in range(_NOISE_ROUNDS):
+        for _ in range(_MAX_NOISE_ROUNDS):
             if not problem.reweigh(values):
                 break
             values = problem.leave_out(problem.solve(values))
@@ -424,7 +424,7 @@ def estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
     kept = np.ones(squares.size, bool)
     for _ in range(8):
         level, growth = _estimate_variance(squares[kept], speeds[kept])
-        inside = squares <= _STRAY**2 * (level + growth * speeds)
+        inside = squares <= _NOISE_SIGMAS**2 * (level + growth * speeds)
         if (inside == kept).all():
             break
         kept = inside
@@ -480,7 +480,7 @@ class _LeastSquares:
     def solve(self, start: Floats, *, loss: str = 'linear') -> Floats:
         """Return the best values."""
         model = self._model
-        is_sparse = start.size > _SPARSE_ABOVE
+        is_sparse = start.size > _MAX_DENSE_PARAMETERS
 
         def jacobian(values: Floats) -> object:  # an array, or a sparse one
             slopes = self._jacobian(values)
@@ -521,7 +521,7 @@ class _LeastSquares:
         if (outliers & self._kept).any():
             values = self.solve(values, loss='soft_l1')
             outliers = self._find_outliers(values)
-        for _ in range(_OUTLIER_ROUNDS):
+        for _ in range(_MAX_OUTLIER_ROUNDS):
             if (outliers == ~self._kept).all():
                 break
             self._kept = ~outliers

@@ -38,8 +38,8 @@ Floats = NDArray[np.float64]
 
 _NEWTON_STEPS = 3  # Gauss-Newton steps per point of a profile
 _CHI2_95 = 3.84  # 95 % quantile of chi squared with one degree of freedom
-_LONGEST = 6.0  # largest half-width of an interval [standard errors]
-_HALVES = 8  # number of bisections of the end of an interval
+_MAX_HALF_WIDTH = 6.0  # largest half-width of an interval [standard errors]
+_BISECTIONS = 8  # number of bisections of the end of an interval
 
 
 class LinearFit:
@@ -165,8 +165,8 @@ def _end_of_interval(system: LinearFit, fit: Fit, index: int, sign: float) -> fl
         except (FitError, ValueError):
             return False  # such a rig is impossible
 
-    inside, outside = 0.0, _LONGEST * fit.errors[index]
-    for _ in range(_HALVES):
+    inside, outside = 0.0, _MAX_HALF_WIDTH * fit.errors[index]
+    for _ in range(_BISECTIONS):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
     return float(fit.values[index] + sign * inside)

@@ -41,21 +41,21 @@ from soft_throw_ros.identification.fit_description import changed_rig, FIXED
 from soft_throw_ros.identification.layer_search import find_best_minimum
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.linear_fit import LinearFit
-from soft_throw_ros.identification.parameter_layout import WAVES
+from soft_throw_ros.identification.parameter_layout import value_names
 from soft_throw_ros.identification.rig_model import RigModel
 
 Floats = NDArray[np.float64]
 
-_EVALUATIONS = 20  # largest number of evaluations of the model per kind of layer
-_MOST_TERMS = 3  # largest number of added terms
-_STRONG = 6.0  # smallest decrease of the criterion for which a term is added
-_PROVEN = 12.0  # increase of chi squared above which a kind of layer is excluded
+_MAX_EVALUATIONS = 20  # largest number of evaluations of the model per kind of layer
+_MAX_TERMS = 3  # largest number of added terms
+_MIN_GAIN = 6.0  # smallest decrease of the criterion for which a term is added
+_MIN_EXCESS = 12.0  # increase of chi squared above which a kind of layer is excluded
 
 _LOSS = 'layer.loss_tangent'
 _WITHOUT_LOSS, _WITH_LOSS, _LARGE_STRAIN = 'without loss', 'with loss', 'of large strain'
-_FIRST_LOSS = 0.05  # initial loss tangent of a fit with loss
-_TRIALS = {_LOSS: 0.01}  # step of the score test of a term
-_TRIAL = 1e-3  # step of the score test of all other terms
+_INITIAL_LOSS = 0.05  # initial loss tangent of a fit with loss
+_SCORE_STEPS = {_LOSS: 0.01}  # step of the score test of a term
+_SCORE_STEP = 1e-3  # step of the score test of all other terms
 
 
 class LayerModel(NamedTuple):
@@ -91,7 +91,7 @@ class _Candidate(NamedTuple):
 def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[AddedTerm]]:
     """Add the terms that the tracks need, one by one, the best first."""
     terms = []
-    for _ in range(_MOST_TERMS):
+    for _ in range(_MAX_TERMS):
         try:
             best = _best_term(model, fit)
             if best is None:
@@ -99,14 +99,14 @@ def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[AddedTerm]
             start = best.model.start(fit)
             if best.name == _LOSS:
                 start = best.model.without_faults(start)
-                start[best.model.layout.indices_of(_LOSS)] = _FIRST_LOSS
+                start[best.model.layout.indices_of(_LOSS)] = _INITIAL_LOSS
             result = best.model.fit(start)
         except FitError:
             break  # the model with this term cannot be fitted
         if result.reduced_chi2 >= fit.reduced_chi2:
             break  # the fit ended in a worse minimum
-        parts = WAVES.get(best.name, (best.name,))
-        values = tuple(result[n] for n in result.names if n.partition('[')[0] in parts)
+        names = value_names(best.name)
+        values = tuple(result[n] for n in result.names if n.partition('[')[0] in names)
         terms.append(AddedTerm(best.name, values, result.reduced_chi2, fit.reduced_chi2))
         model, fit = best.model, find_best_minimum(best.model, result)
     return model, fit, terms
@@ -123,7 +123,7 @@ def _best_term(model: RigModel, fit: Fit) -> _Candidate | None:
         return None
     linear = LinearFit(model, fit)
     best = max((_try_term(linear, name) for name in names), key=attrgetter('gain'))
-    return best if best.gain > _STRONG else None
+    return best if best.gain > _MIN_GAIN else None
 
 
 def _penalty(fit: Fit, parameters: int) -> float:
@@ -136,16 +136,17 @@ def _try_term(linear: LinearFit, name: str) -> _Candidate:
     wider = replace(linear.model, description=linear.model.description.activate(name))
     fit = linear.fit
     start = wider.start(fit)
-    parts, trial = WAVES.get(name, (name,)), _TRIALS.get(name, _TRIAL)
-    start[[index for part in parts for index in wider.layout.indices_of(part)]] = 0.0
+    layout, trial = wider.layout, _SCORE_STEPS.get(name, _SCORE_STEP)
+    names = value_names(name)
+    start[[index for value_name in names for index in layout.indices_of(value_name)]] = 0.0
     base = wider.predict(start)
     columns = []
-    for part in parts:
+    for value_name in names:
         moved = start.copy()
-        moved[wider.layout.indices_of(part)] = trial
+        moved[layout.indices_of(value_name)] = trial
         change = (wider.predict(moved) - base) / trial
-        for index in wider.layout.indices_of(part):
-            throws = [throw for throw, at in wider.layout.indices[part].items() if at == index]
+        for index in layout.indices_of(value_name):
+            throws = [throw for throw, at in layout.indices[value_name].items() if at == index]
             columns.append(np.where(np.isin(wider.throw_of_sample, throws), change, 0.0))
     gain, result = linear.gain(np.stack(columns, axis=1))
     if name == _LOSS and result.max() <= 0.0:
@@ -176,7 +177,7 @@ def compare_layers(
                 rig=changed_rig(model.rig, {_LOSS: 0.0}),
             )
             plain = simple.fit(
-                simple.start(fit), noise=fit.noise, max_evaluations=_EVALUATIONS
+                simple.start(fit), noise=fit.noise, max_evaluations=_MAX_EVALUATIONS
             )
         fits[_WITHOUT_LOSS] = plain
         strained = _fit_large_strain(simple, plain, fit.noise)
@@ -194,7 +195,7 @@ def compare_layers(
     ]
     layers.sort(key=attrgetter('criterion'))
     # A held stiffening says that the layer is linear
-    is_proven = len(layers) > 1 and layers[1].criterion > _PROVEN
+    is_proven = len(layers) > 1 and layers[1].criterion > _MIN_EXCESS
     is_open = 'layer.stiffening' in model.layout
     return layers, strained if is_proven and is_open and layers[0].name == _LARGE_STRAIN else None
 
@@ -211,6 +212,6 @@ def _fit_large_strain(model: RigModel, fit: Fit, noise: Floats) -> tuple[Rig, Fi
     if 'layer.stiffening' in model.layout:  # which it has by itself
         start[model.layout.indices_of('layer.stiffening')] = 0.0
     try:
-        return rig, other.fit(start, noise=noise, max_evaluations=_EVALUATIONS)
+        return rig, other.fit(start, noise=noise, max_evaluations=_MAX_EVALUATIONS)
     except FitError:
         return None

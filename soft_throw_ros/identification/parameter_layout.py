@@ -29,11 +29,13 @@ OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
 RINGING = 'plate.ringing'
 """Oscillation of the plate from before the throw."""
 
-WAVES = {RINGING: ('plate.ringing_cosine', 'plate.ringing_sine')}
-"""Terms that are waves, and their amplitudes."""
+RINGING_AMPLITUDES = ('plate.ringing_cosine', 'plate.ringing_sine')
+"""Fitted values of `RINGING`; all other parameters have one value of the same name."""
 
-TERM_OF = {part: name for name, parts in WAVES.items() for part in parts}
-"""Terms by the names of their parts."""
+
+def value_names(parameter: str) -> tuple[str, ...]:
+    """Return the names of the values that describe a parameter."""
+    return RINGING_AMPLITUDES if parameter == RINGING else (parameter,)
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,8 @@ class ParameterLayout:
                 is_seen = throw.projectile is not None or name.startswith(('engine', 'plate'))
                 if is_seen and description.treatment(name, throw.name).is_varied:
                     key = description.group(name, throw.name, number)
-                    for part in WAVES.get(name, (name,)):
-                        groups.setdefault((part, key), []).append(number)
+                    for value_name in value_names(name):
+                        groups.setdefault((value_name, key), []).append(number)
         own = [START]
         own += [] if description.heights == 'absolute' else [PLATE_ZERO]
         own += [PROJECTILE_ZERO] if description.heights == 'own' else []
@@ -101,9 +103,9 @@ class ParameterLayout:
 
     def waves_of(self, throw: int) -> list[int]:
         """Return the indices of the waves of the plate of a throw."""
-        parts = [part for part in TERM_OF if throw in self.indices.get(part, ())]
-        return [self.indices[part][throw] for part in parts]
+        by_throw = [self.indices.get(name, {}) for name in RINGING_AMPLITUDES]
+        return [indices[throw] for indices in by_throw if throw in indices]
 
     def is_per_throw(self, name: str) -> bool:
         """Return whether each throw has its own value of a parameter."""
-        return any(isinstance(key, int) for part, key in self.groups if part == name)
+        return any(isinstance(key, int) for other, key in self.groups if other == name)

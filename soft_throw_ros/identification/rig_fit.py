@@ -79,10 +79,10 @@ from soft_throw_ros.identification.unseen import (
 
 Floats = NDArray[np.float64]
 
-_LEAST_NOISE = 0.1  # smallest noise of a track, over the largest noise of all tracks
+_MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
 _SLOPE_STEP = 0.05  # step of the derivatives of the ejection time [standard errors]
-_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
+_MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 _SECONDS_PER_THROW = 60.0
 """Processor time of a fit; it includes the compilation of kernels. [s]"""
@@ -419,7 +419,7 @@ def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     """
     tracks = [track for throw in throws for track in (throw.plate, throw.projectile) if track]
     least = max(
-        _LEAST_NOISE * max(track.noise for track in tracks),
+        _MIN_NOISE_RATIO * max(track.noise for track in tracks),
         _MODEL_ERROR * max(float(np.ptp(track.position)) for track in tracks),
     )
 
@@ -453,7 +453,7 @@ def _fit_until_landing(model: RigModel) -> RigFit:
     """Fit the samples before the landing, whose time depends on the fit."""
     cut = _in_flight(model)
     result = RigFit(model=cut, fit=cut.fit(cut.start()))
-    for _ in range(_LANDING_ROUNDS - 1):
+    for _ in range(_MAX_LANDING_ROUNDS - 1):
         cut = _in_flight(replace(model, rig=result.rig))
         if cut.throw_of_sample.size == result.model.throw_of_sample.size:
             break

@@ -47,9 +47,8 @@ from soft_throw_ros.identification.parameter_layout import (
     PLATE_ZERO,
     PROJECTILE_ZERO,
     RINGING,
+    RINGING_AMPLITUDES,
     START,
-    TERM_OF,
-    WAVES,
 )
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
 from soft_throw_ros.identification.plate_waves import PlateWithWaves
@@ -72,7 +71,7 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'layer.diameter': (1e-4, 1.0),
     'projectile.mass': (1e-7, 1e3),
 }
-_ANYTHING = (-math.inf, math.inf)
+_UNBOUNDED = (-math.inf, math.inf)
 _STEP = 3e-4
 """Relative step of derivatives, large against the errors of steppers. [-]"""
 
@@ -82,15 +81,15 @@ _STEPS = {  # absolute
     'layer.stiffening': 2e-2,
     **dict.fromkeys((PLATE_ZERO, PROJECTILE_ZERO), 1e-5),
     **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
-    **dict.fromkeys(TERM_OF, 1e-3),
+    **dict.fromkeys(RINGING_AMPLITUDES, 1e-3),
 }
-_UNSEEN = 1e30
+_MAX_ERROR = 1e30
 """Error in SI units beyond which a parameter is not seen at all."""
 
 IN_FLIGHT = 0.97
 """Share of the time until the landing that a fit uses. [-]"""
 
-_EVALUATIONS = 60
+_MAX_EVALUATIONS = 60
 """Largest number of evaluations of the model in one run of the solver."""
 
 
@@ -187,8 +186,8 @@ class RigModel:
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
         result: dict[int, Estimate | None] = {}
-        for index, ((part, _), (throw, *_)) in enumerate(self.layout.groups.items()):
-            name = TERM_OF.get(part, part)
+        for index, ((value_name, _), (throw, *_)) in enumerate(self.layout.groups.items()):
+            name = RINGING if value_name in RINGING_AMPLITUDES else value_name
             if name in DEFAULTS:
                 result[index] = self.description.known(
                     name, self.rigs[throw], self.throws[throw].name
@@ -289,7 +288,7 @@ class RigModel:
     def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithWaves]:
         """Return the rig of a throw, and the motion of its plate."""
         rig = self.rig_of(values, throw)
-        cosine, sine = (self.value(values, part, throw) for part in WAVES[RINGING])
+        cosine, sine = (self.value(values, name, throw) for name in RINGING_AMPLITUDES)
         return rig, PlateWithWaves(Underdamped.of(rig.engine), (cosine, sine))
 
     def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
@@ -327,7 +326,7 @@ class RigModel:
     def _slope(self, values: Floats, name: str) -> Floats:
         """Return the central difference by a parameter, changed in all throws."""
         indices = self.layout.indices_of(name)
-        low, high = _BOUNDS.get(name, _ANYTHING)
+        low, high = _BOUNDS.get(name, _UNBOUNDED)
         ends = []
         for sign in (1.0, -1.0):
             moved = values.copy()
@@ -379,13 +378,13 @@ class RigModel:
         start: Floats,
         *,
         noise: Floats | None = None,
-        max_evaluations: int = _EVALUATIONS,
+        max_evaluations: int = _MAX_EVALUATIONS,
         only: Sequence[str] | None = None,
     ) -> Fit:
         """Fit all values, or only some parameters, by `fit_tracks`."""
         names = [name for name, _ in self.layout.groups]
         free = [index for index, name in enumerate(names) if not only or name in only]
-        low, high = np.transpose([_BOUNDS.get(names[index], _ANYTHING) for index in free])
+        low, high = np.transpose([_BOUNDS.get(names[index], _UNBOUNDED) for index in free])
 
         def whole(values: Floats) -> Floats:
             full: Floats = start.copy()
@@ -408,7 +407,7 @@ class RigModel:
             noise=noise,
             max_evaluations=max_evaluations,
         )
-        unseen = np.flatnonzero(~(result.errors < _UNSEEN))
+        unseen = np.flatnonzero(~(result.errors < _MAX_ERROR))
         if unseen.size:
             raise FitError(
                 f'these tracks say nothing of {", ".join(result.names[index] for index in unseen)}'

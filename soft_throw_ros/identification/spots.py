@@ -66,12 +66,12 @@ _MIN_AREA = 9  # smallest area of a spot [pixels]
 _MIN_DARKNESS = 0.3  # smallest darkness of a spot, relative to the darkest spot
 _MIN_CONTRAST = 6.0  # smallest darkness of a spot, relative to the noise
 _MAX_ECCENTRICITY = 0.8  # largest eccentricity of a spot as an ellipse
-_SMEARED = 0.4  # motion per picture [diameters] above which a spot may be elongated
+_MIN_SMEAR = 0.4  # motion per picture [diameters] above which a spot may be elongated
 _MIN_SOLIDITY = 0.85  # smallest area of a spot over the area of its convex hull
 _BLUR = 2.0  # width of the blurred edge outside the contour of half darkness [px]
 _RING = 2.0  # half the width of the ring that measures the background [px]
 _MARGIN = 4  # margin of the search beyond the diameter [px]
-_ROUNDS = 3  # iterations of the centre of the circle
+_CENTRE_ROUNDS = 3  # iterations of the centre of the circle
 _MAX_CHANGE = 1.6  # largest ratio of area or darkness between two measurements
 _MAX_MASS_CHANGE = 0.05  # largest relative deviation of the total darkness from its recent mean
 _MASS_MEMORY = 20.0  # length of the recent mean [pictures]
@@ -82,7 +82,8 @@ _MIN_ACCELERATION = 0.1  # smallest assumed acceleration of spots [px per pictur
 _ACCELERATION_SPAN = 4  # pictures between the positions that give the acceleration
 _MAX_UNCERTAINTY = 3.0  # radius [diameters] beyond which another spot may be found
 _BEND = 0.125  # allowed error of a path across a gap, over acceleration times gap squared
-_ASIDE, _TILT = 0.5, 0.02  # allowed sideways motion across a gap [px], and per pixel of height
+_MAX_SIDEWAYS = 0.5  # allowed sideways motion across a gap [px]
+_MAX_TILT = 0.02  # allowed sideways motion across a gap, per pixel of height
 _MIN_RUN = 3  # smallest number of consecutive pictures with a spot
 _LEVELS = 63.0  # number of grey levels in the detection
 
@@ -508,7 +509,7 @@ class _SpotTracker:
         numbers = np.array([number for number, _ in self._seen], dtype=np.int64)
         runs = np.split(np.arange(numbers.size), np.flatnonzero(np.diff(numbers) > 1) + 1)
         kept = [
-            run[(0 if number == 0 else 1):run.size - (0 if number == len(runs) - 1 else 1)]
+            run[int(number > 0):run.size - int(number < len(runs) - 1)]
             for number, run in enumerate(runs)
             if run.size >= _MIN_RUN + (number > 0) + (number < len(runs) - 1)
         ]
@@ -529,21 +530,24 @@ class _SpotTracker:
 
     def _is_one_motion(self, before: Integers, after: Integers) -> bool:
         """Return whether the speeds on both sides of a gap explain the path in between."""
-        pairs = ((before[-_MIN_RUN], before[-1]), (after[0], after[_MIN_RUN - 1]))
-        (one, end), (start, other) = ((self._seen[i], self._seen[k]) for i, k in pairs)
-        speeds = [
-            (late[1].position - early[1].position) / (late[0] - early[0])
-            for early, late in ((one, end), (start, other))
-        ]
-        pictures = start[0] - end[0]
-        deviation = start[1].position - end[1].position - 0.5 * pictures * (speeds[0] + speeds[1])
-        most = 0.5 * self.diameter + _BEND * self.acceleration * pictures**2
-        up, aside = np.abs(start[1].position - end[1].position)
-        return bool(np.linalg.norm(deviation) < most and aside < _ASIDE + _TILT * up)
+
+        def path(first: int, last: int) -> tuple[int, Floats]:
+            """Return the number of pictures between two samples, and the way in between."""
+            (start, one), (end, other) = self._seen[first], self._seen[last]
+            return end - start, other.position - one.position
+
+        count, way = path(before[-_MIN_RUN], before[-1])
+        count_after, way_after = path(after[0], after[_MIN_RUN - 1])
+        pictures, step = path(before[-1], after[0])
+        deviation = step - 0.5 * pictures * (way / count + way_after / count_after)
+        largest = 0.5 * self.diameter + _BEND * self.acceleration * pictures**2
+        up, aside = np.abs(step)
+        return bool(np.linalg.norm(deviation) < largest and aside < _MAX_SIDEWAYS + _MAX_TILT * up)
 
     def _find(self, picture: Picture, others: Sequence[_Circle]) -> SpotMeasurement | None:
         """Search the spot; return None if it is covered or missing, or for two candidates."""
         from skimage.measure import label, regionprops
+        from skimage.segmentation import clear_border
 
         smear = float(np.linalg.norm(self._velocity))  # motion during the exposure at most [px]
         reach = self.diameter + _MARGIN + self.uncertainty + self._velocity_uncertainty + smear
@@ -556,11 +560,9 @@ class _SpotTracker:
         usual = self._seen[-1][1].area if self._seen else 0.25 * math.pi * self.diameter**2
         candidates = [
             region
-            for region in regionprops(label(smooth < self._level))
+            for region in regionprops(label(clear_border(smooth < self._level)))
             if usual / _MAX_CHANGE < region.area < usual * _MAX_CHANGE
-            and min(region.bbox[:2]) > 0
-            and (np.array(region.bbox[2:]) < window.shape).all()
-            and _is_round(region, smeared=smear > _SMEARED * self.diameter)
+            and _is_round(region, smeared=smear > _MIN_SMEAR * self.diameter)
             and not any(other.has(corner + region.centroid) for other in others)
         ]
         measurements = [self._measure(region, window, smooth, smear) for region in candidates]
@@ -593,12 +595,12 @@ class _SpotTracker:
     ) -> SpotMeasurement | None:
         """Measure the centre of a spot; return None if the circle leaves the picture."""
         position = np.array(region.centroid)
-        longer = smear if smear > _SMEARED * self.diameter else 0.0
+        longer = smear if smear > _MIN_SMEAR * self.diameter else 0.0
         reach = 0.5 * (self.diameter + longer) + _BLUR
         pixels = np.indices(window.shape).reshape(2, -1).T
         levels = window.ravel()
         lowest, highest = reach + 1.0, np.subtract(window.shape, reach + 2.0)
-        for _ in range(_ROUNDS):
+        for _ in range(_CENTRE_ROUNDS):
             if (position < lowest).any() or (position > highest).any():
                 return None
             distance = np.linalg.norm(pixels - position, axis=1)

@@ -39,7 +39,7 @@ FEWEST = 12
 MAX_TIME, MAX_HEIGHT = 1e12, 1e6
 """Largest time and height; larger numbers have a wrong unit. [s], [m]"""
 
-_STRAY_LIMIT = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
+_NOISE_SIGMAS = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
 _ROUNDING_TOLERANCE = 0.1  # largest deviation of rounded heights from multiples of a step [steps]
 _MAX_ROUNDING_STEPS = 1e5  # range of heights over the smallest step whose rounding matters
 _SPIKE_LIMIT = 8.0  # deviation of a spike from the cubic through neighbours [usual deviations]
@@ -54,8 +54,8 @@ _NEIGHBOURS = 20.0
 _MIN_DENSITY = 0.25
 """Share of the expected neighbours below which a sample is isolated. [-]"""
 
-_LONGEST_BREAK = 1.0  # longest gap within a throw [s]
-_LONGEST_BREAK_SAMPLES = 100.0  # longest gap within a throw [intervals between samples]
+_MAX_BREAK = 1.0  # longest gap within a throw [s]
+_MAX_BREAK_SAMPLES = 100.0  # longest gap within a throw [intervals between samples]
 
 _KEPT_BEFORE = 0.25  # time kept before a throw among others [plate periods]
 _KEPT_AFTER = 6.0  # time kept after the start of a throw [plate periods]
@@ -69,7 +69,7 @@ _FLIGHT_NOISE = 3.0
 _GAP = 1.8
 """Intervals between two samples beyond which one is missing; jitter is smaller. [-]"""
 
-_ABOVE_NOISE = 25.0  # how often as strong as noise, at its frequency, an oscillation is at least
+_MIN_SIGNAL_TO_NOISE = 25.0  # smallest power of an oscillation over the noise at its frequency
 _SEGMENT = 2**15  # samples of one spectrum
 _MAX_EVEN_SAMPLES = 2**24  # largest number of evenly resampled heights for the period
 
@@ -262,19 +262,19 @@ def noise_of(time: Floats, position: Floats) -> float:
     """
     deviation, spread = _beside_neighbours(time, position)
     steps = (deviation / spread)[2:-2]
-    noise = _rms_without_strays(steps)
+    noise = _rms_without_outliers(steps)
     step = _rounding_step(position)
     if step > 0.0:
         moving = np.abs(position[4:] - position[:-4]) >= 4.0 * step
         if moving.sum() >= FEWEST:
-            noise = max(noise, _rms_without_strays(steps[moving]))
+            noise = max(noise, _rms_without_outliers(steps[moving]))
     return max(noise, step / math.sqrt(12.0), 1e-9 * float(np.ptp(position)), 1e-15)
 
 
-def _rms_without_strays(values: Floats) -> float:
-    """Return the root mean square of all values within `_STRAY_LIMIT`."""
+def _rms_without_outliers(values: Floats) -> float:
+    """Return the root mean square of all values within `_NOISE_SIGMAS`."""
     usual = 1.4826 * float(np.median(np.abs(values)))
-    kept = values[np.abs(values) <= _STRAY_LIMIT * usual]
+    kept = values[np.abs(values) <= _NOISE_SIGMAS * usual]
     return float(np.sqrt(np.mean(kept**2))) if usual > 0.0 else 0.0
 
 
@@ -327,7 +327,7 @@ def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
     Pieces of less than `FEWEST` samples are left out, unless there is nothing else.
     """
     time = record.plate.time
-    longest = max(_LONGEST_BREAK, _LONGEST_BREAK_SAMPLES * record.plate.interval)
+    longest = max(_MAX_BREAK, _MAX_BREAK_SAMPLES * record.plate.interval)
     breaks = np.flatnonzero(np.diff(time) > longest) + 1
     pieces = [item for item in np.split(time, breaks) if item.size >= FEWEST]
     if not breaks.size or not pieces:
@@ -409,7 +409,7 @@ def dominant_period(plate: Track) -> float:
     velocity = np.diff(np.interp(even, plate.time, plate.position)) / step
     frequency, _, powers = spectrogram(velocity, 1.0 / step, nperseg=min(velocity.size, _SEGMENT))
     noise = 8.0 / step * (plate.noise * np.sin(np.pi * step * frequency)) ** 2
-    strength = powers.max(axis=1) - _ABOVE_NOISE * noise
+    strength = powers.max(axis=1) - _MIN_SIGNAL_TO_NOISE * noise
     return 1.0 / float(frequency[max(1, int(np.argmax(strength)))])
 
 

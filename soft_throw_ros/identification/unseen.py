@@ -50,7 +50,7 @@ from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import PLATE_MODE, STICKING
 from soft_throw_ros.identification.least_squares import Fit
 from soft_throw_ros.identification.linear_fit import LinearFit
-from soft_throw_ros.identification.parameter_layout import RINGING, WAVES
+from soft_throw_ros.identification.parameter_layout import RINGING, RINGING_AMPLITUDES
 from soft_throw_ros.identification.plate_waves import Mode, PlateWithWaves
 from soft_throw_ros.identification.rig_model import Change, RigModel
 
@@ -74,7 +74,7 @@ _RINGING = 0.02
 _RINGING_MARGIN = 2.0
 """Factor on the effect of undamped ringing, since its true damping is not known. [-]"""
 
-_WAITED = 3.0
+_LAST_RELEASE = 3.0
 """Time until which a projectile is released. [periods of the plate]"""
 
 _JERK_STEP = 0.05
@@ -83,7 +83,7 @@ _JERK_STEP = 0.05
 _SPEED_STEP = 0.01
 """Relative step of the wave speed for the derivative of the release. [-]"""
 
-_LONG_RUN = 3
+_MIN_RUN = 3
 """Number of consecutive equal heights from which on rounding errors are correlated."""
 
 
@@ -164,7 +164,7 @@ def unseen_effects(
         makers[PLATE_MODE] = partial(
             _of_changes, PLATE_MODE, model, values, _modes(size), are_pairs=True
         )
-    if any(part in model.layout for part in WAVES[RINGING]):
+    if RINGING_AMPLITUDES[0] in model.layout:
         size = model.description.treatment(RINGING).error or _RINGING
         makers[RINGING] = partial(
             _of_changes, RINGING, model, values, _undamped(size), base=_without_ringing,
@@ -323,7 +323,7 @@ def _stress_law(model: RigModel, values: Floats) -> UnseenEffect:
 
 def _events(model: RigModel, rig: Rig, motion: PlateWithWaves) -> tuple[Event, ...]:
     """Return the events of the first few periods of the plate."""
-    end = np.array([_WAITED / rig.engine.frequency])
+    end = np.array([_LAST_RELEASE / rig.engine.frequency])
     return model.simulator.follow(rig, end, motion=motion, by_cells=model.by_cells).events
 
 
@@ -371,7 +371,7 @@ def _rounding(model: RigModel) -> UnseenEffect:
         sizes = np.diff(starts, append=track.time.size)
         if track.rounding_step > 0.0:
             for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
-                if size >= _LONG_RUN:
+                if size >= _MIN_RUN:
                     column = np.zeros((1, model.throw_of_sample.size))
                     run = slice(first + start, first + start + size)
                     column[0, run] = track.rounding_step / math.sqrt(12.0)
