@@ -157,7 +157,6 @@ class SmoothedSamples(PlateSource):
         are, so that few samples overestimate it. Windows that overlap share their residuals.
         Wrong stamps make the error larger, too; while residuals are few, the whole scatter of the
         stamps counts as their error.
-
         """
         if not self._errors:
             return math.inf
