@@ -142,10 +142,10 @@ class SensorFaults:
             Random numbers of the same shape as `time`.
 
         """
-        taken = time + self.jitter * chances.jitter
-        drift = self.drift * (_DRIFT_TURNS - abs(taken % (2.0 * _DRIFT_TURNS) - _DRIFT_TURNS))
-        heights = plate(taken), self.projectile_scale * projectile(taken - self.projectile_delay)
-        stamp = taken + self.stamp_error * chances.stamp
+        moment = time + self.jitter * chances.jitter
+        drift = self.drift * (_DRIFT_TURNS - abs(moment % (2.0 * _DRIFT_TURNS) - _DRIFT_TURNS))
+        heights = plate(moment), self.projectile_scale * projectile(moment - self.projectile_delay)
+        stamp = moment + self.stamp_error * chances.stamp
         return Sample(
             stamp,
             self._disturb(heights[0] + drift, *chances[3:6]),

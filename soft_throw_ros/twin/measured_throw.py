@@ -176,7 +176,7 @@ class MeasuredThrow(OngoingThrow):
     @property
     def _is_lost_in_noise(self) -> bool:
         """Whether noise of the smoothed plate may have released the projectile."""
-        return self._present.estimate is None and self._plate.smoothed.is_noisy
+        return self._present.estimate is None and self._plate.is_noisy
 
     def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:
         """Advance as far as the plate is known, and predict from there."""
@@ -218,7 +218,7 @@ class MeasuredThrow(OngoingThrow):
                 self._simulate_anew(FittedEngine(newer))
         if not plate.relies_on_engine and present.source is not smoothed:
             is_known = present.source is not None and (self.events or not plate.fit.has_failed)
-            if is_known and (plate.is_fitted or not smoothed.is_noisy):
+            if is_known and (plate.is_fitted or not plate.is_noisy):
                 smoothed.start_ns, present.source = present.start_ns, smoothed
             elif not is_known and not self._newer and smoothed.find_start():
                 self._simulate_anew(smoothed)

@@ -111,7 +111,6 @@ class SmoothedSamples(PlateSource):
         self._estimator = estimator
         self._motions: list[PlateStates] = []  # not returned yet
         self._errors: list[float] = []  # of velocities [m/s]
-        self.stamp_error = onset.stamp_error  # standard deviation of stamps, if known [s]
         self._misfit = np.zeros(2)  # sum of squares and degrees of freedom, see `PlateStates`
 
     def add(self, motion: PlateStates) -> None:
@@ -149,14 +148,15 @@ class SmoothedSamples(PlateSource):
         self._motions.clear()
         return np.concatenate(times), np.concatenate(states)
 
-    def velocity_error(self) -> float:
+    def velocity_error(self, stamp_error: float) -> float:
         """
         Return the standard error of the smoothed velocity [m/s], infinite if nothing is known.
 
-        Residuals that are larger than noise explains make it larger, by one standard deviation
-        more than they are, so that few samples overestimate it. Windows that overlap share their
-        residuals. Stamps that are wrong make it larger, too; while residuals are few, stamps are
-        taken to be wrong by their whole scatter.
+        The `stamp_error` is the known standard deviation of the stamps [s]. Residuals that are
+        larger than noise explains make the error larger, by one standard deviation more than they
+        are, so that few samples overestimate it. Windows that overlap share their residuals.
+        Wrong stamps make the error larger, too; while residuals are few, the whole scatter of the
+        stamps counts as their error.
         """
         if not self._errors:
             return math.inf
@@ -166,22 +166,11 @@ class SmoothedSamples(PlateSource):
         ratio, excess = squares / max(freedom, 1.0), 1.0
         if ratio > largest_by_chance(independent, _SIGNIFICANT) / independent:
             excess = ratio * (1.0 + math.sqrt(2.0 / independent))
-        stamp_error = self.stamp_error
         if freedom < _FEWEST_RESIDUALS:
             stamp_error = max(stamp_error, self._onset.stamp_scatter)
         displacement = config.plate.peak_velocity * stamp_error / config.position_noise
         excess = max(excess, 1.0 + displacement**2)
         return float(np.median(self._errors)) * math.sqrt(excess)
-
-    @property
-    def is_noisy(self) -> bool:
-        """Whether the noise of the smoothed plate may release a projectile too early."""
-        return self.velocity_error() > _NOISY * self._estimator.config.plate.peak_velocity
-
-    def release_errors(self, time: float, peak_plate_speed: float) -> ReleaseErrors:
-        """Return about how well a release at a time after the start is known."""
-        speed = self.velocity_error() / peak_plate_speed
-        return ReleaseErrors(_TIME * speed * time, _SPEED * speed, _TRANSFER * speed)
 
     def peak_speed(self, times: Sequence[float], speeds: Sequence[float]) -> float:
         """Return the largest speed until now, at least the speed of a start [m/s]."""
@@ -312,6 +301,12 @@ class MeasuredPlate:
         """Estimated standard deviation of the stamps, 0 without an estimate [s]."""
         return self.onset.stamp_error if self.fit.has_failed else self.fit.stamp_error
 
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the noise of the smoothed plate may release a projectile too early."""
+        error = self.smoothed.velocity_error(self.stamp_error)
+        return error > _NOISY * self.estimator.config.plate.peak_velocity
+
     def add(self, motion: PlateStates) -> None:
         """Add the motion since the last call, and fit the engine to the new samples."""
         self.smoothed.add(motion)
@@ -320,7 +315,6 @@ class MeasuredPlate:
             rows = self.estimator.samples(self.fit.next_ns, end_ns + 1)
             if len(rows):
                 self.fit.update(rows)
-        self.smoothed.stamp_error = self.stamp_error
 
     def newer_estimate(self, simulated: EngineEstimate | None) -> EngineEstimate | None:
         """Return the latest estimate if its release differs from that of the simulated one."""
@@ -341,7 +335,8 @@ class MeasuredPlate:
     ) -> ReleaseErrors:
         """Return the errors of a release at a time, by an estimate or by the smoothed plate."""
         if simulated is None or self.fit.estimate is None:
-            return self.smoothed.release_errors(time, peak_speed)
+            speed = self.smoothed.velocity_error(self.stamp_error) / peak_speed
+            return ReleaseErrors(_TIME * speed * time, _SPEED * speed, _TRANSFER * speed)
         changes = self.forecaster.change(simulated, self.fit.estimate)
         errors = self.forecaster.errors(self.fit.estimate)
         return ReleaseErrors(*map(math.hypot, errors, changes))
