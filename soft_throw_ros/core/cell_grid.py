@@ -235,9 +235,7 @@ def make_massless_grid(rig: Rig, *, step: float) -> Grid:
 
     """
     layer = rig.layer
-    if any(
-        sheet.stress_strain_law != 'linear' or sheet.loss == 'constant' for sheet in layer.sheets
-    ):
+    if layer.stress_strain_law != 'linear' or layer.loss == 'constant':
         raise ValueError(
             'the model spring_mass needs layer.stress_strain_law linear and layer.loss '
             f'kelvin_voigt, got {layer.stress_strain_law} and {layer.loss}'

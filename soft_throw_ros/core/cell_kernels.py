@@ -571,11 +571,11 @@ def _move_first_node(s, nodes, height, speed, acceleration):
         nodes[ROW.displacement, 1], nodes[ROW.mean_velocity + now, 1] = height, speed
         nodes[ROW.velocity, 1] = nodes[ROW.velocity, 0]
     elif s.relaxation_rate > 0.0 and not s.contact:
-        _creep(s, nodes, now, s.below_before - before)
+        _relax_free_end(s, nodes, now, s.below_before - before)
 
 
 @subroutine
-def _creep(s, nodes, now, stretch):
+def _relax_free_end(s, nodes, now, stretch):
     """Move the free end of a layer without mass towards its length without load."""
     free = s.carried_mass * s.gravity / nodes[ROW.stiffness, 0]
     stretch = (stretch - free) * math.exp(-s.relaxation_rate * s.step)
@@ -678,12 +678,12 @@ def _handle_landing(s, nodes, events):
     height = u[face] - s.step * (1.0 - t) * (v[face] + t * (v[face] - before[face]))
     velocity = _carried_speed(s, nodes) - s.gravity * s.step * (t - 0.5)
     overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
-    below_share = 1.0  # of the mass; a plate does not give way
-    if j > 0:
-        below_share = s.collision_masses[0] / (s.collision_masses[0] + s.collision_masses[1])
-        for k in range(s.collision_nodes[0], j + 1):
-            u[k] -= (1.0 - below_share) * overlap
-            v[k] -= (1.0 - below_share) * approach
+    # Share of the mass below the contact; a plate does not give way
+    below, above = s.collision_masses[0], s.collision_masses[1]
+    below_share = below / (below + above) if j > 0 else 1.0
+    for k in range(s.collision_nodes[0], j + 1):
+        u[k] -= (1.0 - below_share) * overlap
+        v[k] -= (1.0 - below_share) * approach
     for k in range(j + 1, s.collision_nodes[1] + 1):
         u[k] += below_share * overlap
         v[k] += below_share * approach
