@@ -29,6 +29,7 @@ from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime_node import RealTimeNode
+from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
@@ -98,7 +99,7 @@ class SimulatedRig(RealTimeNode):
         """Publish the measurements of the sensors."""
         for result in outputs.results:
             if self._motion is not None and result.stage == 'release':
-                self.get_logger().info(result.describe(), throttle_duration_sec=_LINE_INTERVAL)
+                self.get_logger().info(throw_text(result), throttle_duration_sec=_LINE_INTERVAL)
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
             self._deviations = self._next_deviations

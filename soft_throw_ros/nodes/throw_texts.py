@@ -25,9 +25,18 @@ def throw_text(result: ThrowResult) -> str:
     """Return the release of a throw with warnings, or the reason why the throw is invalid."""
     if not result.is_valid:
         return _invalid_text(result)
-    text = result.describe()
     if result.first is None:
-        return text
+        return f'throw {result.throw}: the projectile was not released'
+    event = 'release predicted' if result.stage == 'predicted' else 'released'
+    text = (
+        f'throw {result.throw}: {event} at {1e3 * result.first.ejection_time:.3f} ms, '
+        f'{result.first.ejection_speed:.4f} m/s, alpha {result.first.energy_transfer:.3f}'
+    )
+    if result.accuracy is not None:
+        text += f' +- {result.accuracy.energy_transfer_error:.3f}'
+    if result.last is not None and result.recontacts:
+        noun = 're-contact' if result.recontacts == 1 else 're-contacts'
+        text += f' ({result.last.energy_transfer:.3f} after {result.recontacts} {noun})'
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'

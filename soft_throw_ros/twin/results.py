@@ -236,22 +236,6 @@ class ThrowResult:
         attributes |= {name: values.get(name) for name in _SIMPLE}
         return cls(rig=rig, **attributes)
 
-    def describe(self) -> str:
-        """Return the release in a sentence, if there is one."""
-        if self.first is None:
-            return f'throw {self.throw}: the projectile was not released'
-        event = 'release predicted' if self.stage == 'predicted' else 'released'
-        text = (
-            f'throw {self.throw}: {event} at {1e3 * self.first.ejection_time:.3f} ms, '
-            f'{self.first.ejection_speed:.4f} m/s, alpha {self.first.energy_transfer:.3f}'
-        )
-        if self.accuracy is not None:
-            text += f' +- {self.accuracy.energy_transfer_error:.3f}'
-        if self.last is not None and self.recontacts:
-            times = 're-contact' if self.recontacts == 1 else 're-contacts'
-            text += f' ({self.last.energy_transfer:.3f} after {self.recontacts} {times})'
-        return text
-
 
 def known_values(group: object) -> dict[str, Scalar]:
     """Return the fields of a group of a result that are not None; none without a group."""
