@@ -563,10 +563,11 @@ def _underdamped_motion(s, path):
 @inlined
 def _move_first_node(s, nodes, height, speed, acceleration):
     """Move the lowest node, and the node above it if the contact or the spring ties it."""
-    now, before = s.index & 1, nodes[ROW.displacement, 0]
+    now, step = s.index & 1, s.step
+    before = nodes[ROW.displacement, 0] - step * nodes[ROW.velocity, 0]  # a step ago
     s.plate_acceleration = acceleration
     nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + now, 0] = height, speed
-    nodes[ROW.velocity, 0] = speed - 0.5 * s.step * acceleration
+    nodes[ROW.velocity, 0] = speed - 0.5 * step * acceleration
     if s.contact_link == 0 and s.contact:
         nodes[ROW.displacement, 1], nodes[ROW.mean_velocity + now, 1] = height, speed
         nodes[ROW.velocity, 1] = nodes[ROW.velocity, 0]

@@ -69,6 +69,9 @@ frequencies :math:`q \ge 2` times the plate's. Waves increase it; 3.1 is the lar
 _CLOSED_FORM_BATCH, _STEPPER_BATCH, _SAMPLED_BATCH = 1 << 16, 1 << 10, 1 << 8
 """Throws per batch: some tenths of a second, so that a cancelled search ends soon."""
 
+_RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
+"""Ratios that decide the throw of a rigid projectile from a lossless layer."""
+
 _WAIT = 8.0
 """Longest wait for a release after a sampled motion, in periods of plate and projectile. [-]"""
 
@@ -174,27 +177,22 @@ def throw_many(
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
         for batch in _batches(chosen, size, cancelled):
             ratios = {ratio: row[batch] for ratio, row in cases.items()}
-            if name == 'cells':
-                results[:, batch] = _throw_with_cells(rig, ratios, method, cells, threads)
-            elif name == 'spring':
-                results[:3, batch] = spring_mass.first_release(
-                    frequency_ratio=ratios['speed_ratio']
-                    / (2.0 * math.pi * np.sqrt(ratios['mass_ratio']))
-                )
-            else:
-                results[:, batch] = _throw_with_waves(ratios, name, loads, threads)
+            results[:, batch] = _throw_by(name, rig, ratios, method, loads, cells, threads)
     results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
-    # The methods return ratios; these are their units.
+    for n, unit in enumerate(_units(values)):
+        rows[n] *= unit
+    return Throws(*rows)
+
+
+def _units(values: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return the units of the rows of `FirstThrows` for the numbers of `values_of`."""
     omega = 2.0 * math.pi * values['frequency']
     speed = values['amplitude'] * omega
     impedance = values['density'] * values['wave_speed'] * section_of(values['diameter'])
-    units = (
+    return (
         1.0 / values['frequency'], speed, 1.0, speed / values['wave_speed'],
         speed * omega, speed * impedance, values['mass'] * speed**2,
     )
-    for n, unit in enumerate(units):
-        rows[n] *= unit
-    return Throws(*rows)
 
 
 def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
@@ -282,38 +280,30 @@ def _methods(
     }
 
 
-def _throw_with_waves(
-    ratios: Mapping[str, Floats], method: str, loads: bool, threads: int | None
+def _throw_by(
+    name: str, rig: Rig, ratios: Mapping[str, Floats], model: LayerModel, loads: bool,
+    cells: int | None, threads: int | None,
 ) -> Floats:
-    """Compute the rows of `FirstThrows` without loss; the closed form has the last word."""
-    names = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
-    ratios = {name: ratios[name] for name in names}
+    """Compute the rows of `FirstThrows` by a method of `_methods`; the closed form lacks loads."""
+    rigid = {ratio: ratios[ratio] for ratio in _RIGID}
     results = np.full((len(Throws._fields), ratios['mass_ratio'].size), math.nan)
-    if loads or method == 'waves':
-        results[:] = wave_stepper.first_throws(**ratios, unresolved='nan', threads=threads)
-    if method == 'closed_form':
-        results[:3] = closed_form.first_releases(**ratios, unresolved='nan', threads=threads)
-    return results
-
-
-def _throw_with_cells(
-    rig: Rig, ratios: Mapping[str, Floats], model: LayerModel, cells: int | None,
-    threads: int | None,
-) -> Floats:
-    """Compute the rows of `FirstThrows` by cells."""
-    ratios = dict(ratios)
-    if not model.has_elastic_projectile:
-        del ratios['crossing_ratio']
-    return np.asarray(
-        cell_stepper.first_throws(
-            **ratios,
-            glued_to=model.glued_to,
-            cells=cells,
-            stack=rig.layer if isinstance(rig.layer, Stack) else None,
-            unresolved='nan',
+    if name == 'cells':
+        options = dict(ratios)
+        if not model.has_elastic_projectile:
+            del options['crossing_ratio']
+        stack = rig.layer if isinstance(rig.layer, Stack) else None
+        results[:] = cell_stepper.first_throws(
+            **options, glued_to=model.glued_to, cells=cells, stack=stack, unresolved='nan',
             threads=threads,
         )
-    )
+    elif name == 'spring':
+        frequency_ratio = ratios['speed_ratio'] / (2.0 * math.pi * np.sqrt(ratios['mass_ratio']))
+        results[:3] = spring_mass.first_release(frequency_ratio=frequency_ratio)
+    if name == 'waves' or (name == 'closed_form' and loads):
+        results[:] = wave_stepper.first_throws(**rigid, unresolved='nan', threads=threads)
+    if name == 'closed_form':
+        results[:3] = closed_form.first_releases(**rigid, unresolved='nan', threads=threads)
+    return results
 
 
 def _throw_with_steppers(

@@ -542,6 +542,20 @@ def test_layer_without_mass_agrees_with_an_integrated_oscillator():
     assert release.velocity == pytest.approx(done.y_events[0][0][1], rel=1e-5)
 
 
+def test_free_top_of_a_massless_layer_relaxes_at_the_same_rate_on_a_moving_plate():
+    layer = Layer(loss_tangent=0.3)
+    stepper = throw(Rig(layer=layer), model='spring_mass')
+    release = stepper.events()[0].time
+    stepper.reset()
+    times, stretches = np.linspace(0.0, 2e-3, 9), []
+    for time in times:
+        stepper.advance_to(release + time)
+        plate_position = stepper.state[PLATE_POSITION]
+        stretches.append(stepper.surface_position - plate_position - layer.thickness)
+    rate = stepper.rig.engine.angular_frequency / layer.loss_tangent
+    assert stretches == pytest.approx(stretches[0] * np.exp(-rate * times), rel=2e-3)
+
+
 def test_layer_on_the_projectile_takes_it_off_the_plate_and_back():
     rig = replace(LOSSY, gravity=9.81)
     stepper = CellStepper(rig, model='cells_glued', cells=128)
