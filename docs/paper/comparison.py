@@ -163,7 +163,7 @@ def _limits() -> tuple[Row, ...]:
     spring = spring_mass.first_release(frequency_ratio=ratio)
     small, medium, large = 0.01, 0.1, 1e5
     lighter = limits.exact(small).energy_transfer
-    rest = limits.exact(medium).angle - 0.5 * math.pi - math.atan(medium)
+    remainder = limits.exact(medium).angle - 0.5 * math.pi - math.atan(medium)
     heavy = 100.0
     late = float(limits.heavy_projectile(heavy).angle)
     return (
@@ -179,7 +179,7 @@ def _limits() -> tuple[Row, ...]:
             float((4.0 - lighter) / small**2), 3,
             'misprint: alpha -> 4 - 4 (omega tau - e^(-1 - pi/(2 omega tau)))^2'),
         Row('factor of e^(-pi/(2 omega tau)) in omega (t_e - t_s)', 'App. C(i)', printed('1'),
-            float(rest * math.exp(math.pi / (2.0 * medium))), 3,
+            float(remainder * math.exp(math.pi / (2.0 * medium))), 3,
             'misprint: it is -1/e, as omega (t_e - t_s) -> pi/2 + omega tau '
             '- e^(-1 - pi/(2 omega tau))'),
         Row('alpha (omega tau)^2 for large omega tau', 'App. C(ii)', printed('16'),

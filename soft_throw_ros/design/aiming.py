@@ -230,20 +230,18 @@ def aim(
         target=target, vary=vary, limits=limits, max_amplitude=max_amplitude, cancelled=cancelled
     )
     spaces = search_spaces(rig, vary, limits, materials or {})
-    options = [(best, space) for space in spaces if (best := search.best_layer(space)) is not None]
-    options.sort(key=lambda option: -option[0].score)
-    options = options[:_MAX_FOLLOWED]
-    throws = [throw for best, space in options if (throw := search.solve(space, best)) is not None]
+    options = [(space, best) for space in spaces if (best := search.best_layer(space)) is not None]
+    options = sorted(options, key=lambda option: -option[1].score)[:_MAX_FOLLOWED]
+    throws = [throw for option in options if (throw := search.solve(*option)) is not None]
     if throws:
         return min(throws, key=lambda throw: throw.amplitude)
-    throws = [throw for best, space in options if (throw := search.most(space, best)) is not None]
+    throws = [throw for option in options if (throw := search.closest(*option)) is not None]
     if not throws:
         text = f'{target.height:g} m high' if target.height else f'{target.speed:g} m/s'
         raise ThrowUnresolvedError(f'no throw is possible within the limits, target {text}')
-    most = max(throws, key=target.reached)
-    return replace(
-        most, is_reached=False, limited_by=', '.join(search.limits_of(most, _AT_LIMIT))
-    )
+    closest = max(throws, key=target.reached)
+    limited_by = ', '.join(search.active_limits(closest, _AT_LIMIT))
+    return replace(closest, is_reached=False, limited_by=limited_by)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,8 +254,8 @@ class _AimSearch:
     max_amplitude: float
     cancelled: Cancelled | None
 
-    def limits_of(self, throw: Aim, share: float = 1.0) -> list[str]:
-        """Return the names of the limits of which a throw reaches more than a share."""
+    def active_limits(self, throw: Aim, share: float = 1.0) -> list[str]:
+        """Return the names of the limits that a throw exceeds, or exceeds a share of."""
         return [
             name
             for name, value, limit in (
@@ -301,7 +299,7 @@ class _AimSearch:
             rise = first.height - first.speed**2 / (2.0 * first.rig.gravity)
             better = self.best_layer(space._replace(rig=first.rig), rise)
             throws.append(better and self._solve_with(space, better))
-        allowed = [throw for throw in throws if throw is not None and not self.limits_of(throw)]
+        allowed = [throw for throw in throws if throw and not self.active_limits(throw)]
         return min(allowed, key=lambda throw: throw.amplitude, default=None)
 
     def _solve_with(self, space: SearchSpace, best: Optimum) -> Aim | None:
@@ -312,7 +310,7 @@ class _AimSearch:
         amplitude = self._amplitude(rig)
         return None if amplitude is None else self._throw(rig, amplitude, space.name)
 
-    def most(self, space: SearchSpace, best: Optimum) -> Aim | None:
+    def closest(self, space: SearchSpace, best: Optimum) -> Aim | None:
         """Follow the throw of a layer that reaches most within the limits; None if none does."""
         rig = space.rig_with(best)
         layer = np.array([best.thickness]), np.array([best.wave_speed])

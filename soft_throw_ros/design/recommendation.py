@@ -43,7 +43,7 @@ Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 _EQUAL = 1e-9
 """Relative difference of scores that count as equal; then the present layer is kept. [-]"""
 
-_DRAFT_ERROR = 2e-3
+_COARSE_ERROR = 2e-3
 """Relative error of scores with `SEARCH_CELLS`; a layer that is worse is searched again. [-]"""
 
 _NEARBY = 0.03
@@ -335,19 +335,20 @@ class _Search(NamedTuple):
         If a score takes several throws, only the spaces with the highest peaks are searched.
         """
         if not self.objective.is_fast:
-            peaks = self._replace(objective=Peak())._drafts(spaces)
+            peaks = self._replace(objective=Peak())._search_all(spaces)
             spaces = [space for space, _ in peaks[:2 * _MAX_CANDIDATES]]
-        candidates = [self._finish(*draft) for draft in self._drafts(spaces)[:_MAX_CANDIDATES]]
-        return sorted(filter(None, candidates), key=lambda candidate: -candidate.score)
+        optima = self._search_all(spaces)[:_MAX_CANDIDATES]
+        candidates = filter(None, (self._finish(space, best) for space, best in optima))
+        return sorted(candidates, key=lambda candidate: -candidate.score)
 
-    def _drafts(self, spaces: list[SearchSpace]) -> list[tuple[SearchSpace, Optimum]]:
-        """Draft the best layer of each space, the best first."""
-        drafts = [(space, best) for space in spaces if (best := self._draft(space)) is not None]
-        return sorted(drafts, key=lambda draft: -draft[1].score)
+    def _search_all(self, spaces: list[SearchSpace]) -> list[tuple[SearchSpace, Optimum]]:
+        """Search each space coarsely; return the spaces with a throw, the best first."""
+        optima = [(space, best) for space in spaces if (best := self._search(space)) is not None]
+        return sorted(optima, key=lambda optimum: -optimum[1].score)
 
     def best_of(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> _Candidate | None:
         """Find the best layer of a space; `starts` are layers near which it may be."""
-        return self._finish(space, self._draft(space, starts))
+        return self._finish(space, self._search(space, starts))
 
     def _score(self, space: SearchSpace, cells: int | None = None) -> LayerScore:
         """Return the score of layers of a space."""
@@ -356,8 +357,8 @@ class _Search(NamedTuple):
             cancelled=self.cancelled,
         )
 
-    def _draft(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> Optimum | None:
-        """Find the best layer of a space; with few cells, and not as closely, if it has loss."""
+    def _search(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> Optimum | None:
+        """Find the best layer of a space, coarsely and with few cells if it has loss."""
         has_cells = space.rig.layer.needs_cells
         first = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]
         score = self._score(space, SEARCH_CELLS if has_cells else None)
@@ -370,7 +371,7 @@ class _Search(NamedTuple):
         )
 
     def _finish(self, space: SearchSpace, best: Optimum | None) -> _Candidate | None:
-        """Score a draft with all cells, and prefer the present layer if it is as good."""
+        """Score a layer with all cells, and prefer the present layer if it is as good."""
         score, present = self._score(space), space.rig.layer
         if best is not None and present.needs_cells:
             best = _refine(score, best, space.layers)
@@ -382,9 +383,9 @@ class _Search(NamedTuple):
 
 
 def _refine(score: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
-    """Search near a draft with all cells if its score with all cells is lower."""
+    """Search near a layer with all cells if its score with all cells is lower."""
     exact = float(score(best.thickness, best.wave_speed)[0])
-    if exact >= (1.0 - _DRAFT_ERROR) * best.score:
+    if exact >= (1.0 - _COARSE_ERROR) * best.score:
         return best._replace(score=exact)
     nearby = LayerRange(*(
         (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))

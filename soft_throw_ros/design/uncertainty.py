@@ -169,7 +169,7 @@ class Uncertainties:
         )
 
 
-def even_offsets(count: int) -> Floats:
+def quasi_random_offsets(count: int) -> Floats:
     """Return points that fill the cube from -1 to 1 evenly, the centre first: (count, 5)."""
     steps = _ROOT ** -np.arange(1.0, len(fields(Uncertainties)) + 1.0)
     return 2.0 * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0) - 1.0
@@ -248,7 +248,7 @@ def prediction_uncertainty(
 
     """
     uncertainties = uncertainties or Uncertainties()
-    variants = uncertainties.variants(rig, even_offsets(_SAMPLE))
+    variants = uncertainties.variants(rig, quasi_random_offsets(_SAMPLE))
     changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
     throws = throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)
     is_released = throws.ejection_speed > 0.0

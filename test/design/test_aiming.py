@@ -54,13 +54,13 @@ def rise(throw):
 def test_amplitude_for_a_height_reaches_it_when_simulated(seed):
     random = np.random.default_rng(seed)
     rig, height = some_rig(random), random.uniform(0.02, 0.15)
-    found = aim(rig, Target(height=height), max_amplitude=1.0)
-    assert found.is_reached
-    throw = simulate(rig_with(rig, {'amplitude': found.amplitude}))
-    assert found.rig == throw.rig
+    aimed = aim(rig, Target(height=height), max_amplitude=1.0)
+    assert aimed.is_reached
+    throw = simulate(rig_with(rig, {'amplitude': aimed.amplitude}))
+    assert aimed.rig == throw.rig
     assert rise(throw) == pytest.approx(height, rel=EXACT)
-    assert found.height == pytest.approx(height, rel=1e-6)
-    assert found.speed == pytest.approx(throw.last_release.velocity, rel=EXACT)
+    assert aimed.height == pytest.approx(height, rel=1e-6)
+    assert aimed.speed == pytest.approx(throw.last_release.velocity, rel=EXACT)
 
 
 @pytest.mark.parametrize('gravity', [0.0, 9.81])
@@ -68,26 +68,26 @@ def test_amplitude_for_a_height_reaches_it_when_simulated(seed):
 def test_amplitude_for_a_speed_reaches_it_when_simulated(seed, gravity):
     random = np.random.default_rng(seed)
     rig, speed = replace(some_rig(random), gravity=gravity), random.uniform(0.5, 1.5)
-    found = aim(rig, Target(speed=speed), max_amplitude=1.0)
-    assert found.is_reached
-    throw = simulate(found.rig)
+    aimed = aim(rig, Target(speed=speed), max_amplitude=1.0)
+    assert aimed.is_reached
+    throw = simulate(aimed.rig)
     assert throw.last_release.velocity == pytest.approx(speed, rel=EXACT)
-    assert found.height == (math.inf if gravity == 0.0 else pytest.approx(rise(throw), rel=EXACT))
+    assert aimed.height == (math.inf if gravity == 0.0 else pytest.approx(rise(throw), rel=EXACT))
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
 def test_layer_and_amplitude_together_need_the_least_amplitude(vary):
     rig, height = Rig(), 0.3
-    found = aim(rig, Target(height=height), vary=vary)
-    assert found.is_reached
-    assert last_release(found.rig).height == pytest.approx(height, rel=1e-6)
-    assert found.amplitude <= aim(rig, Target(height=height)).amplitude
+    aimed = aim(rig, Target(height=height), vary=vary)
+    assert aimed.is_reached
+    assert last_release(aimed.rig).height == pytest.approx(height, rel=1e-6)
+    assert aimed.amplitude <= aim(rig, Target(height=height)).amplitude
     thicknesses = np.geomspace(1e-3, 50e-3, 12) if vary != 'wave_speed' else [0.0168]
     for thickness in thicknesses:
         for wave_speed in np.geomspace(1.0, 50.0, 12) if vary != 'thickness' else [7.8]:
             less = rig_with(rig, {
                 'thickness': float(thickness), 'wave_speed': float(wave_speed),
-                'amplitude': 0.999 * found.amplitude,
+                'amplitude': 0.999 * aimed.amplitude,
             })
             assert last_release(less).height < height
 
@@ -95,9 +95,9 @@ def test_layer_and_amplitude_together_need_the_least_amplitude(vary):
 def test_amplitude_is_the_smallest_even_where_later_swings_throw():
     """Under strong gravity, the height is a discontinuous function of the amplitude."""
     rig = Rig(engine=Engine(frequency=15.0))
-    found = aim(rig, Target(height=0.03))
-    assert found.height == pytest.approx(0.03, rel=1e-6)
-    for amplitude in np.geomspace(1e-4, 0.999 * found.amplitude, 40):
+    aimed = aim(rig, Target(height=0.03))
+    assert aimed.height == pytest.approx(0.03, rel=1e-6)
+    for amplitude in np.geomspace(1e-4, 0.999 * aimed.amplitude, 40):
         try:
             flight = last_release(rig_with(rig, {'amplitude': float(amplitude)}))
         except ThrowUnresolvedError:
@@ -109,23 +109,23 @@ def test_amplitude_is_the_smallest_even_where_later_swings_throw():
 def test_limits_of_the_loads_are_kept(vary):
     few = {name: MATERIALS[name] for name in ('gelatin', 'sorbothane_30')}
     limits = Limits(max_strain=0.08, max_acceleration=900.0)
-    found = aim(Rig(), Target(height=0.1), vary=vary, limits=limits, materials=few)
-    assert found.peak_strain == predict(found.rig).peak_strain <= 0.08 * (1.0 + 1e-4)
-    assert found.peak_acceleration <= 900.0 * (1.0 + 1e-4)
-    assert found.is_reached == (found.height == pytest.approx(0.1, rel=1e-6))
-    assert found.is_reached or vary != 'both'
+    aimed = aim(Rig(), Target(height=0.1), vary=vary, limits=limits, materials=few)
+    assert aimed.peak_strain == predict(aimed.rig).peak_strain <= 0.08 * (1.0 + 1e-4)
+    assert aimed.peak_acceleration <= 900.0 * (1.0 + 1e-4)
+    assert aimed.is_reached == (aimed.height == pytest.approx(0.1, rel=1e-6))
+    assert aimed.is_reached or vary != 'both'
 
 
 def test_target_out_of_reach_gives_the_maximum_and_its_limit():
     rig, limits = Rig(), Limits(max_strain=0.15)
-    found = aim(rig, Target(height=0.5), limits=limits)
-    assert not found.is_reached
-    assert found.limited_by == 'max_strain'
-    assert found.peak_strain == pytest.approx(0.15, rel=1e-4)
+    aimed = aim(rig, Target(height=0.5), limits=limits)
+    assert not aimed.is_reached
+    assert aimed.limited_by == 'max_strain'
+    assert aimed.peak_strain == pytest.approx(0.15, rel=1e-4)
     assert aim(rig, Target(height=0.5), vary='both', limits=limits).is_reached
     # a little less is within reach, and a little more is not
     less, more = (
-        aim(rig, Target(height=factor * found.height), limits=limits) for factor in (0.999, 1.001)
+        aim(rig, Target(height=factor * aimed.height), limits=limits) for factor in (0.999, 1.001)
     )
     assert (less.is_reached, more.is_reached) == (True, False)
 
@@ -133,20 +133,20 @@ def test_target_out_of_reach_gives_the_maximum_and_its_limit():
 @pytest.mark.parametrize('limits', [Limits(), Limits(max_strain=10.0)])
 def test_layer_is_never_compressed_beyond_its_models(limits):
     assert aim(Rig(), Target(speed=4.0), limits=limits).is_reached
-    found = aim(Rig(), Target(speed=25.0), limits=limits)
-    assert not found.is_reached
-    assert found.peak_strain <= LARGEST_STRAIN * (1.0 + 1e-4)
-    assert found.limited_by == 'max_strain'
+    aimed = aim(Rig(), Target(speed=25.0), limits=limits)
+    assert not aimed.is_reached
+    assert aimed.peak_strain <= LARGEST_STRAIN * (1.0 + 1e-4)
+    assert aimed.limited_by == 'max_strain'
 
 
 def test_library_layer_with_the_least_amplitude_is_chosen():
     few = {name: MATERIALS[name] for name in ('gelatin', 'sorbothane_30', 'ecoflex_00-30')}
-    found = aim(Rig(), Target(height=0.2), vary='library', materials=few)
-    assert found.is_reached
-    assert found.layer.startswith(tuple(few))
+    aimed = aim(Rig(), Target(height=0.2), vary='library', materials=few)
+    assert aimed.is_reached
+    assert aimed.layer.startswith(tuple(few))
     for name, material in few.items():
         other = aim(Rig(), Target(height=0.2), vary='library', materials={name: material})
-        assert other.amplitude >= found.amplitude * (1.0 - 1e-6)
+        assert other.amplitude >= aimed.amplitude * (1.0 - 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_bad_requests_are_refused_with_the_value(make, message):
 
 def test_aim_with_a_lossy_layer_counts_its_last_release():
     rig = Rig(layer=Layer(loss_tangent=0.1))
-    found = aim(rig, Target(height=0.1))
-    throw = simulate(found.rig, model='cells')
+    aimed = aim(rig, Target(height=0.1))
+    throw = simulate(aimed.rig, model='cells')
     assert rise(throw) == pytest.approx(0.1, rel=2e-3)
-    assert found.amplitude > aim(Rig(), Target(height=0.1)).amplitude
+    assert aimed.amplitude > aim(Rig(), Target(height=0.1)).amplitude

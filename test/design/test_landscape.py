@@ -47,7 +47,7 @@ PARAMETERS = {
 def test_axes_of_the_paper_are_equivalent_to_the_ratios():
     rig = Rig(gravity=0.0)
     mu, x = 0.4, 1.3 / 1.7
-    for axes, place in (
+    for axes, coordinates in (
         ({'mu': [mu], 'kappa': [9.0]}, (mu, 9.0)),
         ({'x': [x], 'C': [9.0 * x]}, (x, 9.0 * x)),
         ({'C': [9.0 * x], 'x': [x]}, (9.0 * x, x)),
@@ -62,7 +62,7 @@ def test_axes_of_the_paper_are_equivalent_to_the_ratios():
             projectile=Projectile(mass=mu * rig.layer.mass),
             layer=replace(rig.layer, wave_speed=9.0 * rig.layer.thickness * 63.2),
         )
-        assert landscape.coordinates_of(like) == pytest.approx(place, rel=1e-12)
+        assert landscape.coordinates_of(like) == pytest.approx(coordinates, rel=1e-12)
 
 
 def test_spring_mass_is_a_line_in_one_ratio_and_names_its_omissions():
@@ -78,11 +78,11 @@ def test_spring_mass_is_a_line_in_one_ratio_and_names_its_omissions():
 
 def test_executors_give_the_same_map():
     axes = {'mu': np.geomspace(0.05, 5.0, 20), 'kappa': np.linspace(3.0, 20.0, 21)}
-    here = compute_landscape(Rig(), axes, release='last')
+    serial = compute_landscape(Rig(), axes, release='last')
     with ThreadPoolExecutor(3) as executor:
-        there = compute_landscape(Rig(), axes, release='last', executor=executor)
-    np.testing.assert_array_equal(there.energy_transfer, here.energy_transfer)
-    np.testing.assert_array_equal(there.ejection_phase, here.ejection_phase)
+        parallel = compute_landscape(Rig(), axes, release='last', executor=executor)
+    np.testing.assert_array_equal(parallel.energy_transfer, serial.energy_transfer)
+    np.testing.assert_array_equal(parallel.ejection_phase, serial.ejection_phase)
 
 
 @pytest.fixture(scope='module')
@@ -142,30 +142,32 @@ def test_every_point_agrees_with_a_throw_of_its_rig(name, shift):
             rig = rig_with(Rig(), values)
             release = exact_release(rig)
             error = 1e-9 if rig.gravity_ratio < 0.1 else 1e-5
-            found = landscape.ejection_phase[i, j], landscape.energy_transfer[i, j]
-            known = release.ejection_phase, release.energy_transfer
-            assert found == pytest.approx(known, rel=error)
+            results = landscape.ejection_phase[i, j], landscape.energy_transfer[i, j]
+            expected = release.ejection_phase, release.energy_transfer
+            assert results == pytest.approx(expected, rel=error)
             assert landscape.coordinates_of(rig) == (first, second)
 
 
 # Maxima that the paper reports or should have, computed with 40 digits: those of the paper's
 # equal densities, those of its rig, and with damping.
 @pytest.mark.parametrize(
-    ('axes', 'damping_ratio', 'density_ratio', 'place', 'phase', 'alpha'),
+    ('axes', 'damping_ratio', 'density_ratio', 'coordinates', 'phase', 'alpha'),
     [
         (('mu', 'kappa'), 0.064, 1.3, (0.255397, 8.575921), 0.386675, 4.142897),
         (('x', 'C'), 0.0, 1.0, (0.810221, 6.678011), 0.399440, 4.123215),
         (('x', 'C'), 0.0, 1.3, (0.847336, 6.983917), 0.399440, 4.123215),
     ],
 )
-def test_optimum_is_at_its_known_position(axes, damping_ratio, density_ratio, place, phase, alpha):
+def test_optimum_is_at_its_known_position(
+    axes, damping_ratio, density_ratio, coordinates, phase, alpha
+):
     rig = Rig(engine=Engine(damping_ratio=damping_ratio), gravity=0.0)
     near = {
         name: np.linspace(0.8 * value, 1.15 * value, 141)
-        for name, value in zip(axes, place, strict=True)
+        for name, value in zip(axes, coordinates, strict=True)
     }
     optimum = compute_landscape(rig, near, density_ratio=density_ratio).optimum
-    assert optimum.coordinates == pytest.approx(place, rel=3e-3)
+    assert optimum.coordinates == pytest.approx(coordinates, rel=3e-3)
     assert optimum.ejection_phase == pytest.approx(phase, abs=1e-3)
     assert optimum.energy_transfer == pytest.approx(alpha, rel=1e-5)
 
@@ -207,11 +209,11 @@ def test_projectile_that_is_held_is_nan():
 def test_cells_agree_with_the_exact_landscape():
     axes = {'x': np.linspace(0.2, 0.9, 4), 'C': np.linspace(2.0, 12.0, 4)}
     exact = compute_landscape(Rig(), axes)
-    found = {}
+    transfers = {}
     for model in ('cells', 'cells_elastic'):
-        found[model] = compute_landscape(Rig(), axes, model=model).energy_transfer
-        np.testing.assert_allclose(found[model], exact.energy_transfer, rtol=2e-3)
-    assert (found['cells'] != found['cells_elastic']).any()
+        transfers[model] = compute_landscape(Rig(), axes, model=model).energy_transfer
+        np.testing.assert_allclose(transfers[model], exact.energy_transfer, rtol=2e-3)
+    assert (transfers['cells'] != transfers['cells_elastic']).any()
     # a glued layer flies with the projectile and takes energy
     glued = compute_landscape(Rig(), axes, model='cells_glued').energy_transfer
     assert glued.max() < exact.energy_transfer.max()

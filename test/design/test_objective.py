@@ -55,8 +55,8 @@ def test_versatile_is_the_worst_of_each_projectile_at_each_frequency():
         for mass in masses
         for frequency in frequencies
     ]
-    found = score_of(rig, Versatile(masses=masses, frequencies=frequencies))
-    assert found == pytest.approx(min(transfers), rel=1e-9)
+    score = score_of(rig, Versatile(masses=masses, frequencies=frequencies))
+    assert score == pytest.approx(min(transfers), rel=1e-9)
 
 
 @pytest.mark.parametrize('thickness', [16.8e-3, 6e-3])
@@ -79,8 +79,8 @@ def test_scores_do_not_depend_on_other_computations(objective):
     score = LayerScore(Rig(), objective)
     thicknesses = np.linspace(2e-3, 40e-3, 60)
     together = score(thicknesses, 7.8)
-    alone = [score_of(replace(Rig(), layer=Layer(thickness=each)), objective)
-             for each in thicknesses[::7]]
+    alone = [score_of(replace(Rig(), layer=Layer(thickness=thickness)), objective)
+             for thickness in thicknesses[::7]]
     assert together[::7] == pytest.approx(alone, rel=1e-12)
 
 

@@ -20,9 +20,9 @@ from soft_throw_ros.design.optimise import find_best_layer, LayerRange
 LAYERS = LayerRange(thickness=(1e-3, 50e-3), wave_speed=(1.0, 50.0))
 
 
-def hill(thickness, wave_speed, *, place=(0.02, 9.0), width=0.5):
+def hill(thickness, wave_speed, *, top=(0.02, 9.0), width=0.5):
     """Return a hill of height 1 around a point."""
-    x, y = np.log(thickness / place[0]), np.log(wave_speed / place[1])
+    x, y = np.log(thickness / top[0]), np.log(wave_speed / top[1])
     return np.exp(-(x**2 + (y - x) ** 2) / width**2)
 
 
@@ -32,13 +32,13 @@ def cliff(thickness, wave_speed):
     return np.where(ratio < 500.0, (ratio / 500.0) ** 2, 0.3) * np.exp(-(x**2))
 
 
-@pytest.mark.parametrize('place', [(0.02, 9.0), (2.3e-3, 41.0)])
-def test_top_of_a_hill_is_found(place):
+@pytest.mark.parametrize('top', [(0.02, 9.0), (2.3e-3, 41.0)])
+def test_top_of_a_hill_is_found(top):
     def score(*layers):
-        return hill(*layers, place=place)
+        return hill(*layers, top=top)
 
     best = find_best_layer(score, LAYERS, step=0.1)
-    assert best[:2] == pytest.approx(place, rel=1e-4)
+    assert best[:2] == pytest.approx(top, rel=1e-4)
     assert best.score == pytest.approx(1.0, rel=1e-8)
 
 
@@ -51,7 +51,7 @@ def test_edge_of_a_cliff_is_found_from_above():
 def test_narrow_hill_that_is_higher_than_a_wide_one_is_found():
     def score(*layers):
         wide = 0.95 * hill(*layers)
-        return np.maximum(wide, hill(*layers, place=(4e-3, 30.0), width=0.15))
+        return np.maximum(wide, hill(*layers, top=(4e-3, 30.0), width=0.15))
 
     assert find_best_layer(score, LAYERS, step=0.06)[:2] == pytest.approx((4e-3, 30.0), rel=1e-4)
 

@@ -81,10 +81,10 @@ def test_best_motion_agrees_with_the_known_optimum(mass_ratio, rise, alpha):
 def test_layer_search_finds_the_optimum_for_unlimited_acceleration():
     """Only the mass ratio matters; the search begins far away, at a heavy projectile."""
     bounds = Limits(thickness_min=0.1, thickness_max=20.0)
-    found = find_layer_for_motion(unit_rig(1.5), limits_with(0.0), 'thickness', loads=bounds)
-    best = find_best_motion(found, limits_with(0.0), loads=bounds)
+    best_rig = find_layer_for_motion(unit_rig(1.5), limits_with(0.0), 'thickness', loads=bounds)
+    best = find_best_motion(best_rig, limits_with(0.0), loads=bounds)
     assert best.ejection_speed**2 == pytest.approx(5.85, rel=5e-3)
-    assert 0.15 < found.mass_ratio < 0.45  # the optimum is flat for a plate that may also brake
+    assert 0.15 < best_rig.mass_ratio < 0.45  # the optimum is flat for a plate that may also brake
 
 
 @pytest.mark.slow
@@ -93,8 +93,8 @@ def test_layer_search_is_as_good_as_the_known_layer(mass_ratio, rise, alpha):
     """The known layer has thickness 1, within the limits of the search."""
     bounds = Limits(thickness_min=0.2, thickness_max=1.2, wave_speed_min=0.9, wave_speed_max=1.1)
     rig = replace(unit_rig(mass_ratio), layer=replace(unit_rig(1.0).layer, thickness=0.3))
-    found = find_layer_for_motion(rig, limits_with(rise), 'both', loads=bounds)
-    best = find_best_motion(found, limits_with(rise), loads=bounds)
+    best_rig = find_layer_for_motion(rig, limits_with(rise), 'both', loads=bounds)
+    best = find_best_motion(best_rig, limits_with(rise), loads=bounds)
     assert best.ejection_speed**2 > alpha * (1.0 - 5e-3)
 
 

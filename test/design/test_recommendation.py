@@ -178,8 +178,8 @@ def test_best_ratios_are_exact(
 def test_recommended_layer_has_its_promised_energy_transfer(seed, vary):
     rig = random_rig(np.random.default_rng(seed))
     best = recommend(rig, vary=vary)
-    there = predict(replace(rig, layer=best.rig.layer))
-    assert all(value == getattr(best, name) for name, value in vars(there).items())
+    prediction = predict(replace(rig, layer=best.rig.layer))
+    assert all(value == getattr(best, name) for name, value in vars(prediction).items())
     assert best.score == best.energy_transfer
     speed = math.sqrt(best.energy_transfer) * Underdamped.of(rig.engine).peak_velocity
     assert best.ejection_speed == pytest.approx(speed, rel=1e-9)

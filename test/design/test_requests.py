@@ -116,15 +116,15 @@ def test_impossible_requests_are_refused(changes, message):
 @pytest.mark.parametrize('objective', ['peak', 'robust', 'versatile', 'aim'])
 @pytest.mark.parametrize('batches', [0, 3])
 def test_search_ends_when_cancelled_between_batches(objective, batches):
-    asked = []
+    calls = []
 
     def cancelled():
-        asked.append(True)
-        return len(asked) > batches
+        calls.append(True)
+        return len(calls) > batches
 
     with pytest.raises(SearchCancelledError):
         solve_request(changed(recommendation__objective=objective), cancelled=cancelled)
-    assert len(asked) == batches + 1
+    assert len(calls) == batches + 1
 
 
 def test_every_limit_counts():

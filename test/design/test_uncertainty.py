@@ -45,11 +45,11 @@ def off(rig, **errors):
 )
 def test_zero_uncertainty_leaves_the_prediction_unchanged(loss_tangent, gravity, error):
     rig = Rig(layer=Layer(loss_tangent=loss_tangent), gravity=gravity)
-    found, known = prediction_uncertainty(rig, NONE), predict(rig)
-    assert not found.jumps
-    assert found.stuck_fraction == 0.0
+    prediction, known = prediction_uncertainty(rig, NONE), predict(rig)
+    assert not prediction.jumps
+    assert prediction.stuck_fraction == 0.0
     for name in NAMES:
-        interval = getattr(found, name)
+        interval = getattr(prediction, name)
         assert interval.low == interval.high == pytest.approx(getattr(known, name), rel=error)
 
 
@@ -60,16 +60,16 @@ def test_zero_uncertainty_leaves_the_prediction_unchanged(loss_tangent, gravity,
 )
 def test_small_uncertainty_of_one_value_agrees_with_the_derivative(name, value):
     rig = Rig(gravity=0.0)
-    found = prediction_uncertainty(rig, replace(NONE, **{name: value}))
+    prediction = prediction_uncertainty(rig, replace(NONE, **{name: value}))
     ends = [predict(off(rig, **{name: sign * COVERAGE * value})) for sign in (-1.0, 1.0)]
     for result in NAMES:
         low, high = sorted(getattr(end, result) for end in ends)
-        assert getattr(found, result) == pytest.approx((low, high), abs=0.01 * (high - low))
+        assert getattr(prediction, result) == pytest.approx((low, high), abs=0.01 * (high - low))
 
 
 def test_interval_has_its_nominal_share_of_random_throws():
     rig, uncertainties = Rig(), Uncertainties()
-    found = prediction_uncertainty(rig, uncertainties)
+    prediction = prediction_uncertainty(rig, uncertainties)
     random = np.random.default_rng(0)
     sizes = vars(uncertainties).items()
     throws = [
@@ -78,7 +78,7 @@ def test_interval_has_its_nominal_share_of_random_throws():
     ]
     for name in NAMES:
         values = np.array([getattr(throw, name) for throw in throws])
-        interval = getattr(found, name)
+        interval = getattr(prediction, name)
         part = np.mean((values >= interval.low) & (values <= interval.high))
         assert part == pytest.approx(COVERAGE, abs=0.03)
 
@@ -93,19 +93,19 @@ def test_jump_within_the_uncertainties_is_seen_on_both_sides():
     jump = abs(times[edge + 1] - times[edge])
     assert jump > 1e-4
     rig = replace(rig, layer=replace(rig.layer, thickness=float(thicknesses[edge])))
-    found = prediction_uncertainty(rig, replace(NONE, thickness=2e-5))
-    assert found.jumps
-    assert found.ejection_time.high - found.ejection_time.low > 0.9 * jump
-    assert uncertainty_text(found).endswith(', with a jump between')
+    prediction = prediction_uncertainty(rig, replace(NONE, thickness=2e-5))
+    assert prediction.jumps
+    assert prediction.ejection_time.high - prediction.ejection_time.low > 0.9 * jump
+    assert uncertainty_text(prediction).endswith(', with a jump between')
     away = replace(rig, layer=replace(rig.layer, thickness=0.95 * rig.layer.thickness))
     assert not prediction_uncertainty(away, replace(NONE, thickness=2e-5)).jumps
 
 
 def test_share_held_by_gravity_is_counted():
     rig = Rig(engine=Engine(frequency=9.0))
-    found = prediction_uncertainty(rig, replace(NONE, frequency=6.0))
-    assert 0.0 < found.stuck_fraction < 1.0
-    assert 'no release in' in uncertainty_text(found)
+    prediction = prediction_uncertainty(rig, replace(NONE, frequency=6.0))
+    assert 0.0 < prediction.stuck_fraction < 1.0
+    assert 'no release in' in uncertainty_text(prediction)
     with pytest.raises(ThrowUnresolvedError, match='does not leave within the uncertainties'):
         prediction_uncertainty(Rig(engine=Engine(frequency=3.0)), NONE)
 

@@ -24,7 +24,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.objective import Objective
-from soft_throw_ros.design.uncertainty import even_offsets, Uncertainties, Variants
+from soft_throw_ros.design.uncertainty import quasi_random_offsets, Uncertainties, Variants
 
 _THROWS_INSIDE = 31
 """Number of candidates for the worst throw between the corners of the uncertainties."""
@@ -82,13 +82,13 @@ class Robust(Objective):
     def variants(self, rig: Rig) -> Variants:
         """Return the throws of the score; the first one is the nominal throw."""
         if self.quantile > 0.0:
-            offsets = even_offsets(_THROWS_OF_QUANTILE)
+            offsets = quasi_random_offsets(_THROWS_OF_QUANTILE)
         else:
             # Thickness, wave speed and frequency count by c / (L f) above all, which is farthest
             # off where the frequency is off against the wave speed.
             corners = np.array(list(itertools.product((-1.0, 1.0), repeat=4)))
             corners = np.insert(corners, 3, -corners[:, 0], axis=1)
-            inside = even_offsets(_THROWS_INSIDE + 1)[1:]
+            inside = quasi_random_offsets(_THROWS_INSIDE + 1)[1:]
             offsets = np.concatenate([np.zeros((1, 5)), corners, inside])
         return self.uncertainties.variants(rig, offsets)
 
