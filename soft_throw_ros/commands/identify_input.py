@@ -173,7 +173,7 @@ def _is_one_motion(record: ThrowTracks) -> bool:
 
 def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track]:
     """Read plate and projectile from the requested topic, or from the preferred one of a bag."""
-    heights: dict[str, dict[int, list[float]]] = {}  # by topic and stamp [ns]
+    heights: dict[str, dict[int, list[float]]] = defaultdict(dict)  # by topic and stamp [ns]
     readers: dict[str, JointStateReader] = defaultdict(JointStateReader)
     unreadable: Counter[str] = Counter()
     with BagReader(path) as reader:
@@ -185,34 +185,41 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
             except MessageError:
                 unreadable[name] += 1
                 continue
-            # some may be of other joints, as of the plate alone
-            seen = dict(zip(values.names, values.position))  # noqa: B905  or without positions
-            row = [seen.get(body, math.nan) for body in JOINTS]
-            heights.setdefault(name, {}).setdefault(values.stamp_ns, row)
+            # A message may lack a joint, or all positions
+            positions = dict(zip(values.names, values.position))  # noqa: B905
+            row = [positions.get(body, math.nan) for body in JOINTS]
+            heights[name].setdefault(values.stamp_ns, row)
         damage = reader.damage
     if damage:
         notes.append(f'{damage}; the readable messages are used')
-    result = sorted(
+    with_plate = [
         name
         for name, rows in heights.items()
         if any(math.isfinite(plate) for plate, _ in rows.values())
-    )
-    ranks = [[name for name in result if name.endswith(ending)] for ending in _PREFERRED]
-    best = next(filter(None, ranks), result)
-    if topic is not None:
-        best = [name for name in result if name == topic]
+    ]
+    best = _choose_topic(path, sorted(with_plate), topic)
+    if count := unreadable[best]:
+        notes.append(f'{path}: {count} messages on {best!r} are no {JOINT_STATE}, and left out')
+    stamps, table = zip(*sorted(heights[best].items()), strict=True)
+    time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
+    tracks = {}
+    for body, position in zip(JOINTS, np.transpose(table), strict=True):
+        is_seen = np.isfinite(position)
+        if is_seen.sum() >= FEWEST:
+            tracks[body] = Track(time=time[is_seen], position=position[is_seen])
+    return tracks
+
+
+def _choose_topic(path: str, topics: Sequence[str], request: str | None) -> str:
+    """Return the requested topic, or the preferred one; raise TrackError if it is not unique."""
+    if request is not None:
+        best = [topic for topic in topics if topic == request]
+    else:
+        ranks = [[topic for topic in topics if topic.endswith(end)] for end in _PREFERRED]
+        best = next(filter(None, ranks), list(topics))
     if len(best) != 1:
         raise TrackError(
-            f'{path}: no topic {topic or "of its own"} has positions of a joint plate; those '
-            f'that have: {", ".join(result) or "none"}' + (' (choose with --topic)' * bool(result))
+            f'{path}: no topic {request or "of its own"} has positions of a joint plate; those '
+            f'that have: {", ".join(topics) or "none"}' + ' (choose with --topic)' * bool(topics)
         )
-    if count := unreadable[best[0]]:
-        notes.append(f'{path}: {count} messages on {best[0]!r} are no {JOINT_STATE}, and left out')
-    rows = sorted(heights[best[0]].items())
-    time = 1e-9 * np.array([stamp - rows[0][0] for stamp, _ in rows])
-    tracks = {}
-    for body, item in zip(JOINTS, np.array([row for _, row in rows]).T, strict=True):
-        is_seen = np.isfinite(item)
-        if is_seen.sum() >= FEWEST:
-            tracks[body] = Track(time=time[is_seen], position=item[is_seen])
-    return tracks
+    return best[0]
