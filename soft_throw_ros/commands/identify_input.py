@@ -20,7 +20,7 @@ The options of `add_track_options` choose the bodies, columns and units.
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 import io
@@ -163,66 +163,53 @@ def _is_one_motion(record: ThrowTracks) -> bool:
 
 def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track]:
     """Read plate and projectile from the requested topic, or from the preferred one of a bag."""
-    records: dict[str, _Record] = defaultdict(_Record)  # by topic
+    heights: dict[str, dict[int, list[float]]] = defaultdict(dict)  # by topic and stamp [ns]
+    readers: dict[str, JointStateReader] = defaultdict(JointStateReader)
+    unreadable: Counter[str] = Counter()
     with BagReader(path) as reader:
         names = {channel.topic for channel in reader.channels if channel.type == JOINT_STATE}
         for message in reader.messages(names):
-            records[message.channel.topic].add(message.data)
-        if reader.damage:
-            notes.append(f'{reader.damage}; the readable messages are used')
-    topics = sorted(name for name, record in records.items() if record.has_plate)
-    if topic is not None:
-        choice = [name for name in topics if name == topic]
+            name = message.channel.topic
+            try:
+                values = readers[name].read(message.data)
+            except MessageError:
+                unreadable[name] += 1
+                continue
+            # A message may lack a joint, or all positions
+            positions = dict(zip(values.names, values.position))  # noqa: B905
+            row = [positions.get(body, math.nan) for body in JOINTS]
+            heights[name].setdefault(values.stamp_ns, row)
+        damage = reader.damage
+    if damage:
+        notes.append(f'{damage}; the readable messages are used')
+    with_plate = [
+        name
+        for name, rows in heights.items()
+        if any(math.isfinite(plate) for plate, _ in rows.values())
+    ]
+    best = _choose_topic(path, sorted(with_plate), topic)
+    if count := unreadable[best]:
+        notes.append(f'{path}: {count} messages on {best!r} are no {JOINT_STATE}, and left out')
+    stamps, table = zip(*sorted(heights[best].items()), strict=True)
+    time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
+    tracks = {}
+    for body, position in zip(JOINTS, np.transpose(table), strict=True):
+        is_seen = np.isfinite(position)
+        if is_seen.sum() >= FEWEST:
+            tracks[body] = Track(time=time[is_seen], position=position[is_seen])
+    return tracks
+
+
+def _choose_topic(path: str, topics: Sequence[str], request: str | None) -> str:
+    """Return the requested topic, or the preferred one; raise TrackError if it is not unique."""
+    if request is not None:
+        best = [topic for topic in topics if topic == request]
     else:
-        ranks = ([name for name in topics if name.endswith(ending)] for ending in _PREFERRED)
-        choice = next(filter(None, ranks), topics)
-    if len(choice) != 1:
+        ranks = [[topic for topic in topics if topic.endswith(end)] for end in _PREFERRED]
+        best = next(filter(None, ranks), list(topics))
+    if len(best) != 1:
         raise TrackError(
-            f'{path}: no topic {topic or "of its own"} has positions of a joint plate; those '
-            f'that have: {", ".join(topics) or "none"}' + (' (choose with --topic)' * bool(topics))
+            f'{path}: no topic {request or "of its own"} has positions of a joint plate; those '
+            f'that have: {", ".join(topics) or "none"}' + ' (choose with --topic)' * bool(topics)
         )
-    record = records[choice[0]]
-    if record.unreadable:
-        notes.append(
-            f'{path}: {record.unreadable} messages on {choice[0]!r} are no {JOINT_STATE}, and '
-            'left out'
-        )
-    return record.tracks()
-
-
-class _Record:
-    """Heights of the bodies in the messages of a topic."""
-
-    def __init__(self) -> None:
-        self.unreadable = 0
-        self._reader = JointStateReader()
-        self._heights: dict[int, list[float]] = {}  # by stamp [ns], in the order of `JOINTS`
-
-    def add(self, data: bytes) -> None:
-        """Add a message, or count one that cannot be decoded."""
-        try:
-            values = self._reader.read(data)
-        except MessageError:
-            self.unreadable += 1
-            return
-        # A message may have other joints only, or no positions.
-        heights = dict(zip(values.names, values.position))  # noqa: B905
-        row = [heights.get(body, math.nan) for body in JOINTS]
-        self._heights.setdefault(values.stamp_ns, row)
-
-    @property
-    def has_plate(self) -> bool:
-        """Return whether a message has a height of the plate."""
-        return any(math.isfinite(plate) for plate, _ in self._heights.values())
-
-    def tracks(self) -> dict[str, Track]:
-        """Return the tracks of all bodies with enough heights."""
-        stamps = sorted(self._heights)
-        time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
-        heights = np.array([self._heights[stamp] for stamp in stamps]).T
-        tracks = {}
-        for body, position in zip(JOINTS, heights, strict=True):
-            is_finite = np.isfinite(position)
-            if is_finite.sum() >= FEWEST:
-                tracks[body] = Track(time=time[is_finite], position=position[is_finite])
-        return tracks
+    return best[0]

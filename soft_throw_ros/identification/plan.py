@@ -98,7 +98,7 @@ class Condition(NamedTuple):
         treatments = {}
         for name, value in self.values().items():
             treatment = description.treatment(name)
-            if treatment.is_varied and treatment.role is ParameterRole.FREE:
+            if description.is_free(name):
                 treatment = Treatment(ParameterRole.PRIOR, error=_WEAKLY_KNOWN, is_relative=True)
             own = name == 'engine.amplitude' and treatment.is_varied
             treatments[name] = treatment._replace(value=value, is_per_throw=own)
