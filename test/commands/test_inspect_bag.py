@@ -139,7 +139,7 @@ def test_bag_without_screen_and_viewer_names_a_remedy(capsys, bag, monkeypatch) 
 
 def test_missing_rerun_names_its_installation(capsys, bag, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, 'rerun', None)
-    for name in ('rerun_canvas', 'rerun_layout', 'rerun_view', 'pictures'):
+    for name in ('rerun_canvas', 'rerun_layout', 'rerun_view', 'panels'):
         monkeypatch.delitem(sys.modules, f'soft_throw_ros.recording.{name}', raising=False)
         monkeypatch.delattr(recording, name, raising=False)
     code, (line,) = run(capsys, bag, '--save', 'scene.rrd')
