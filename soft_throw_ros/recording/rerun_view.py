@@ -31,8 +31,7 @@ from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording import timeseries as series
 from soft_throw_ros.recording.cdr import decode
 from soft_throw_ros.recording.message import Message
-from soft_throw_ros.recording.pictures import RigPicture, StrainPicture
-from soft_throw_ros.recording.recommendation_panel import RecommendationPanel
+from soft_throw_ros.recording.panels import RecommendationPanel, RigPicture, StrainPicture
 from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart
 
 _MILLI, _MICRO = 1e3, 1e6

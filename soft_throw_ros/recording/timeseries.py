@@ -69,14 +69,10 @@ _SAME_CLOCK = 3600 * SECOND
 _PHASES = {float(number): phase.value for number, phase in enumerate(Phase)}
 """Names of phases by their numbers in `~/phase_change`."""
 
-_STATE = np.dtype(
-    [('stamps', np.int64), ('published', np.int64)]
-    + [(name, np.float64, 2) for name in ('position', 'velocity', 'force')]
-)
 
-
-class RigStates(np.recarray[Any, Any]):  # numpy has no static type for records
-    """States of plate and projectile, one record per stamp, in ascending order."""
+@dataclass(frozen=True, kw_only=True)
+class RigStates:
+    """States of plate and projectile."""
 
     stamps: Stamps  # (n,) [ns]
     published: Stamps  # (n,) Times of publishing. [ns]
@@ -85,12 +81,18 @@ class RigStates(np.recarray[Any, Any]):  # numpy has no static type for records
     velocity: Floats
     force: Floats
 
+    def select(self, rows: slice | NDArray[np.intp]) -> RigStates:
+        """Return some of the states."""
+        return RigStates(**{name: values[rows] for name, values in vars(self).items()})
+
     @classmethod
-    def join(cls, *parts: NDArray[np.void]) -> RigStates:
-        """Concatenate parts, sort the records by stamp, and drop repeated stamps."""
-        joined = np.concatenate(parts)
-        _, order = np.unique(joined['stamps'], return_index=True)
-        return joined[order].view(cls)
+    def join(cls, *batches: RigStates) -> RigStates:
+        """Concatenate states in the order of their stamps, without repeated stamps."""
+        joined = cls(**{
+            name: np.concatenate([getattr(batch, name) for batch in batches])
+            for name in vars(batches[0])
+        })
+        return joined.select(np.unique(joined.stamps, return_index=True)[1])
 
     @property
     def tick(self) -> int:
@@ -263,7 +265,7 @@ class TwinReader:
         stamp = due if abs(due - stamp) < _SAME_CLOCK else stamp
         if self.states is not None:
             first = max(int(np.searchsorted(self.states.stamps, stamp)) - 1, 0)
-            self.states = self.states[first:].view(RigStates)
+            self.states = self.states.select(slice(first, None))
         self._set_rig(settings)
         self.wanted = {**settings, **_known(entry.get('pending', {}))}
         self.throw = ThrowStart(stamp=stamp, number=number, time_scale=self.time_scale)
@@ -276,16 +278,22 @@ class TwinReader:
         joints = _read_joint_states(messages)
         if not set(JOINTS) <= set(joints.names):
             return None
-        records = np.zeros(len(messages), _STATE)
         columns = [joints.names.index(name) for name in JOINTS]
-        for name, values in vars(joints).items():
-            if name in ('position', 'velocity', 'effort') and values.shape[1] == len(joints.names):
-                records['force' if name == 'effort' else name] = values[:, columns]
-        _check_numbers(records['position'], records['velocity'], records['force'])
-        records['stamps'], records['published'] = joints.stamps, list(map(_published, messages))
-        states = RigStates.join(records)
+        missing = np.zeros((len(messages), len(JOINTS)))
+        position, velocity, force = (
+            values[:, columns] if values.shape[1] == len(joints.names) else missing
+            for values in (joints.position, joints.velocity, joints.effort)
+        )
+        _check_numbers(position, velocity, force)
+        states = RigStates.join(RigStates(
+            stamps=joints.stamps,
+            published=np.array([_published(message) for message in messages]),
+            position=position,
+            velocity=velocity,
+            force=force,
+        ))
         before = () if self.states is None else (self.states,)
-        self.states = RigStates.join(*before, states)[-_KEPT_STATES:].view(RigStates)
+        self.states = RigStates.join(*before, states).select(slice(-_KEPT_STATES, None))
         return states
 
     def read_positions(

@@ -163,6 +163,10 @@ def test_throw_field_agrees_with_the_throw(quiet) -> None:
     (expected,) = (outputs.throw_field for outputs in exact.outputs if outputs.throw_field)
     assert field.times == pytest.approx(expected.times, rel=2e-3)
     assert np.abs(field.strain - expected.strain).max() < 5e-3
+    time, *energies = field.energies.T
+    for measured, exact_energy in zip(energies, expected.energies.T[1:], strict=True):
+        difference = np.interp(expected.energies[:, 0], time, measured) - exact_energy
+        assert np.abs(difference).max() < 5e-3 * expected.energies.max()
     assert field.start_ns - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
 
 
