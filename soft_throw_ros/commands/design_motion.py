@@ -31,10 +31,8 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    print_lines,
-    print_text,
+    print_result,
     slow_notice,
-    to_json,
     write_predictions,
     written_file,
 )
@@ -86,23 +84,18 @@ def run(arguments: argparse.Namespace) -> int:
         for path in arguments.output:
             with written_file(path) as unfinished:
                 _WRITERS[path.suffix](design, unfinished)
-    if arguments.json:
-        parameters = {name: settings[name] for name in RIG_PARAMETERS}
-        motion = {**vars(design), 'summary': motion_summary(design)}
-        print_text(to_json({'parameters': parameters, 'motion': motion}))
-        return 0
-    lines = [motion_summary(design), '', *_table(design, settings['max_strain'])]
-    if 'now' in design.others and design.limits == PlateLimits.of(design.others['now'].engine):
-        lines.append(
-            'The limits of the plate are those of the present motion; set others by '
-            '--plate-speed, --plate-acceleration, --plate-jerk and --plate-travel.'
-        )
-    print_lines(lines)
+    data = {
+        'parameters': {name: settings[name] for name in RIG_PARAMETERS},
+        'motion': {**vars(design), 'summary': motion_summary(design)},
+    }
+    print_result(data, _lines(design, settings['max_strain']), as_json=arguments.json)
     return 0
 
 
-def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
-    """Return the lines of a table that compares all cases."""
+def _lines(design: MotionDesign, max_strain: Any) -> Iterator[str]:
+    """Yield the summary, and a table that compares all cases."""
+    yield motion_summary(design)
+    yield ''
     rigs = {**design.others, 'best': design.rig, 'both': design.rig}
     columns: dict[str, Mapping[str, float] | None] = {}
     for name, throw in design.throws.items():
@@ -117,6 +110,11 @@ def _table(design: MotionDesign, max_strain: Any) -> Iterator[str]:
             }
         columns[_HEADS.get(name, name)] = column
     yield from write_predictions(columns, max_strain)
+    if 'now' in design.others and design.limits == PlateLimits.of(design.others['now'].engine):
+        yield (
+            'The limits of the plate are those of the present motion; set others by '
+            '--plate-speed, --plate-acceleration, --plate-jerk and --plate-travel.'
+        )
 
 
 def _write_csv(design: MotionDesign, path: Path) -> None:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import get_args
 
 from soft_throw_ros.commands.design_texts import remarks_of, summary_of, uncertainty_text, UNITS
@@ -30,9 +31,8 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    print_text,
+    print_result,
     slow_notice,
-    to_json,
     write_predictions,
 )
 from soft_throw_ros.configuration import Entry, rig_of, Settings, TWIN
@@ -44,7 +44,11 @@ from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.recommendation import Recommendation, Vary
 from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.sensitivity import Sensitivity, TOLERATED_LOSS
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.uncertainty import (
+    prediction_uncertainty,
+    PredictionUncertainty,
+    Uncertainties,
+)
 
 NOT_REACHED = 1
 """Exit code if the target of an aim is out of reach."""
@@ -117,40 +121,36 @@ def run_aim(arguments: argparse.Namespace) -> int:
 def _print_answer(
     settings: Settings,
     name: str,
-    lines: Callable[[Settings, RequestResult], Iterator[str]],
+    lines: Callable[[Settings, RequestResult, PredictionUncertainty], Iterator[str]],
     as_json: bool,
 ) -> RequestResult:
     """Compute a recommendation or an aim, print the result, and return it."""
     with slow_notice('design'):
         best = solve_request(settings)
+        uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
         summary = summary_of(best, rig_of(settings), settings)
-        if as_json:
-            parameters = {
-                key: settings[key]
-                for key in (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS, *RECOMMENDATION_PARAMETERS)
-            }
-            uncertainties = Uncertainties.from_settings(settings)
-            uncertainty = prediction_uncertainty(best.rig, uncertainties).values()
-            text = to_json({
-                'parameters': parameters,
-                name: {**vars(best), 'summary': summary},
-                'uncertainty': uncertainty,
-            })
-        else:
-            text = '\n'.join([summary, '', *lines(settings, best)]) + '\n'
-    print_text(text)
+        parameters = (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS, *RECOMMENDATION_PARAMETERS)
+        data = {
+            'parameters': {key: settings[key] for key in parameters},
+            name: {**vars(best), 'summary': summary},
+            'uncertainty': uncertainty.values(),
+        }
+        text = chain([summary, ''], lines(settings, best, uncertainty))
+        print_result(data, text, as_json=as_json)
     return best
 
 
-def _table(settings: Settings, best: RequestResult, columns: Columns) -> Iterator[str]:
+def _table(
+    columns: Columns, max_strain: float, uncertainty: PredictionUncertainty
+) -> Iterator[str]:
     """Write predictions side by side, and the intervals of the proposed throw."""
-    limit = best.rig.layer.linear_range(settings['max_strain'])
-    yield from write_predictions(columns, limit)
-    uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
+    yield from write_predictions(columns, max_strain)
     yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
 
 
-def _aim_lines(settings: Settings, best: RequestResult) -> Iterator[str]:
+def _aim_lines(
+    settings: Settings, best: RequestResult, uncertainty: PredictionUncertainty
+) -> Iterator[str]:
     """Compare the present throw, the aimed one, and the aimed one with the present layer."""
     assert isinstance(best, Aim)  # because the objective is 'aim'
     rig = rig_of(settings)
@@ -169,10 +169,14 @@ def _aim_lines(settings: Settings, best: RequestResult) -> Iterator[str]:
                 columns['with_this_layer'] = vars(with_present_layer)
         except ThrowUnresolvedError:
             pass  # the present layer throws with no amplitude
-    yield from _table(settings, best, columns)
+    yield from _table(
+        columns, best.rig.layer.linear_range(settings['max_strain']), uncertainty
+    )
 
 
-def _recommendation_lines(settings: Settings, best: RequestResult) -> Iterator[str]:
+def _recommendation_lines(
+    settings: Settings, best: RequestResult, uncertainty: PredictionUncertainty
+) -> Iterator[str]:
     """Compare the present layer with the recommended ones; list the sensitivities."""
     assert isinstance(best, Recommendation)  # because the objective is not 'aim'
     columns: Columns = {'now': vars(best.now) if best.now else None, 'recommended': vars(best)}
@@ -180,7 +184,9 @@ def _recommendation_lines(settings: Settings, best: RequestResult) -> Iterator[s
         alternative = getattr(best, f'by_{name}')
         if name != best.vary and alternative is not None:
             columns[f'by_{name}'] = vars(alternative)
-    yield from _table(settings, best, columns)
+    yield from _table(
+        columns, best.rig.layer.linear_range(settings['max_strain']), uncertainty
+    )
     yield ''
     yield (
         f'around the recommended layer{"best":>11}{f"{100.0 * TOLERATED_LOSS:g} % within +-":>18}'

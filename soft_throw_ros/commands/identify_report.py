@@ -25,8 +25,7 @@ from soft_throw_ros.commands.options import new_file
 from soft_throw_ros.commands.output import (
     CommandParser,
     print_note,
-    print_text,
-    to_json,
+    print_result,
     written_file,
 )
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
@@ -101,24 +100,27 @@ class IdentificationReport:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...]
 
-    def table(self) -> str:
-        """Return the report as text."""
+    def table(self) -> Iterator[str]:
+        """Yield the lines of the report."""
         width = max(map(len, PARAMETERS))
-        lines = [*self.answer, ''] if self.answer else []
-        lines += [f'{name:{width}}  {text}' for name, text in self._estimates()]
+        if self.answer:
+            yield from (*self.answer, '')
+        for name, text in self._estimates():
+            yield f'{name:{width}}  {text}'
         for name, value in self.held.items():
             unit, factor = _handy_unit(unit_of(name))
             text = f'{factor * value:.6g} {unit}'.rstrip()
-            lines.append(f'{name:{width}}  {text}, taken as known')
-        lines += [f'{name:{width}}  {value}' for name, value in self.chosen.items()]
-        return '\n'.join([*lines, '', *self.lines]) + '\n'
+            yield f'{name:{width}}  {text}, taken as known'
+        for name, model in self.chosen.items():
+            yield f'{name:{width}}  {model}'
+        yield from ('', *self.lines)
 
-    def json(self) -> str:
-        """Return the report as JSON, in SI units."""
+    def values(self) -> dict[str, object]:
+        """Return the report for programs, in SI units."""
         result = {
             name: {**value._asdict(), 'unit': unit_of(name)} for name, value in self.result.items()
         }
-        return to_json({
+        return {
             'sources': self.sources,
             'found': result,
             'held': self.held,
@@ -126,7 +128,7 @@ class IdentificationReport:
             **self.data,
             'notes': self.notes,
             'warnings': self.warnings,
-        })
+        }
 
     def _estimates(self) -> Iterator[tuple[str, str]]:
         for name, value in self.result.items():
@@ -153,7 +155,7 @@ class IdentificationReport:
         identified = self.put_into(settings)
         if arguments.output:
             self.write(identified, arguments.output)
-        print_text(self.json() if arguments.json else self.table())
+        print_result(self.values(), self.table(), as_json=arguments.json)
         for message in (*self.notes, *self.warnings):
             print_note(command, message)
 

@@ -157,6 +157,14 @@ def print_note(command: str, text: str) -> None:
     print(f'{command}: {text}', file=sys.stderr, flush=True)
 
 
+def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
+    """Print a result as JSON, or else as lines, which are only then computed."""
+    if as_json:
+        print_text(to_json(data))
+    else:
+        print_lines(lines)
+
+
 def print_lines(lines: Iterable[str]) -> None:
     """Print lines as `print_text` does."""
     print_text('\n'.join(lines) + '\n')

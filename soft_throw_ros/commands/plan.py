@@ -32,12 +32,10 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    print_lines,
     print_note,
-    print_text,
+    print_result,
     run_command,
     slow_notice,
-    to_json,
 )
 from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.rig import Rig
@@ -136,21 +134,18 @@ def _run(arguments: argparse.Namespace) -> int:
         while error > goal and len(chosen) < _MAX_THROWS:
             chosen.append(next(best_throws))
             error = chosen[-1].energy_transfer_error
-    if arguments.json:
-        print_text(to_json({
-            'candidates': candidates,
-            'throws': chosen,
-            'goal': goal,
-            'before': before,
-            'is_reached': error <= goal,
-            'notes': notes,
-        }))
-    else:
-        if measured:
-            print_lines([f'The present measurements determine alpha to {100.0 * before:.2g} %.'])
-        print_lines(
-            _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, setup)
-        )
+    data = {
+        'candidates': candidates,
+        'throws': chosen,
+        'goal': goal,
+        'before': before,
+        'is_reached': error <= goal,
+        'notes': notes,
+    }
+    head = [f'The present measurements determine alpha to {100.0 * before:.2g} %.']
+    table = _lines(candidates, chosen, values_of(rig, _COLUMNS), arguments.goal, setup)
+    lines = itertools.chain(head if measured else (), table)
+    print_result(data, lines, as_json=arguments.json)
     return 0
 
 

@@ -56,7 +56,14 @@ def read(path: Path) -> Located | None:
         raise ParameterError(f'{path}: is no UTF-8 text') from None
     except ValueError as error:
         raise ParameterError(f'{path}: {error}') from None  # no name that a file can have
-    return _parse(text, str(path))
+    try:
+        root = yaml.compose(text, Loader=_Loader)
+        return None if root is None else _locate(root, path)
+    except (yaml.YAMLError, RecursionError) as error:
+        mark = getattr(error, 'problem_mark', None)
+        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
+        where = f'{path}:{mark.line + 1}' if mark else path
+        raise ParameterError(f'{where}: {problem}') from None
 
 
 class _Loader(yaml.SafeLoader):
@@ -70,22 +77,12 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def _parse(text: str, name: str) -> Located | None:
-    def locate(node: yaml.Node) -> Located:
-        where = f'{name}:{node.start_mark.line + 1}'
-        if not isinstance(node, yaml.MappingNode):
-            return Located(where, _value(node))
-        items = ((str(key.value), locate(value)) for key, value in node.value)
-        return Located(where, items=tuple(items))
-
-    try:
-        root = yaml.compose(text, Loader=_Loader)
-        return None if root is None else locate(root)
-    except (yaml.YAMLError, RecursionError) as error:
-        mark = getattr(error, 'problem_mark', None)
-        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
-        where = f'{name}:{mark.line + 1}' if mark else name
-        raise ParameterError(f'{where}: {problem}') from None
+def _locate(node: yaml.Node, path: Path) -> Located:
+    where = f'{path}:{node.start_mark.line + 1}'
+    if not isinstance(node, yaml.MappingNode):
+        return Located(where, _value(node))
+    items = ((str(key.value), _locate(value, path)) for key, value in node.value)
+    return Located(where, items=tuple(items))
 
 
 def _value(node: yaml.Node) -> Any:
