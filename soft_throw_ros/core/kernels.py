@@ -24,8 +24,8 @@ import numba as nb
 Record: TypeAlias = Any
 """A record of numpy, whose fields numba knows and type checkers do not."""
 
-# Without fused multiply-add: which ones LLVM would fuse depends on where a subroutine is compiled,
-# and a kernel from numba's cache would then differ in the last bits from one just compiled.
+# There is no fused multiply-add: LLVM would fuse different operations in a kernel from numba's
+# cache than in the same kernel just compiled, and the last bits of results would differ.
 _OPTIONS: dict[str, Any] = {'error_model': 'numpy'}
 
 kernel = nb.njit(cache=True, nogil=True, **_OPTIONS)
