@@ -238,7 +238,7 @@ _ROWS = (
     _Row('peak_contact_strain', '  at the projectile', '%', 1e2),
     _Row('peak_acceleration', 'peak acceleration', 'm/s2'),
     _Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
-    _Row('peak_force', 'peak force on plate', 'N'),
+    _Row('peak_plate_force', 'peak force on plate', 'N'),
     _Row('plate_work', 'work of the plate', 'mJ', 1e3),
     _Row('layer_energy', '  to the layer', 'mJ', 1e3),
     _Row('projectile_energy', '  to the projectile', 'mJ', 1e3),

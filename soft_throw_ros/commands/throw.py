@@ -259,7 +259,7 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         'peak_plate_strain': throw.loads.plate_strain,
         'peak_contact_strain': throw.loads.contact_strain,
         'peak_acceleration': throw.loads.acceleration,
-        'peak_force': throw.loads.plate_force,
+        'peak_plate_force': throw.loads.plate_force,
         'plate_work': throw.energies.plate_work,
     }
     if model != 'cells_glued':  # where the layer is thrown, too

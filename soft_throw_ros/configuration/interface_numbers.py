@@ -72,7 +72,9 @@ THROW_NUMBERS = (
     Number('max_strain', 'Strain at which the linear range of the layer ends'),
     Number('peak_acceleration', 'Largest acceleration of the projectile up to the first release',
            'm/s2'),
-    Number('peak_force', 'Largest force of the layer on the plate up to the first release', 'N'),
+    Number(
+        'peak_plate_force', 'Largest force of the layer on the plate up to the first release', 'N'
+    ),
     Number('plate_work', 'Work of the plate up to the first release', 'J'),
     Number('lead', 'Time from the first prediction of a measured throw to the release', 's'),
     Number('accuracy.release_time_error', 'Standard error of the time of the release', 's'),
@@ -132,7 +134,7 @@ RECOMMENDED_NUMBERS = (
     Number('peak_acceleration', 'Largest acceleration of the projectile up to the release',
            'm/s2'),
     Number('g_load', 'The same acceleration over standard gravity'),
-    Number('peak_force', 'Largest force of the layer on the plate up to the release', 'N'),
+    Number('peak_plate_force', 'Largest force of the layer on the plate up to the release', 'N'),
     Number('plate_work', 'Work of the plate up to the release', 'J'),
     Number('kinetic_energy', 'Kinetic energy of the projectile at the release', 'J'),
     Number('score', 'Energy transfer factor that counts for the objective'),

@@ -287,7 +287,7 @@ _ENTRIES = (
         'Largest strain of the layer up to the first release'),
     row('recommended.peak_acceleration', math.nan,
         'Largest acceleration of the projectile up to the first release', unit='m/s2'),
-    row('recommended.peak_force', math.nan,
+    row('recommended.peak_plate_force', math.nan,
         'Largest force on the plate up to the first release', unit='N'),
     row('recommended.plate_work', math.nan, 'Work of the plate up to the first release', unit='J'),
 )
@@ -450,6 +450,7 @@ TWIN = Table(
         'measured.window': 'measured.smoothing_window',
         'measured.wait': 'measured.latency',
         'layer.elasticity': 'layer.stress_strain_law',
+        'recommended.peak_force': 'recommended.peak_plate_force',
     },
     resolve=resolve_stack,
     rules=(

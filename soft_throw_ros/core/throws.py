@@ -99,7 +99,7 @@ class Throws(NamedTuple):
     """Largest magnitude of the strain in the layer. [-]"""
     peak_acceleration: Floats
     """Largest magnitude of the projectile's acceleration. [m/s2]"""
-    peak_force: Floats
+    peak_plate_force: Floats
     """Largest magnitude of the layer's force on the plate. [N]"""
     plate_work: Floats
     """Work of the plate up to the release. [J]"""

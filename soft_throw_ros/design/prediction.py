@@ -50,7 +50,7 @@ class PredictedThrow:
     """Largest magnitude of the strain anywhere in the layer. [-]"""
     peak_acceleration: float
     """Largest magnitude of the projectile's acceleration. [m/s2]"""
-    peak_force: float
+    peak_plate_force: float
     """Largest magnitude of the layer's force on the plate. [N]"""
     plate_work: float
     """Work of the plate up to the release, which an actuator has to deliver. [J]"""

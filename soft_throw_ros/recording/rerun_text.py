@@ -43,7 +43,7 @@ _THROW_ROWS = (
     _Row('peak_plate_speed', 'plate speed Vₚ* (m/s)'),
     _Row('peak_strain', 'peak strain (%)', 1e2),
     _Row('peak_acceleration', 'peak acceleration (g)', 1.0 / STANDARD_GRAVITY),
-    _Row('peak_force', 'peak force on plate (N)'),
+    _Row('peak_plate_force', 'peak force on plate (N)'),
     _Row('plate_work', 'work of the plate (mJ)', 1e3),
     _Row('apex_height', 'apex (mm)', 1e3),
     _Row('lead', 'release known before (ms)', 1e3),

@@ -182,7 +182,7 @@ class ThrowResult:
     peak_strain: float  # anywhere in the layer [-]
     max_strain: float  # where the linear range ends [-]
     peak_acceleration: float  # of the projectile [m/s2]
-    peak_force: float  # of the layer on the plate [N]
+    peak_plate_force: float  # of the layer on the plate [N]
     plate_work: float  # [J]
     apex_height: float  # of the lower face above the plate's rest; infinite without gravity [m]
     recontacts: int  # the layer caught up with the projectile before that had fallen back

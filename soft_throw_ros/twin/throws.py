@@ -165,7 +165,7 @@ class OngoingThrow(ABC):
             peak_strain=loads.strain,
             max_strain=tick.config.max_strain,
             peak_acceleration=loads.acceleration,
-            peak_force=loads.plate_force,
+            peak_plate_force=loads.plate_force,
             plate_work=stepper.plate_work,
             apex_height=(
                 apex_height(ejected[-1], prepared.rig.gravity) if ejected else rest_height

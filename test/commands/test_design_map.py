@@ -142,7 +142,7 @@ def test_drawing_has_the_values_on_their_axes_and_the_optimum():
     assert (panel.get_xscale(), panel.get_yscale()) == ('log', 'linear')
     assert panel.get_xlim() == pytest.approx((2.0, 50.0))
     lines = {line.get_label().partition(',')[0]: line for line in panel.lines}
-    optimum = [1e3 * value for value in landscape.optimum.place]
+    optimum = [1e3 * value for value in landscape.optimum.coordinates]
     np.testing.assert_allclose(lines['largest α'].get_xydata(), [optimum])
 
 
