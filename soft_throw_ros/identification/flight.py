@@ -11,22 +11,27 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The ejection speed of a projectile, measured in flight."""
+"""A throw with a commanded motion: the speed in flight, and the delay of the plate."""
 
 from __future__ import annotations
 
+import numpy as np
 from scipy.stats import theilslopes
+from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.identification.tracks import Track
+
+_FAST = 0.5
+"""Smallest speed of the plate that shows its delay, relative to its peak speed. [-]"""
 
 
 def flight_speed(track: Track, *, gravity: float) -> float:
     """
-    Return the speed of the projectile at the start of its flight.
+    Return the speed of the projectile at its release.
 
     Parameters
     ----------
     track : Track
-        Heights during the flight, from the release on.
+        Heights during the flight; time 0 is the release.
     gravity : float
         Acceleration of gravity. [m/s2]
 
@@ -46,6 +51,37 @@ def flight_speed(track: Track, *, gravity: float) -> float:
     1.5
 
     """
-    time = track.time - track.time[0]
-    height = track.position + 0.5 * gravity * time**2
-    return float(theilslopes(height, time).slope)
+    height = track.position + 0.5 * gravity * track.time**2
+    return float(theilslopes(height, track.time).slope)
+
+
+def motion_delay(track: Track, motion: PlateMotion) -> float:
+    """
+    Return the delay of a plate behind its commanded motion, to first order.
+
+    Parameters
+    ----------
+    track : Track
+        Heights of the plate; time 0 is the commanded start.
+    motion : PlateMotion
+        The commanded motion.
+
+    Returns
+    -------
+    float
+        Median of the differences of height over the velocity, where the plate is fast. [s]
+
+    Examples
+    --------
+    >>> from soft_throw_ros.core.plate import motion_of
+    >>> from soft_throw_ros.core.rig import Engine
+    >>> time, motion = np.linspace(1e-3, 0.02, 200), motion_of(Engine())
+    >>> late = Track(time=time, position=motion.position(time - 1e-4))
+    >>> f'{motion_delay(late, motion):.1e}'
+    '1.0e-04'
+
+    """
+    velocity = motion.velocity(track.time)
+    is_fast = np.abs(velocity) > _FAST * np.abs(velocity).max()
+    difference = motion.position(track.time) - track.position
+    return float(np.median(difference[is_fast] / velocity[is_fast]))

@@ -26,11 +26,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 import math
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
@@ -50,10 +49,16 @@ from soft_throw_ros.configuration.interface import (
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
-from soft_throw_ros.identification.flight import flight_speed
+from soft_throw_ros.identification.flight import flight_speed, motion_delay
+from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes.conversions import msg_to_throw_result, msg_to_time, status_to_msg
+from soft_throw_ros.nodes.conversions import (
+    msg_to_motion,
+    msg_to_throw_result,
+    msg_to_time,
+    status_to_msg,
+)
 from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
@@ -74,7 +79,8 @@ _AFTER = 6.0  # length of the track after the release [plate periods]
 _ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
-_KEPT_COMMANDS = 4  # number of the last commands whose starts are kept
+_KEPT_COMMANDS = 4  # number of the last commands that are kept
+_RELEASE_TIME_ERROR = 1e-4  # standard error of the release, by delays of the sensors [s]
 _MIN_SPEED_RATIO = 0.5  # smallest measured speed of a throw that was played, by the predicted one
 _STOP_TIMEOUT = 0.3  # longest wait for the thread to end [s]
 # The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
@@ -92,24 +98,12 @@ class _RequestFailed(Exception):
     """Another node rejected a request or did not answer; the message names node and reason."""
 
 
-@dataclass
-class _MeasuredThrows:
-    """Ejection speeds of some throws, measured in flight, and their energy transfers."""
+class _MeasuredThrow(NamedTuple):
+    """A throw whose projectile was measured in flight."""
 
-    speeds: list[float] = field(default_factory=list)  # [m/s]
-    energy_transfers: list[float] = field(default_factory=list)  # [-]
-
-    def add(self, speed: float, peak_plate_speed: float) -> None:
-        self.speeds.append(speed)
-        self.energy_transfers.append((speed / peak_plate_speed) ** 2)
-
-    def values(self, prefix: str) -> dict[str, str]:
-        """Return the means with their standard errors."""
-        return {
-            f'{prefix}.ejection_speed': _mean(self.speeds),
-            f'{prefix}.energy_transfer': _mean(self.energy_transfers),
-            f'{prefix}.throws': str(len(self.speeds)),
-        }
+    speed: float  # at the release [m/s]
+    speed_error: float  # common error of the speeds of such throws [m/s]
+    peak_plate_speed: float  # [m/s]
 
 
 class Calibrator(RunnableNode):
@@ -142,10 +136,10 @@ class Calibrator(RunnableNode):
         self.create_steady_timer(1.0, self._publish_status)
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_throws: Rig | None = None  # of the collected throws
-        self._predicted = _MeasuredThrows()  # in a row that the twin predicted well
-        self._before = _MeasuredThrows()  # those before the motion was commanded
-        self._commanded: _MeasuredThrows | None = None  # None before the motion is commanded
-        self._starts_ns: deque[int] = deque(maxlen=_KEPT_COMMANDS)
+        self._predicted: list[_MeasuredThrow] = []  # in a row that the twin predicted well
+        self._before: list[_MeasuredThrow] = []  # those before the motion was commanded
+        self._commanded: list[_MeasuredThrow] | None = None  # None before it was commanded
+        self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
         self._is_busy = False
         self._closing = threading.Event()
         self._worker = LatestOnlyWorker(
@@ -164,7 +158,7 @@ class Calibrator(RunnableNode):
     # Executor thread
 
     def _on_command(self, msg: JointTrajectory) -> None:
-        self._starts_ns.append(msg_to_time(msg.header.stamp))
+        self._commands.append(msg)
 
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -182,13 +176,13 @@ class Calibrator(RunnableNode):
         if release is None or accuracy is None or comparison is None:
             return
         if result.rig != self._rig_of_throws:  # one fit needs throws of one rig
-            self._mispredicted, self._predicted = [], _MeasuredThrows()
+            self._mispredicted, self._predicted = [], []
             self._rig_of_throws = result.rig
         if comparison.is_within_threshold:
             self._mispredicted.clear()
             self._on_well_predicted(result, accuracy.release_ns)
             return
-        self._predicted = _MeasuredThrows()
+        self._predicted = []
         period_ns = 1e9 / result.rig.engine.frequency
         begin_ns = accuracy.release_ns - round(1e9 * release.ejection_time + _BEFORE * period_ns)
         end_ns = accuracy.release_ns + round(_AFTER * period_ns)
@@ -211,27 +205,34 @@ class Calibrator(RunnableNode):
         required = self.parameters.settings['motion_after']
         if required:
             self._add_measured(self._predicted, result, release_ns)
-            if len(self._predicted.speeds) >= required:
+            if len(self._predicted) >= required:
                 self.get_logger().info(
                     f'the last {required} throws followed the prediction; designing the motion '
                     'of the plate'
                 )
-                self._before, self._predicted = self._predicted, _MeasuredThrows()
+                self._before, self._predicted = self._predicted, []
                 self._submit(self._command_motion)
 
     def _on_commanded_throw(self, result: ThrowResult, end_ns: int) -> None:
         """Measure a throw whose motion the twin commanded, and report the gain after some."""
-        starts_ns = [start_ns for start_ns in self._starts_ns if start_ns < end_ns]
-        if result.first is None or not starts_ns or self._commanded is None:
+        commands = [msg for msg in self._commands if msg_to_time(msg.header.stamp) < end_ns]
+        if result.first is None or not commands or self._commanded is None:
             return
-        release_ns = starts_ns[-1] + round(1e9 * result.first.ejection_time)
-        self._add_measured(self._commanded, result, release_ns)
-        if len(self._commanded.speeds) == self.parameters.settings['throws']:
+        start_ns = msg_to_time(commands[-1].header.stamp)
+        release_ns = start_ns + round(1e9 * result.first.ejection_time)
+        try:
+            tracks = self._measured.between(start_ns, release_ns, name='')
+        except TrackError as error:
+            self.get_logger().warning(f'throw {result.throw} cannot be measured: {error}')
+            return
+        delay_ns = round(1e9 * motion_delay(tracks.plate, msg_to_motion(commands[-1])))
+        self._add_measured(self._commanded, result, release_ns + delay_ns)
+        if len(self._commanded) == self.parameters.settings['throws']:
             self._report_gain(self._commanded)
             self._commanded = None
 
     def _add_measured(
-        self, throws: _MeasuredThrows, result: ThrowResult, release_ns: int
+        self, throws: list[_MeasuredThrow], result: ThrowResult, release_ns: int
     ) -> None:
         """Measure the ejection speed of a throw, until the apex or one plate period later."""
         rig, release = result.rig, result.first
@@ -253,11 +254,12 @@ class Calibrator(RunnableNode):
                 f'instead of {release.ejection_speed:.3g} m/s; the rig was not ready'
             )
             return
-        throws.add(speed, result.peak_plate_speed)
+        speed_error = rig.gravity * _RELEASE_TIME_ERROR
+        throws.append(_MeasuredThrow(speed, speed_error, result.peak_plate_speed))
 
-    def _report_gain(self, commanded: _MeasuredThrows) -> None:
+    def _report_gain(self, commanded: list[_MeasuredThrow]) -> None:
         """Log and publish the gain of the commanded motion."""
-        values = self._before.values('engine') | commanded.values('commanded')
+        values = _means('engine', self._before) | _means('commanded', commanded)
         message = (
             f'measured gain by the commanded motion: ejection speed '
             f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
@@ -292,7 +294,7 @@ class Calibrator(RunnableNode):
         """Make the twin command the best motion of the plate."""
         self._set_parameters(self._twin, _MOTION)
         self.get_logger().info(f'commanded: {self._apply_recommendation()}')
-        self._commanded = _MeasuredThrows()
+        self._commanded = []
 
     def _report_failure(self, reason: str) -> None:
         """Log and publish the reason why an identification has changed nothing."""
@@ -426,12 +428,21 @@ class _Measured:
         self._subscription.close()
 
 
-def _mean(values: Sequence[float]) -> str:
-    """Return a mean with its standard error by the scatter, which one value does not have."""
-    mean = float(np.mean(values))
-    if len(values) < 2:
-        return f'{mean:.4g}'
-    return f'{mean:.4g} +- {np.std(values, ddof=1) / math.sqrt(len(values)):.1g}'
+def _means(prefix: str, throws: Sequence[_MeasuredThrow]) -> dict[str, str]:
+    """Return the mean results of throws, with standard errors by scatter and release time."""
+    speeds = np.array([throw.speed for throw in throws])
+    plate_speed = float(np.mean([throw.peak_plate_speed for throw in throws]))
+    speed = float(speeds.mean())
+    scatter = float(speeds.std(ddof=1)) if speeds.size > 1 else 0.0
+    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].speed_error)
+    energy_transfer = (speed / plate_speed) ** 2
+    return {
+        f'{prefix}.ejection_speed': str(Estimate(speed, error)),
+        f'{prefix}.energy_transfer': str(
+            Estimate(energy_transfer, 2.0 * energy_transfer * error / speed)
+        ),
+        f'{prefix}.throws': str(speeds.size),
+    }
 
 
 main = partial(run, 'calibrator', Calibrator)
