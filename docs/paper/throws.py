@@ -42,7 +42,7 @@ PLATE, PROJECTILE, BARE = style.BLACK, style.BLUE, style.GREEN
 _THICKNESS = 16.8e-3
 """Thickness of the layer of Figs. 1 and 2. [m]"""
 
-_END = 0.016
+_DRAWN_TIME = 0.016
 """End of the time axis of Fig. 2. [s]"""
 
 _GAP = 1.5
@@ -51,7 +51,7 @@ _GAP = 1.5
 STEP = 2e-4
 """Time between two frames. [s]"""
 
-END = 0.022
+ANIMATED_TIME = 0.022
 """Time of the last frame, and end of the picture of the README. [s]"""
 
 _RATE = 15
@@ -67,7 +67,7 @@ _DPI = 90
 @functools.lru_cache(maxsize=1)
 def shown_throw() -> Throw:
     """Simulate the throw of Figs. 1 and 2: short projectile, higher frequency."""
-    return simulate(SERIES[1].rig(_THICKNESS, damping_ratio=DAMPING_RATIO), until=_END)
+    return simulate(SERIES[1].rig(_THICKNESS, damping_ratio=DAMPING_RATIO), until=_DRAWN_TIME)
 
 
 def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats, Floats]:
@@ -117,7 +117,7 @@ def draw_states() -> Figure:
         height=3.15,
     )
     panels = figure.subplots(1, len(moments), sharex=True, sharey=True)
-    time = np.linspace(0.0, _END, 1601)
+    time = np.linspace(0.0, _DRAWN_TIME, 1601)
     heights, strain = heights_of_layer(throw, time, points=41)
     rows = np.searchsorted(time, [moment for moment, _ in moments])
     limit = 100.0 * np.abs(strain[rows]).max()
@@ -172,7 +172,7 @@ def draw_traces() -> Figure:
         height=6.2,
     )
     panels = figure.subplots(2, 1, sharex=True)
-    time = np.linspace(0.0, _END, 1601)
+    time = np.linspace(0.0, _DRAWN_TIME, 1601)
     path = throw.trajectory(time)
     thickness = throw.rig.layer.thickness
     bare = time >= Underdamped.of(throw.rig.engine).peak_velocity_time
@@ -191,7 +191,7 @@ def draw_traces() -> Figure:
         axes.plot(MILLI * time, scale * projectile, color=PROJECTILE, lw=2.6,
                   label='projectile on layer')
         axes.axvline(MILLI * throw.ejection_time, color='0.5', lw=0.9, ls=':')
-        axes.set_xlim(0.0, MILLI * _END)
+        axes.set_xlim(0.0, MILLI * _DRAWN_TIME)
     panels[0].set(title='(a) positions', ylabel='height from rest (mm)', ylim=(-2.0, 16.5))
     panels[1].set(
         title='(b) velocities', xlabel='time $t$ (ms)', ylabel='velocity (m/s)', ylim=(-0.75, 1.75)
@@ -204,7 +204,7 @@ def draw_traces() -> Figure:
 
 def _mark_crossings(panels: NDArray[np.object_], crossing: float) -> None:
     """Draw a line at every whole crossing [ms], labelled in the first panel."""
-    for k in range(1, int(MILLI * _END / crossing) + 1):
+    for k in range(1, int(MILLI * _DRAWN_TIME / crossing) + 1):
         for axes in panels:
             axes.axvline(k * crossing, color='0.9', lw=0.8, zorder=0)
         name = '$t_s$' if k == 1 else f'${k}\\,t_s$'
@@ -227,8 +227,8 @@ def _quote_release(axes: Axes, throw: Throw) -> None:
 def draw_throw() -> Figure:
     """Draw the picture of the README: a throw of the default rig, with the strain of the layer."""
     rig = Rig()
-    throw = simulate(rig, until=END)
-    time = np.linspace(0.0, END, 1101)
+    throw = simulate(rig, until=ANIMATED_TIME)
+    time = np.linspace(0.0, ANIMATED_TIME, 1101)
     path = throw.trajectory(time)
     heights, strain = heights_of_layer(throw, time, points=97)
     release = throw.ejection_time
@@ -275,9 +275,9 @@ def draw_throw() -> Figure:
 
 def save_animation(path: Path) -> None:
     """Write a throw of the default rig as an animated GIF, which repeats without end."""
-    throw = simulate(Rig(), until=END)
+    throw = simulate(Rig(), until=ANIMATED_TIME)
     # Displacements are integrals of velocities, so heights need smaller steps than frames.
-    time = np.linspace(0.0, END, 1 + 10 * round(END / STEP))
+    time = np.linspace(0.0, ANIMATED_TIME, 1 + 10 * round(ANIMATED_TIME / STEP))
     heights, strain = heights_of_layer(throw, time, points=61)
     limit = 100.0 * np.abs(strain[time < throw.ejection_time]).max()  # colours of Fig. 1
     bare_release = Underdamped.of(throw.rig.engine).peak_velocity_time

@@ -34,7 +34,7 @@ from soft_throw_ros.commands.options import (
     parameter_type,
     read_settings,
 )
-from soft_throw_ros.commands.output import CommandParser, naming, run_command
+from soft_throw_ros.commands.output import CommandParser, report_io_errors, run_command
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.ringing import (
@@ -170,7 +170,7 @@ def _disagreement(common: CommonValue, claim: str, question: str) -> Iterator[st
 def _ringing(path: str, arguments: argparse.Namespace) -> Ringing:
     """Fit the oscillation of a free layer."""
     ends = read_layer(path, arguments)
-    with naming(path, FitError):
+    with report_io_errors(path, FitError):
         return fit_ringing(change_of_length(*ends))
 
 

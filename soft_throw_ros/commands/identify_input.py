@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 from soft_throw_ros.commands.options import any_number, positive
-from soft_throw_ros.commands.output import CommandParser, naming
+from soft_throw_ros.commands.output import CommandParser, report_io_errors
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TWIN_TOPICS
 from soft_throw_ros.configuration.regular_file import read_regular_file
 from soft_throw_ros.identification.least_squares import FitError
@@ -96,7 +96,7 @@ def read_throws(path: str, arguments: argparse.Namespace, notes: list[str]) -> l
     tracks = {body: _with_noise(track, arguments) for body, track in tracks.items()}
     plate, projectile = tracks['plate'], tracks.get('projectile')
     whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
-    with naming(whole.name, TrackError):
+    with report_io_errors(whole.name, TrackError):
         whole = whole.between(arguments.start, arguments.end)
         whole = _without_lone_samples(whole, notes)
         return [throw for record in split_at_breaks(whole) for throw in _throws_of(record)]
@@ -132,7 +132,7 @@ def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
     tracks = _read_csv(path, ('bottom', 'top'), arguments.unit)
     if 'top' not in tracks:
         raise TrackError(f'{path}: must have a time and both ends of the layer, got one end')
-    with naming(path, TrackError):
+    with report_io_errors(path, TrackError):
         bottom, top = (
             _with_noise(tracks[end], arguments).between(arguments.start, arguments.end)
             for end in ('bottom', 'top')
@@ -147,7 +147,7 @@ def _with_noise(track: Track, arguments: argparse.Namespace) -> Track:
 def _read_csv(path: str, bodies: Sequence[str], unit: str) -> dict[str, Track]:
     if is_video(path):
         raise TrackError(f'{path}: is a video; first convert it to tracks with soft-throw track')
-    with naming(path):
+    with report_io_errors(path):
         text = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig')
     return read_csv(io.StringIO(text, newline=''), path, bodies, unit=unit)
 
@@ -194,9 +194,9 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
     time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
     tracks = {}
     for body, position in zip(JOINTS, np.transpose(table), strict=True):
-        is_seen = np.isfinite(position)
-        if is_seen.sum() >= FEWEST:
-            tracks[body] = Track(time=time[is_seen], position=position[is_seen])
+        is_measured = np.isfinite(position)
+        if is_measured.sum() >= FEWEST:
+            tracks[body] = Track(time=time[is_measured], position=position[is_measured])
     return tracks
 
 

@@ -31,8 +31,8 @@ from typing import TYPE_CHECKING
 from soft_throw_ros.commands.options import any_number, new_file
 from soft_throw_ros.commands.output import (
     CommandParser,
-    naming,
     print_note,
+    report_io_errors,
     require,
     run_command,
     slow_notice,
@@ -40,7 +40,7 @@ from soft_throw_ros.commands.output import (
 from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer as viewer
 from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.timeseries import find_throws, tells_throws, ThrowStart
+from soft_throw_ros.recording.timeseries import find_throws, has_throws, ThrowStart
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -140,10 +140,10 @@ def _show_bag(arguments: argparse.Namespace) -> None:
         stream = output.new_stream()
         draw = partial(_draw, scene, stream, reader)
         if arguments.save:
-            with naming(arguments.save):
+            with report_io_errors(arguments.save):
                 output.save_recording(stream, arguments.save, draw)
         elif arguments.screenshot:
-            with naming(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
+            with report_io_errors(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
                 output.save_recording(stream, recording, draw)
                 cursor = _cursor(scene, arguments.at)
@@ -168,7 +168,7 @@ def _show_bag(arguments: argparse.Namespace) -> None:
 
 def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     """Return the throw to show; None if the bag contains none and none is requested."""
-    topics = [item.topic for item in reader.channels if tells_throws(item.topic, item.type)]
+    topics = [item.topic for item in reader.channels if has_throws(item.topic, item.type)]
     result = find_throws(reader.messages(topics)) if topics else {}
     throws = next((throws for throws in result.values() if throws), [])  # of the view in front
     chosen = [throw for throw in throws if number in (None, throw.number)]

@@ -92,7 +92,7 @@ def run_command(
 
 
 @contextlib.contextmanager
-def naming(path: object, *kinds: type[ValueError]) -> Iterator[None]:
+def report_io_errors(path: object, *kinds: type[ValueError]) -> Iterator[None]:
     """Convert errors of a file, and those of the given kinds, into ValueErrors that name it."""
     try:
         yield
@@ -108,7 +108,7 @@ def naming(path: object, *kinds: type[ValueError]) -> Iterator[None]:
 @contextlib.contextmanager
 def written_file(path: Path) -> Iterator[Path]:
     """Yield a temporary name for the content of a file; raise ValueError that names the file."""
-    with naming(path), atomic_file(path) as unfinished:
+    with report_io_errors(path), atomic_file(path) as unfinished:
         yield unfinished
 
 

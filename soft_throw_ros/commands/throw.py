@@ -39,9 +39,9 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    naming,
     print_note,
     print_text,
+    report_io_errors,
     run_command,
     slow_notice,
     strain_warning,
@@ -305,7 +305,7 @@ _CASES: Mapping[str, Callable[[str], float]] = {
 def _compute_cases(path: str) -> str:
     """Compute the first release for every row of a CSV file; return the results as CSV."""
     name = 'standard input' if path == '-' else path
-    with naming(name):
+    with report_io_errors(name):
         text = sys.stdin.read() if path == '-' else Path(path).read_text(encoding='utf-8')
     rows = _read_cases(text.split('\n'), name)
     if not rows:

@@ -25,9 +25,9 @@ from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.options import new_file, positive
 from soft_throw_ros.commands.output import (
     CommandParser,
-    naming,
     print_note,
     print_text,
+    report_io_errors,
     require,
     run_command,
     written_file,
@@ -116,7 +116,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     require('a video', 'video', 'imageio', 'av', 'skimage')
     notes: list[str] = []
-    with naming(arguments.video, ValueError):
+    with report_io_errors(arguments.video, ValueError):
         recorded = camera_rate(arguments.video)
         if recorded and abs(arguments.rate / recorded - 1.0) > _MAX_RATE_ERROR:
             notes.append(

@@ -71,15 +71,15 @@ def _bounds(name: str) -> dict[str, Any]:
     return {'unit': unit, 'low': low, 'high': high}
 
 
-def _values_of(part: type, settings: Settings) -> dict[str, Any]:
+def _values_of(kind: type, settings: Settings) -> dict[str, Any]:
     """Return the arguments of a part of the rig, but for a motion of the plate."""
-    return {name.partition('.')[2]: settings[name] for name in _names_of(part)}
+    return {name.partition('.')[2]: settings[name] for name in _names_of(kind)}
 
 
-def _names_of(part: type) -> list[str]:
+def _names_of(kind: type) -> list[str]:
     """Return the names of the parameters of a part of the rig."""
-    group = part.__name__.lower()
-    return [f'{group}.{item.name}' for item in fields(part) if item.name != 'motion']
+    group = kind.__name__.lower()
+    return [f'{group}.{item.name}' for item in fields(kind) if item.name != 'motion']
 
 
 def _engine(settings: Settings, _motion_of: motions.MotionSource) -> Engine:
@@ -524,8 +524,8 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 
     """
     values = {
-        name: getattr(part, name.partition('.')[2])
-        for kind, part in (
+        name: getattr(component, name.partition('.')[2])
+        for kind, component in (
             (Engine, rig.engine), (Layer, rig.layer), (Projectile, rig.projectile)
         )
         for name in _names_of(kind)

@@ -214,11 +214,11 @@ RECORD = np.dtype(
 def cut(s: Record, nodes: Any, bodies: Any) -> None:
     """Cut bodies into cells; without cells of its own the projectile is a point."""
     top = s.first_node + s.cells
-    first, face = s.first_node, s.cells + 1
+    first, projectile_node = s.first_node, s.cells + 1
     for n in range(bodies.size):
         body = bodies[n]
         if first == top:
-            first = face
+            first = projectile_node
         mass, spring = body.mass / body.count, body.stiffness * body.count
         inverse = body.count / body.thickness if body.thickness > 0.0 else 0.0
         tangent = body.relaxed  # of the stiffest state
@@ -244,7 +244,7 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
             nodes[ROW.implicit_stiffness, j] = implicit
         first += body.count
     if first == top:
-        nodes[ROW.mass, face] += s.mass
+        nodes[ROW.mass, projectile_node] += s.mass
 
 
 @subroutine
@@ -424,9 +424,9 @@ def _prepare_contact(s, nodes):
 
 
 @inlined
-def _neo_hookean_stress(ratio, least):
-    """Compute the stress of a stretch ratio over E / 3, and below the least along the tangent."""
-    inverse = 1.0 / max(ratio, least)
+def _neo_hookean_stress(ratio, min_stretch):
+    """Compute the stress of a stretch ratio over E / 3, linear below `min_stretch`."""
+    inverse = 1.0 / max(ratio, min_stretch)
     share = ratio * inverse
     return ratio - inverse * inverse * (3.0 - (share + share))
 
@@ -606,7 +606,7 @@ def _record_event(s, events, kind, fraction, height, velocity):
 def _contact_forces(s, nodes):
     """Compute the forces of the layer on plate and projectile, and that in the contact."""
     now, last = s.index & 1, nodes.shape[1] - 1
-    j, face, case = s.contact_link + 1, s.cells + 1, 1 if s.contact else 0
+    j, projectile_node, case = s.contact_link + 1, s.cells + 1, 1 if s.contact else 0
     weight = s.mass * s.gravity
     change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
     force = s.carried_mass * s.gravity + nodes[ROW.mass, j] * s.rate * change
@@ -618,10 +618,11 @@ def _contact_forces(s, nodes):
         s.known_forces += 1
     pushed = 0.0
     if s.contact or s.contact_link == 0:
-        change = nodes[ROW.mean_velocity + now, face] - nodes[ROW.velocity, face]
+        change = nodes[ROW.mean_velocity + now, projectile_node]
+        change -= nodes[ROW.velocity, projectile_node]
         pushed = weight + s.face_node_mass * s.rate * change
-        if face < last:
-            pushed -= _link_tension(nodes, face, now, case, s.rate)
+        if projectile_node < last:
+            pushed -= _link_tension(nodes, projectile_node, now, case, s.rate)
     s.on_projectile_now = pushed
     if s.contact_link == 0:
         s.on_plate_now = -force if s.contact else 0.0
@@ -675,8 +676,9 @@ def _handle_landing(s, nodes, events):
     gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
     t = _first_root(gap, closed - gap - bend, bend, 0.0)
-    face = s.cells + 1
-    height = u[face] - s.step * (1.0 - t) * (v[face] + t * (v[face] - before[face]))
+    projectile_node = s.cells + 1
+    speed, change = v[projectile_node], v[projectile_node] - before[projectile_node]
+    height = u[projectile_node] - s.step * (1.0 - t) * (speed + t * change)
     velocity = _carried_speed(s, nodes) - s.gravity * s.step * (t - 0.5)
     overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
     # Share of the mass below the contact; a plate does not give way
@@ -866,9 +868,9 @@ def _read_layer(core, nodes, points, out):
 
 
 @subroutine
-def _elastic_energy(ratio, least):
+def _elastic_energy(ratio, min_stretch):
     """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
-    x = max(ratio, least)
+    x = max(ratio, min_stretch)
     beyond, slope = ratio - x, 1.0 + 2.0 / x**3
     return 0.5 * x**2 + 1.0 / x + beyond * (x - 1.0 / x**2 + 0.5 * beyond * slope)
 
@@ -887,9 +889,9 @@ def stored_energy(core: Any, nodes: Any) -> float:
         stretch = position[j + 1] - position[j]
         total += 0.5 * nodes[ROW.stiffness, j] * stretch**2
         if nodes[ROW.third_modulus, j] > 0.0:
-            start, least = 1.0 - nodes[ROW.static_strain, j], nodes[ROW.min_stretch, j]
-            elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j], least)
-            elastic -= _elastic_energy(start, least)
+            start, min_stretch = 1.0 - nodes[ROW.static_strain, j], nodes[ROW.min_stretch, j]
+            elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j], min_stretch)
+            elastic -= _elastic_energy(start, min_stretch)
             total += nodes[ROW.third_modulus, j] / nodes[ROW.inverse_length, j] * elastic
             total += nodes[ROW.constant_tension, j] * stretch
         for element in range(3):  # which go on by their last rate

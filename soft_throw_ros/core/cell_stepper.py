@@ -154,11 +154,11 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
     for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
     if for_mass > limit:
-        least = rig.projectile.mass * for_mass / limit
+        min_mass = rig.projectile.mass * for_mass / limit
         raise ValueError(
             f'projectile.mass {rig.projectile.mass:g} kg on a layer of {layer.mass:.4g} kg needs '
             f'{for_mass} cells, the limit is {limit}; '
-            f'feasible: projectile.mass of {1.001 * least:.4g} kg or more'
+            f'feasible: projectile.mass of {1.001 * min_mass:.4g} kg or more'
         )
     require_steps_per_period(rig, _MIN_STEPS_PER_PERIOD, limit=limit, unit='cells')
     periods = rig.crossing_time * rig.engine.frequency

@@ -32,7 +32,7 @@ in contact again when the gap closes, its speed unchanged. Flight, landing and g
 The step h divides :math:`t_s`, so waves travel from grid point to grid point without any error,
 and the kinks that the start of an underdamped plate sends through the layer, at odd multiples of
 :math:`t_s`, fall on grid points. Only the response of the mass has to be computed: p is known
-:math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a kink),
+:math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a jump),
 and the equation of V is solved exactly for this cubic, however small :math:`\tau` is. So the first
 release is of fourth order in h. Releases and landings are roots within a step.
 
@@ -127,7 +127,7 @@ RECORD = np.dtype(
         ('offset', 'f8'),  # beyond it
         ('base', 'i8'),  # grid point at index 0 of the waves
         ('filled', 'i8'),  # up to where p is known at the plate
-        ('discontinuity', 'i8'),  # next grid point at which p has a kink at the top
+        ('discontinuity', 'i8'),  # next grid point at which p jumps, at the top
         ('jumps', 'i8'),  # number of jumps on their way in the layer
         ('next_jump', 'i8'),  # row of the one that reaches the top next
         ('last_jump', 'i8'),  # grid point before the last jump at the top
@@ -318,7 +318,7 @@ def _event_in(s, offset, end, V, P, here, slope, a, b, c, e):
 
 
 @subroutine
-def _change_contact(s, jumps, events, offset, V, P, a, b, is_whole):
+def _change_contact(s, jumps, events, offset, V, P, a, b, is_full_step):
     """Release or land the projectile, and return its velocity."""
     time = (s.cell + offset) * s.step
     if s.contact:
@@ -335,7 +335,7 @@ def _change_contact(s, jumps, events, offset, V, P, a, b, is_whole):
         kind = stepper.LANDING if s.landed else stepper.RECONTACT
         stepper.note_event(s, events, kind, time, height, V)
         s.top = height - 2.0 * P + s.relaxation * V
-    if is_whole:
+    if is_full_step:
         # m is V - p in contact and p + g tau in flight; the plate turns the sign of its jumps
         size, slope = 2.0 * a + s.gravity_offset - V, 2.0 * b - s.rate * (2.0 * a - V)
         sign = -1.0 if s.contact else 1.0
@@ -355,7 +355,7 @@ def _cross_step(s, waves, jumps, events, target):
     i = s.cell - s.base - s.steps
     here = waves[0, i]
     slope = b if _jump_cell(s, jumps, 0) == s.cell else waves[0, i + 1] - here  # for heights
-    V, P, offset, is_whole = s.velocity, s.step * s.sum, 0.0, target == 1.0
+    V, P, offset, is_full_step = s.velocity, s.step * s.sum, 0.0, target == 1.0
     remaining_events, is_after_jump = _EVENTS_PER_STEP, False
     while True:
         is_jump = _jump_cell(s, jumps, 0) == s.cell
@@ -387,7 +387,7 @@ def _cross_step(s, waves, jumps, events, target):
         is_after_jump = False
         if happens:
             remaining_events -= 1
-            V = _change_contact(s, jumps, events, offset, V, P, a, b, is_whole)
+            V = _change_contact(s, jumps, events, offset, V, P, a, b, is_full_step)
         elif is_jump:
             offset, size, bend = row[1], row[2], row[3]
             here, a, slope, b = here + size, a + size, slope + bend, b + bend
@@ -395,11 +395,11 @@ def _cross_step(s, waves, jumps, events, target):
             s.jumps -= 1
             s.last_jump = s.cell
             is_after_jump = True
-            if is_whole and s.contact:
+            if is_full_step and s.contact:
                 _reflect_jump(s, jumps, offset, size, bend - 2.0 * s.rate * size)
-            elif is_whole:
+            elif is_full_step:
                 _reflect_jump(s, jumps, offset, -size, -bend)
-    if is_whole:
+    if is_full_step:
         _end_step(s, waves, V, P)
     else:
         _write_top(s, offset, a, V, P)

@@ -350,8 +350,8 @@ class _AimSearch:
                 rig, changes, loads=self.limits.of_loads, cells=SEARCH_CELLS,
                 cancelled=self.cancelled,
             )
-            thrown = np.maximum(np.nan_to_num(throws.ejection_speed), 1e-300)
-            needed = amplitude * speed / thrown
+            speeds = np.maximum(np.nan_to_num(throws.ejection_speed), 1e-300)
+            needed = amplitude * speed / speeds
             allowed = np.full(amplitude.shape, self.max_amplitude)
             for limit, load in (
                 (self.limits.max_strain, throws.peak_strain),

@@ -62,10 +62,10 @@ projectile, and `delay` the delay of its measurement [s].
 PLATE_MODE = 'plate.mode'
 """Size of a second mode of the plate that the throw excites, over the amplitude. [-]"""
 
-STICKING = 'projectile.sticking'
+RELEASE_DELAY = 'projectile.sticking'
 """Longest delay of the release because the projectile sticks to the layer. [s]"""
 
-UNSEEN = (PLATE_MODE, STICKING)
+UNSEEN = (PLATE_MODE, RELEASE_DELAY)
 """Effects that tracks hardly show; they are not fitted, but increase the errors."""
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
@@ -161,7 +161,7 @@ DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
     'projectile.mass': _prior(0.01, is_relative=True),
     'projectile.scale': _prior(0.005, is_relative=True),
     'projectile.delay': _prior(1e-4),
-    STICKING: _prior(2e-4),
+    RELEASE_DELAY: _prior(2e-4),
     'plate.drift': _prior(0.02, is_per_throw=True),
     'projectile.drift': _prior(0.02, is_per_throw=True),
     'plate.ringing': _prior(0.02, is_per_throw=True, only_if_significant=True),

@@ -247,16 +247,16 @@ class Fit:
         """Return the contributions of noise, priors and unseen effects to the error [SI]."""
         index = self.names.index(name)
         row = self.seen_covariance[index]
-        parts = {
+        contributions = {
             self.names[other]: abs(float(row[other])) / known.error
             for other, known in self.known.items()
         }
-        noise = row[index] - sum(part**2 for part in parts.values())
-        parts |= {
+        noise = row[index] - sum(contribution**2 for contribution in contributions.values())
+        contributions |= {
             effect: float(np.linalg.norm(shifts[:, index]))
             for effect, shifts in self.unseen.items()
         }
-        return {'noise': math.sqrt(max(float(noise), 0.0)), **parts}
+        return {'noise': math.sqrt(max(float(noise), 0.0)), **contributions}
 
     @property
     def seen_covariance(self) -> Floats:
@@ -275,9 +275,9 @@ class Fit:
             added += np.sum(item**2, axis=0)
         scales = np.ones_like(self.values)
         for index, known in self.known.items():
-            room = max(known.error**2 - float(self.covariance[index, index]), 0.0)
-            if added[index] > room:
-                scales[index] = math.sqrt(room / added[index])
+            reducible = max(known.error**2 - float(self.covariance[index, index]), 0.0)
+            if added[index] > reducible:
+                scales[index] = math.sqrt(reducible / added[index])
         scaled = {name: item * scales for name, item in shifts.items()}
         covariance = self.covariance + sum(item.T @ item for item in scaled.values())
         return replace(self, covariance=covariance, unseen={**self.unseen, **scaled})

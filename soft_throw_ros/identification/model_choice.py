@@ -188,9 +188,9 @@ def compare_layers(
     scale = max(1.0, min(item.chi2 for item in fits.values()) / plain.dof)
     criteria = {name: item.chi2 / scale + _penalty(plain, plain.dof - item.dof)
                 for name, item in fits.items()}
-    least = min(criteria.values())
+    smallest = min(criteria.values())
     layers = [
-        LayerModel(name, item.chi2, item.dof, criteria[name] - least)
+        LayerModel(name, item.chi2, item.dof, criteria[name] - smallest)
         for name, item in fits.items()
     ]
     layers.sort(key=attrgetter('criterion'))

@@ -63,8 +63,8 @@ class ParameterLayout:
         groups: dict[tuple[str, Hashable], list[int]] = {}
         for name in (name for name in DEFAULTS if name not in UNSEEN):
             for number, throw in enumerate(throws):
-                is_seen = throw.projectile is not None or name.startswith(('engine', 'plate'))
-                if is_seen and description.treatment(name, throw.name).is_varied:
+                is_measured = throw.projectile is not None or name.startswith(('engine', 'plate'))
+                if is_measured and description.treatment(name, throw.name).is_varied:
                     key = description.group(name, throw.name, number)
                     for value_name in value_names(name):
                         groups.setdefault((value_name, key), []).append(number)

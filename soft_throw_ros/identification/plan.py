@@ -174,8 +174,8 @@ class ParameterInformation:
             sizes[causes] = effect.sizes(squares[causes].clip(0.0), np.zeros(effect.time.size))
             first = causes.stop
         # A cause shifts the fitted values, so that their errors have the other sign
-        joint = np.vstack([-shifts.T, np.eye(len(sizes))]) * sizes
-        covariance = joint @ joint.T
+        combined = np.vstack([-shifts.T, np.eye(len(sizes))]) * sizes
+        covariance = combined @ combined.T
         covariance[:count, :count] += seen
         return np.asarray(covariance)
 
@@ -196,8 +196,8 @@ class ParameterInformation:
 
 def _information(seen: Floats, shifts: Floats) -> Floats:
     """Return the information of a covariance (n, n) and of shifts by causes (k, n)."""
-    joint = np.vstack([np.eye(len(seen)), shifts])
-    return np.asarray(joint @ _inverse(seen) @ joint.T)
+    combined = np.vstack([np.eye(len(seen)), shifts])
+    return np.asarray(combined @ _inverse(seen) @ combined.T)
 
 
 def _inverse(matrix: Floats) -> Floats:

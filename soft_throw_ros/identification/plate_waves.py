@@ -91,10 +91,10 @@ class PlateWithWaves(NamedTuple):
         begin = float(times[0])
         orders = [self._of_waves(times, order) for order in range(3)]
         # The ringing begins smoothly: a polynomial rises to 1 during the lead-in
-        part = np.clip((times - begin) / lead, 0.0, 1.0)
-        rise = part**3 * (10.0 + part * (6.0 * part - 15.0))
-        slope = 30.0 * (part * (1.0 - part)) ** 2 / lead
-        bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / lead**2
+        progress = np.clip((times - begin) / lead, 0.0, 1.0)
+        rise = progress**3 * (10.0 + progress * (6.0 * progress - 15.0))
+        slope = 30.0 * (progress * (1.0 - progress)) ** 2 / lead
+        bend = 60.0 * progress * (1.0 - progress) * (1.0 - 2.0 * progress) / lead**2
         z, v, a = orders
         states = [z * rise, v * rise + z * slope, a * rise + 2.0 * v * slope + z * bend]
         states[0] += self.step.position(times)

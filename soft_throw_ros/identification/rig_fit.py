@@ -232,12 +232,13 @@ class RigFit:
         """
         fit = self.fit
         slopes = self._shift_of_release()[1][:, 0] + self._time_slopes()
-        parts = {'tracks': math.sqrt(max(float(slopes @ fit.seen_covariance @ slopes), 0.0))}
+        variance = max(float(slopes @ fit.seen_covariance @ slopes), 0.0)
+        contributions = {'tracks': math.sqrt(variance)}
         for effect in self.effects:
             shift = -fit.unseen[effect.name] @ slopes
             total = shift + effect.time if effect.is_linear else np.hypot(shift, effect.time)
-            parts[effect.name] = float(np.linalg.norm(total))
-        return parts
+            contributions[effect.name] = float(np.linalg.norm(total))
+        return contributions
 
     def _time_slopes(self) -> Floats:
         """Return the derivatives of the ejection time by the fitted values; 0 across a jump."""

@@ -421,8 +421,8 @@ class RigModel:
             projectile = throw.projectile
             if projectile is not None:
                 end = plate.start_time + after
-                is_seen = int((projectile.time <= end).sum()) >= FEWEST
-                projectile = projectile.between(-math.inf, end) if is_seen else None
+                is_measured = int((projectile.time <= end).sum()) >= FEWEST
+                projectile = projectile.between(-math.inf, end) if is_measured else None
             throws.append(replace(throw, projectile=projectile))
         return replace(self, throws=tuple(throws))
 

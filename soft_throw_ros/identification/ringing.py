@@ -138,8 +138,8 @@ def fit_ringing(length: Track) -> Ringing:
     change = np.abs(smooth.position - np.median(late))
     large = change >= _ONSET * change.max()
     first = int(np.argmax(large))
-    held = int(np.argmin(np.append(large[first:], False)))  # end of the squeeze
-    onset = float(smooth.time[min(first + held, smooth.time.size - 1)])
+    large_samples = int(np.argmin(np.append(large[first:], False)))  # end of the squeeze
+    onset = float(smooth.time[min(first + large_samples, smooth.time.size - 1)])
     try:
         free = length.between(onset, math.inf)
     except TrackError as error:

@@ -456,8 +456,8 @@ class _SpotTracker:
     @property
     def search_region(self) -> _Circle:
         """Measured or possible position in this picture."""
-        is_seen = self._seen and not self.uncertainty
-        position = self._seen[-1][1].position if is_seen else self._expected
+        is_measured = self._seen and not self.uncertainty
+        position = self._seen[-1][1].position if is_measured else self._expected
         return _Circle(position, self.diameter + self.uncertainty)
 
     def update(

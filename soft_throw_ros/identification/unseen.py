@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.core.throw import ejections
-from soft_throw_ros.identification.fit_description import PLATE_MODE, STICKING
+from soft_throw_ros.identification.fit_description import PLATE_MODE, RELEASE_DELAY
 from soft_throw_ros.identification.least_squares import Fit
 from soft_throw_ros.identification.linear_fit import LinearFit
 from soft_throw_ros.identification.parameter_layout import RINGING, RINGING_AMPLITUDES
@@ -171,9 +171,9 @@ def unseen_effects(
             margin=_RINGING_MARGIN,
         )
     if model.projectiles:
-        size = model.description.treatment(STICKING).error
+        size = model.description.treatment(RELEASE_DELAY).error
         if size is not None:
-            makers[STICKING] = partial(_sticking, model, values, size)
+            makers[RELEASE_DELAY] = partial(_sticking, model, values, size)
         if 'layer.stiffening' in model.layout:
             makers[STRESS_LAW] = partial(_stress_law, model, values)
     if any(item.track.rounding_step for item in model.series):
@@ -277,7 +277,7 @@ def _sticking(model: RigModel, values: Floats, duration: float) -> UnseenEffect:
     release = _release(model, rig, motion)
     jerk = _jerk(model, rig, motion, release) if release else 0.0
     return UnseenEffect(
-        STICKING,
+        RELEASE_DELAY,
         np.concatenate(columns)[None, :],
         np.array([duration if release else 0.0]),
         np.array([0.5 * jerk * duration**2]),

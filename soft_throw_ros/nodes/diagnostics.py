@@ -149,7 +149,8 @@ class Diagnostics:
         text = 'no other node has this name'
         if duplicate_nodes:
             text = duplicate_name_warning(self._node_name)
-        return self._status('name', text, {'namesakes': duplicate_nodes}, warn=duplicate_nodes > 0)
+        values = {'duplicate_nodes': duplicate_nodes}
+        return self._status('name', text, values, warn=duplicate_nodes > 0)
 
     def _measurements(self) -> DiagnosticStatus:
         """Return the status of the received samples and of the prediction lead."""

@@ -45,8 +45,11 @@ START_TIME = 20.0
 _TIMEOUT = 60.0
 """Longest wait until the viewer has loaded a recording, or has drawn. [s]"""
 
-_END_TIME = 5.0
-"""Longest wait until a viewer that no longer answers ends. [s]"""
+_END_TIME = 20.0
+"""Longest wait for the reason why a viewer does not answer: its last message, or its end. [s]"""
+
+_MAX_MESSAGES = 1 << 16
+"""Number of bytes of a viewer's messages that are read. [byte]"""
 
 _POLL = 0.05
 """Time between two checks whether a viewer listens. [s]"""
@@ -226,23 +229,33 @@ class Viewer:
         try:
             yield
         except _CLIENT_ERRORS as error:
-            # without graphics the viewer closes its connections a moment before it ends
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(_END_TIME)
-                self._raise_reason()
+            # without graphics the viewer closes its connections seconds before it ends
+            deadline = time.monotonic() + _END_TIME
+            while time.monotonic() < deadline:
+                if self._process.poll() is not None or self._has_no_graphics():
+                    self._raise_reason()
+                time.sleep(_POLL)
             raise ViewerError(f'the viewer does not draw: {error}') from None
 
+    def _messages(self) -> str:
+        """Return the messages of the viewer so far."""
+        # the viewer writes at the end of the same file
+        return os.pread(self._errors.fileno(), _MAX_MESSAGES, 0).decode(errors='replace').strip()
+
+    def _has_no_graphics(self) -> bool:
+        return any(word in self._messages() for word in _NO_GRAPHICS)
+
     def _raise_reason(self) -> NoReturn:
-        """Raise ViewerError for a viewer that has ended, with its last message."""
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors='replace').strip().splitlines()
+        """Raise ViewerError with the messages of a viewer that has ended, or cannot draw."""
+        messages, has_no_graphics = self._messages(), self._has_no_graphics()
         self.end()
-        if any(word in line for line in lines for word in _NO_GRAPHICS):
+        if has_no_graphics:
             raise NoGraphicsError(
                 'the viewer finds no graphics; on Debian and Ubuntu `apt install '
                 'mesa-vulkan-drivers libvulkan1` installs a software renderer'
             )
-        raise ViewerError(f'the viewer has ended: {lines[0] if lines else "it does not say why"}')
+        reason = messages.partition('\n')[0] or 'without a message'
+        raise ViewerError(f'the viewer has ended: {reason}')
 
 
 def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> None:

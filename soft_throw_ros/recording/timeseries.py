@@ -154,7 +154,7 @@ class ThrowStart:
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
-    """Return the throws of each twin; only messages with `tells_throws` are needed."""
+    """Return the throws of each twin; only messages with `has_throws` are needed."""
     throws: dict[str, list[ThrowStart]] = {}
     readers: dict[str, TwinReader] = {}
     for message in messages:
@@ -173,7 +173,7 @@ def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
     return throws
 
 
-def tells_throws(topic: str, type_name: str) -> bool:
+def has_throws(topic: str, type_name: str) -> bool:
     """Return whether a topic contains the starts of throws, or shows that they are complete."""
     return identify(topic, type_name)[1] in (TWIN_TOPICS.journal, TWIN_TOPICS.throw_field)
 

@@ -42,21 +42,21 @@ def test_two_twins_of_one_name_are_reported_by_both_until_one_ends(
     listener.listen(TWIN_TOPICS.diagnostics)
     log = ''
 
-    def has_said(text: str, count: int) -> bool:
+    def is_logged(text: str, count: int) -> bool:
         nonlocal log
         log += capfd.readouterr().err
         return log.count(text) == count
 
     ros.spin_until(
-        lambda: has_said('another node is named /twin', 2), 'the warnings of both twins'
+        lambda: is_logged('another node is named /twin', 2), 'the warnings of both twins'
     )
     status = listener.status(
-        TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['namesakes'] == 1
+        TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['duplicate_nodes'] == 1
     )
     assert status.level == DiagnosticStatus.WARN
     assert '/twin' in status.message
     ros.remove(twins[1])
-    ros.spin_until(lambda: has_said('no other node has this name', 1), 'the end of the warning')
+    ros.spin_until(lambda: is_logged('no other node has this name', 1), 'the end of the warning')
 
 
 def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
