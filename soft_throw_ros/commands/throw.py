@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 import sys
 from typing import TypedDict
 
@@ -50,6 +49,7 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
 from soft_throw_ros.configuration.csv_rows import read_rows
+from soft_throw_ros.configuration.regular_file import read_regular_file
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
@@ -301,12 +301,18 @@ _CASES: Mapping[str, Callable[[str], float]] = {
 }
 """Columns of a CSV file of cases, each with the function that reads its cells."""
 
+_MAX_BYTES = 1 << 26
+"""Size of a CSV file of cases [byte]: a million rows."""
+
 
 def _compute_cases(path: str) -> str:
     """Compute the first release for every row of a CSV file; return the results as CSV."""
     name = 'standard input' if path == '-' else path
     with report_io_errors(name):
-        text = sys.stdin.read() if path == '-' else Path(path).read_text(encoding='utf-8')
+        if path == '-':
+            text = sys.stdin.read()
+        else:
+            text = read_regular_file(path, max_bytes=_MAX_BYTES).decode()
     rows = _read_cases(text.split('\n'), name)
     if not rows:
         print_note('throw', f'{name} has no rows below its header')

@@ -139,6 +139,7 @@ def test_options_replace_values_of_the_file(command, write):
         (('--thicknes', '0.01'), '--thicknes 0.01'),
         (('--config', 'no_such.yaml'), 'no_such.yaml: '),
         (('--cases', 'no_such.csv'), 'no_such.csv: '),
+        (('--cases', '/dev/zero'), '/dev/zero: is not a regular file'),
         (('--cases', 'a.csv', '--json'), 'argument --json: '),
         (('--cases', 'a.csv', '--mass', '1'), 'argument --mass: '),
         (('--cases', 'a.csv', *EXACT), 'argument --model: '),
