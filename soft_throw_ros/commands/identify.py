@@ -116,7 +116,7 @@ def add_fit_options(parser: CommandParser) -> None:
     )
     add(
         '--fit-file', metavar='FILE',
-        help='YAML file that says the same: `parameters` (NAME: HOW), `heights`, `reference`, and '
+        help='YAML file of the fit: `parameters` (NAME: HOW), `heights`, `reference`, and '
         '`throws` (names of files or throws, or patterns, to parameters and names of `layer` and '
         '`projectile` that differ there)',
     )

@@ -120,7 +120,7 @@ def _run(arguments: argparse.Namespace) -> int:
         recorded = camera_rate(arguments.video)
         if recorded and abs(arguments.rate / recorded - 1.0) > _MAX_RATE_ERROR:
             notes.append(
-                f'--rate is {arguments.rate:g}, but the file says that it was taken with '
+                f'--rate is {arguments.rate:g}, but the file gives '
                 f'{recorded:g} pictures per second'
             )
         tracks = (_track_edges if arguments.line else _track_spots)(arguments, notes)

@@ -151,7 +151,7 @@ _ENTRIES = (
         "How far the clock that stamps the samples may be off the twin's to be corrected; "
         'stamps since boot always are', unit='s', low=0.0, high=1e6),
     row('layer.library', '',
-        'File of materials besides those of `config/layers.yaml`, which says how it is written',
+        'File of materials besides those of `config/layers.yaml`, which describes the format',
         kind='the path of a file, or empty'),
     row('layer.name', 'gelatin_16.8mm',
         'Layer of the library, which sets the properties of the layer; `custom` after any other '

@@ -81,7 +81,7 @@ class SearchCancelledError(RuntimeError):
 
 
 def check_cancelled(cancelled: Cancelled | None) -> None:
-    """Raise SearchCancelledError if nobody waits any more."""
+    """Raise SearchCancelledError if the search is cancelled."""
     if cancelled is not None and cancelled():
         raise SearchCancelledError('the search was cancelled')
 
@@ -249,7 +249,7 @@ def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
 def _batches(
     chosen: NDArray[np.bool_], size: int, cancelled: Cancelled | None
 ) -> Iterator[NDArray[np.int64]]:
-    """Yield the indices of batches; raise before one if nobody waits any more."""
+    """Yield the indices of batches; raise before one if the search is cancelled."""
     indices = np.flatnonzero(chosen)
     for start in range(0, indices.size, size):
         check_cancelled(cancelled)

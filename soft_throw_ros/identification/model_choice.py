@@ -194,7 +194,7 @@ def compare_layers(
         for name, item in fits.items()
     ]
     layers.sort(key=attrgetter('criterion'))
-    # A held stiffening says that the layer is linear
+    # A fixed stiffening means a linear layer
     is_proven = len(layers) > 1 and layers[1].criterion > _MIN_EXCESS
     is_open = 'layer.stiffening' in model.layout
     return layers, strained if is_proven and is_open and layers[0].name == _LARGE_STRAIN else None

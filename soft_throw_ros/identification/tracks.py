@@ -207,7 +207,7 @@ class Track:
             spikes = peaks[deviation[peaks] > _SPIKE_LIMIT * usual]
             if not spikes.size:
                 break
-            if spikes[0] == 2:  # which one of the first it is cannot be told
+            if spikes[0] == 2:  # it is unknown which of the first two is the spike
                 spikes = np.append([0, 1], spikes)
             if spikes[-1] == kept.size - 3:
                 spikes = np.append(spikes, [kept.size - 2, kept.size - 1])

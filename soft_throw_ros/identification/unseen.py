@@ -260,7 +260,7 @@ def _undamped(size: float) -> list[Change]:
 
 
 def _sticking(model: RigModel, values: Floats, duration: float) -> UnseenEffect:
-    """Return the effect of a layer that pulls the projectile for a while before it lets go."""
+    """Return the effect of a layer that holds the projectile for a while at its release."""
     columns = []
     for throw, body, track in model.series:
         column = np.zeros(track.time.size)

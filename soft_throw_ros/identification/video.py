@@ -100,9 +100,9 @@ def read_pictures(path: str) -> Iterator[Picture]:
 
 
 def camera_rate(path: str) -> float | None:
-    """Return with how many pictures per second it was taken [Hz], if the file says so."""
+    """Return the number of pictures per second in the metadata [Hz], None without one."""
     if not path.lower().endswith('.cine'):
-        return None  # others say at which rate they are shown
+        return None  # other formats contain the rate of display
     from imageio import v3 as imageio
 
     _require_file(path)

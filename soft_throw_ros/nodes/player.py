@@ -74,7 +74,7 @@ class Player(RunnableNode):
     loop, paused : bool
         Whether the end is followed by the beginning, and whether to wait to be resumed.
     clock : float
-        How often `/clock` tells the time of the bag; 0 for never. [Hz]
+        Rate of `/clock`; 0 for none. [Hz]
     **kwargs
         As for `rclpy.node.Node`.
 

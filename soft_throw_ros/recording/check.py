@@ -505,7 +505,7 @@ class _Check:
         at_ends, within = (int(number) for number in self._missing[topic])
         sequences = self._sequences[topic]
         uncounted = max(within - lost, 0)
-        if not len(sequences):  # nothing tells when the recorder joined
+        if not len(sequences):  # the time at which the recorder joined is unknown
             uncounted = max(at_ends + within - known, 0)
         elif LOSSES in notes:  # not after a kill, and not of other recorders
             skipped = count_skipped(sequences, is_from_first=self._reader.path.is_dir())
@@ -548,6 +548,6 @@ def _first_difference(recorded: Mapping[str, object], repeated: Mapping[str, obj
     """Return a description of the first value that is not the same; empty if all are."""
     for name in {**repeated, **recorded}:
         there, here = recorded.get(name), repeated.get(name)
-        if repr(there) != repr(here):  # which tells zeros by their signs
+        if repr(there) != repr(here):  # which distinguishes zeros by their signs
             return f'{name:.80} is {there!r:.80} in the bag, and {here!r:.80} when repeated'
     return ''

@@ -122,7 +122,7 @@ def send_recording(
         Viewer(port, *WINDOW, stays=True)
     connection = rerun_viewer.connect(port)
     if connection is None:
-        raise ViewerError(f'nobody listens at {HOST}:{port} any more')
+        raise ViewerError(f'no viewer listens at {HOST}:{port} any more')
     with connection:
         stream.connect_grpc(rerun_viewer.url_of(port))
         draw()

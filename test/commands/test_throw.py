@@ -210,6 +210,6 @@ def test_closed_output_pipe_gives_no_traceback():
         process.stdout.close()
         process.stdin.write('mu,kappa,zeta\n' + '1,2,0\n' * 5000)
         process.stdin.close()
-        said = process.stderr.read()
+        errors = process.stderr.read()
         assert process.wait(timeout=100) == 0
-    assert 'rror' not in said
+    assert 'rror' not in errors

@@ -83,7 +83,7 @@ def test_stopped_processes_resume_with_correct_counts(system, stops, late, is_lo
     assert outcome.ticks_missing <= outcome.ticks_skipped
     assert outcome.ticks_skipped > 1000 * (late - 0.2 * len(stops)) or not late
     first, *_, last = outcome.heard.tolist()
-    assert last > outcome.reported  # a twin that ends discards states that nobody has fetched
+    assert last > outcome.reported  # a twin that ends discards states without a reader
     between = (outcome.published >= first) & (outcome.published <= last)
     assert np.isin(outcome.published[between], outcome.heard).all()
     assert outcome.viewers == 1

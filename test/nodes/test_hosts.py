@@ -169,7 +169,7 @@ def hosts():
         for number, name in enumerate(('twin', 'recorder', 'subscriber'), 1):
             made[name] = Host(number)
     except (OSError, subprocess.CalledProcessError) as error:
-        pytest.skip(f'hosts of its own are not to be had here: {error}')
+        pytest.skip(f'this machine does not permit network namespaces: {error}')
     yield made
     for host in made.values():
         host.close()

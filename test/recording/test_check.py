@@ -415,8 +415,8 @@ def test_wrong_values_of_results_are_found_and_named(plain, check) -> None:
     result = check(plain.edited(edit))
     assert result.exit_code == 1
     assert result.results.different == len(result.differences) == 4
-    for said in result.differences:
-        assert any(f'throw {number}' in said and name in said for number, name in names.items())
+    for line in result.differences:
+        assert any(f'throw {number}' in line and name in line for number, name in names.items())
 
 
 # lines of the journal that are missing

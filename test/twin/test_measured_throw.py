@@ -658,7 +658,7 @@ def test_plate_at_rest_is_shown_where_it_is_measured() -> None:
 
 def test_measurement_can_be_switched_on_and_off() -> None:
     run = Run(throw__period=0.0)
-    run.session.measure([Sample(run.begin_ns, 0.0)])  # nobody listens
+    run.session.measure([Sample(run.begin_ns, 0.0)])  # without a listener
     run.session.change({'engine.motion': 'measured'})
     run.session.request_throw()  # applies the pending change first, so starts no throw
     run.measure()
