@@ -63,10 +63,7 @@ _ONE_MOTION = 1.5  # largest residual of a record of one throw, as a multiple of
 def add_track_options(parser: CommandParser) -> None:
     """Add the options for reading tracks; `read_throws` and `read_layer` use them."""
     add = parser.add_argument
-    add(
-        '--unit', choices=UNITS, default='m',
-        help='of heights in columns of CSV files that name no unit (default %(default)s)',
-    )
+    add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
     add(
         '--noise', metavar='M', type=positive, help='standard deviation of heights, if it is known'
     )

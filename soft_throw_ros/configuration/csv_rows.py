@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import math
 import re
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,8 @@ class Column(NamedTuple):
     """Largest absolute value. [SI]"""
     may_have_gaps: bool = False
     """Whether a value may be missing: the cell is empty or nan, and the value NaN."""
+    hints: Mapping[str, str] = MappingProxyType({})
+    """Remedies for labels with other units, by unit."""
     needs_label: bool = False
     """Whether a file without labels never has this column."""
 
@@ -189,8 +192,10 @@ def _find_columns(
                 continue
             unit = column.units.get(unit_name or column.default_unit)
             if unit is None:
+                rule = 'must be in' if len(column.units) > 1 else 'is read in'
                 raise ValueError(
-                    f'{where}: {key} must be in {" or ".join(column.units)}, got {quote(cell)}'
+                    f'{where}: {key} {rule} {" or ".join(column.units)}, got {quote(cell)}'
+                    f'{column.hints.get(unit_name, "")}'
                 )
             if key in sources:
                 raise ValueError(f'{where}: {key} must be there once, got {quote(cell)} too')

@@ -55,7 +55,7 @@ def read_csv(
     bodies : sequence of str
         Bodies to read. The first must be there, the others may be missing altogether.
     unit : str
-        Unit of the heights in columns that do not name theirs, one of `UNITS`.
+        Unit of the heights, one of `UNITS`; a label with another unit is refused.
 
     Raises
     ------
@@ -63,8 +63,12 @@ def read_csv(
         With the number of the line, if something is wrong.
 
     """
+    hints = {other: f'; see --unit {other}' for other in UNITS}
     columns = {'time': Column(('t', 'time'), {'s': 1.0}, 's', MAX_TIME)} | {
-        body: Column(COLUMN_NAMES[body], UNITS, unit, MAX_HEIGHT, may_have_gaps=True)
+        body: Column(
+            COLUMN_NAMES[body], {unit: UNITS[unit]}, unit, MAX_HEIGHT, may_have_gaps=True,
+            hints=hints,
+        )
         for body in bodies
     }
     try:

@@ -324,6 +324,7 @@ THICKNESS = 'layer.thickness'
     ('args', 'message'),
     [
         (('none.csv',), 'none.csv: No such file or directory'),
+        ((SAMPLE,), f"{SAMPLE}:4: plate is read in m, got 'plate [mm]'; see --unit mm"),
         ((SAMPLE, '--noise', '0'), "argument --noise: must be finite and positive, got '0'"),
         ((SAMPLE, '--fit', 'layer.colour'), 'argument --fit: what is fitted must be some of '),
         ((SAMPLE, '--fit', THICKNESS, '--hold', THICKNESS), f'argument --hold: {THICKNESS}'),
