@@ -16,8 +16,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+import signal
 import socket
+import subprocess
 import sys
+from test.recording.conftest import wait_until
 from typing import Any
 
 from bags import write
@@ -32,6 +35,10 @@ pytest.importorskip('rerun')
 from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
 
 from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+
+INSPECT = 'import sys; from soft_throw_ros.commands.inspect_bag import main; sys.exit(main())'
 
 
 @pytest.fixture(scope='module')
@@ -158,3 +165,24 @@ def test_occupied_port_is_named(capsys, bag) -> None:
         code, (line,) = run(capsys, bag, '--sink', 'serve', '--port', port)
     assert code == 2
     assert f'port {port} of 127.0.0.1' in line
+
+
+def viewers_of(pid: int) -> list[int]:
+    """Return the child processes that run the program of Rerun."""
+    children = Path(f'/proc/{pid}/task').glob('*/children')
+    found = [int(child) for path in children for child in path.read_text().split()]
+    return [each for each in found if Path(f'/proc/{each}/comm').read_text().strip() == 'rerun']
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('how', ['SIGINT', 'SIGHUP', 'SIGKILL'])
+def test_killed_screenshot_leaves_no_viewer_behind(bag, tmp_path, how) -> None:
+    command = [sys.executable, '-c', INSPECT, bag, '--screenshot', tmp_path / 'scene.png']
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
+        try:
+            wait_until(lambda: viewers_of(process.pid) != [])
+            (viewer,) = viewers_of(process.pid)
+        finally:
+            process.send_signal(getattr(signal, how))
+    wait_until(lambda: not Path(f'/proc/{viewer}').exists())
+    assert not (tmp_path / 'scene.png').exists()

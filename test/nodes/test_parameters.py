@@ -306,3 +306,17 @@ def test_files_types_a_value_as_ros_does(ros, tmp_path: Path) -> None:
 )
 def test_values_are_shown_without_meaningless_digits(value, text) -> None:
     assert shown(value) == text
+
+
+def test_refusal_of_a_huge_value_is_short(twin, client) -> None:
+    for name, value, end in (
+        ('layer__stack', '8e-3 gelatin,' * 80_000, 'got 1040000'),
+        ('layer__name', 'x' * 1_000_000, 'got 1000000'),
+        ('recommendation__masses', [0.001] * 1_000_000, 'got 1000000'),
+        ('x' * 100_000, 1.0, '(100000 characters)'),
+        ('gravity', [0.001] * 1_000_000, 'got 1000000'),
+    ):
+        reason = client.set_atomically(**{name: value})
+        assert len(reason) < 300
+        assert reason.endswith(end)
+        assert unchanged(twin)

@@ -248,3 +248,24 @@ def test_publisher_faster_than_the_loop_does_not_block_a_drain(
     ros.spin_until(is_empty, 'ten messages')
     assert max(drained) <= 4
     subscription.close()
+
+
+@pytest.mark.parametrize('topic', [CHANNEL.topic, '/talk'])
+def test_sequence_numbers_of_simultaneous_publishers_are_not_losses(
+    ros, talker, listener, subscribe, topic
+) -> None:
+    first = talker.create_publisher(String, topic, LATCHED)
+    for _ in range(8):
+        first.publish(String())
+    second = talker.create_publisher(String, topic, LATCHED)
+    ros.spin_until(lambda: listener.count_publishers(topic) == 2, 'both')
+    subscriptions = subscribe(topic)
+    take(ros, subscriptions, 8)
+    for _ in range(3):
+        second.publish(String())
+        take(ros, subscriptions, 1)
+        first.publish(String())
+        take(ros, subscriptions, 1)
+    subscriptions.discover()
+    (subscription,) = subscriptions
+    assert subscription.lost == 0

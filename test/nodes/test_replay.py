@@ -22,13 +22,14 @@ import subprocess
 import sys
 from typing import Any
 
-from bags import write
+from bags import BEGIN, channel, text, write
 import pytest
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 from soft_throw_ros.nodes.replay import main
 from soft_throw_ros.recording.message import Message
 from std_srvs.srv import Trigger
+from stopping import stop
 from twin_messages import TwinMessages
 
 pytestmark = pytest.mark.timeout(300)
@@ -213,3 +214,44 @@ def test_recorded_and_replayed_twin_agree_with_the_journal(
     assert [' 0 are different' in line for line in second] == [
         ' 0 are different' in line for line in first
     ]
+
+
+SUBSCRIBER = """
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import String
+
+rclpy.init()
+node = Node('subscriber')
+node.create_subscription(String, '/texts', lambda _: print('heard', flush=True), 10)
+print('ready', flush=True)
+rclpy.spin(node)
+"""
+
+
+@pytest.fixture(scope='module')
+def texts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the path of a one-second bag with a message every millisecond."""
+    texts = channel('/texts', depth=1000)
+    times = range(BEGIN, BEGIN + 1_000_000_001, 1_000_000)
+    made = [Message(texts, text(str(n)), time, time) for n, time in enumerate(times)]
+    return write(tmp_path_factory.mktemp('texts') / 'bag', made)
+
+
+@pytest.mark.slow
+def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
+    subscriber = start(sys.executable, '-c', SUBSCRIBER)
+    subscriber.wait_for('ready')
+    by_itself = start(*COMMAND, str(texts), '--rate', '0.3')  # so slow that it is found
+    subscriber.wait_for('heard')
+    by_signal = start(*COMMAND, str(texts), '--loop', '--clock')
+    observer = ros.node(Node, 'observer')
+    ros.spin_until(lambda: observer.count_publishers('/clock') > 0, 'the player')
+    stop(subscriber.process.pid)
+    try:
+        assert by_itself.wait() == 0
+        assert by_signal.end(signal.SIGINT) == 0  # while messages pile up
+    finally:
+        subscriber.process.send_signal(signal.SIGCONT)
+    for replay in (by_itself, by_signal):
+        assert not any('Traceback' in line or 'rror' in line for line in replay.lines)
