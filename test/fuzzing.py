@@ -163,6 +163,20 @@ def _span(draw: Callable[..., Any], size: int, *, longest: int) -> tuple[int, in
     return begin, draw(st.integers(begin, min(size, begin + longest)))
 
 
+VALUES: st.SearchStrategy[Any] = st.one_of(
+    st.floats(),
+    st.integers(),
+    st.booleans(),
+    st.none(),
+    st.sampled_from(WORDS),
+    st.sampled_from([10**400, -(2**63), 2**64, math.nan, math.inf, -0.0, b'x', {}, [[]], ()]),
+    st.text(max_size=8),
+    st.lists(st.floats() | st.integers() | st.text(max_size=3), max_size=4),
+    st.lists(st.floats(), min_size=1001, max_size=1003),
+)
+"""Valid and invalid values of parameters."""
+
+
 @contextlib.contextmanager
 def bounded(*folders: Path) -> Iterator[None]:
     """

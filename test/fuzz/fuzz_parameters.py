@@ -20,7 +20,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from fuzzing import assert_refusal, bounded, fuzzed, NUMBERS, run, texts
+from fuzzing import assert_refusal, bounded, fuzzed, NUMBERS, run, texts, VALUES
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
@@ -28,7 +28,7 @@ from soft_throw_ros.commands import throw
 from soft_throw_ros.configuration import files, layers, RECORDER, Settings, Table, TWIN
 from soft_throw_ros.configuration.recorder import VIEWER
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
-from soft_throw_ros.configuration.table import ParameterError
+from soft_throw_ros.configuration.table import ParameterError, quote
 from soft_throw_ros.twin.session import Session
 
 TABLES = (TWIN, RECORDER, VIEWER, RIG, CALIBRATOR)
@@ -44,6 +44,43 @@ def assert_valid(table: Table, settings: Settings) -> None:
         assert type(value) is type(entry.default), name
         numbers = value if isinstance(value, tuple) else (value,)
         assert all(math.isfinite(x) for x in numbers if isinstance(x, (int, float))), name
+
+
+@st.composite
+def requests(draw: Any, table: Table) -> dict[str, Any]:
+    """Make changes of some parameters: near their limits, of other parameters, or of any kind."""
+    names = [entry.name for entry in table.entries]
+    request = {}
+    for name in draw(st.lists(st.sampled_from(names), min_size=1, max_size=4, unique=True)):
+        entry = table.by_name[name]
+        near = [entry.default, entry.low, entry.high, *entry.choices]
+        near += [math.nextafter(x, draw(st.sampled_from([-math.inf, math.inf])))
+                 for x in (entry.low, entry.high)]
+        values = st.sampled_from(near) | VALUES
+        if math.isfinite(entry.low) and math.isfinite(entry.high):
+            values |= st.floats(entry.low, entry.high)
+        request[name] = draw(values)
+    if draw(st.integers(0, 9)) == 0:
+        request[draw(st.text(max_size=8) | st.sampled_from(['', 'layer', 'layer.']))] = 1.0
+    return request
+
+
+@fuzzed(0.2)
+@given(data=st.data())
+def test_parameters_are_valid_or_refused(tmp_path: Path, data: Any) -> None:
+    table = data.draw(st.sampled_from(TABLES))
+    request = data.draw(requests(table))
+    with bounded(tmp_path):
+        try:
+            settings = {**table.defaults(), **table.change(table.defaults(), request)}
+        except ParameterError as error:
+            assert_refusal(error)
+            assert any(quote(value) in str(error) or f'{name!r}' in str(error)
+                       or (isinstance(value, str) and f'{value.strip()}: ' in str(error))  # a file
+                       or (isinstance(value, (int, float)) and f'{value:g}' in str(error))
+                       for name, value in request.items()), str(error)
+        else:
+            assert_valid(table, settings)
 
 
 @fuzzed(0.02)
