@@ -114,10 +114,11 @@ def add_terms(model: RigModel, fit: Fit) -> tuple[RigModel, Fit, list[AddedTerm]
 
 def _best_term(model: RigModel, fit: Fit) -> _Candidate | None:
     """Return the term that lowers the criterion most, None if no term does so strongly."""
+    # Waves that the tracks of the plates do not show must not explain a projectile
     names = [
         name
         for name in model.description.if_seen
-        if name.startswith('plate') or model.projectiles
+        if name.startswith('plate') != bool(model.projectiles)
     ]
     if not names:
         return None

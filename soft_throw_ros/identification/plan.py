@@ -143,7 +143,7 @@ class ParameterInformation:
         indices = [result.fit.names.index(name) for name in names]
         # Rounding has many causes, of which none changes a release
         effects = tuple(
-            effect._replace(are_pairs=False, margin=1.0)
+            effect._replace(presence='all', margin=1.0)
             for effect in result.effects
             if effect.name != ROUNDING
         )
@@ -317,10 +317,15 @@ class Planner:
 
     @cached_property
     def _effects(self) -> tuple[UnseenEffect, ...]:
-        """Unseen effects of the throws; with a fit, those of its throws, which more reduce."""
+        """
+        Unseen effects of the throws; with a fit, those of its throws, which more reduce.
+
+        Effects that only the residuals of measured throws can show are left out.
+        """
         if self.measured:
             return self.measured.effects
-        return tuple(unseen_effects(self._model, self._values)[0])
+        effects, _ = unseen_effects(self._model, self._values)
+        return tuple(effect for effect in effects if effect.presence != 'any pair')
 
     @cached_property
     def information(self) -> tuple[Floats, ...]:

@@ -46,7 +46,6 @@ from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
-    FIXED,
     LAYER,
     PARAMETERS,
     values_of,
@@ -365,11 +364,8 @@ def _fit_plates(
         rig, description, simulator, plates,
     )
     alone, fit, terms = add_terms(alone, alone.fit(alone.start()))
-    # Waves that the tracks of the plates do not show must not explain a projectile later
-    waves = [name for name in alone.description.if_seen if name.startswith('plate')]
-    description = alone.description.change(dict.fromkeys(waves, FIXED))
     model = RigModel(
-        tuple(throws), rig, description, simulator, plates, initial=fit.by_name
+        tuple(throws), rig, alone.description, simulator, plates, initial=fit.by_name
     )
     return model, terms
 

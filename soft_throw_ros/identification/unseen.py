@@ -40,10 +40,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.core.throw import ejections
@@ -86,6 +87,9 @@ _SPEED_STEP = 0.01
 _MIN_RUN = 3
 """Number of consecutive equal heights from which on rounding errors are correlated."""
 
+Presence = Literal['all', 'one pair', 'any pair']
+"""Which causes of an effect are there: all, one pair of neighbours, or each pair or not."""
+
 
 class SkippedEffect(NamedTuple):
     """An effect that the errors do not include, because its throws cannot be simulated."""
@@ -104,8 +108,8 @@ class UnseenEffect(NamedTuple):
     """Changes of the ejection time of the first throw, shape (k,). [s]"""
     speed: Floats
     """Changes of the ejection speed, shape (k,). [m/s]"""
-    are_pairs: bool = False
-    """Whether only one pair of neighbouring causes is there."""
+    presence: Presence = 'all'
+    """The causes that are there; before the fit, each of any pair is there with 50 %."""
     margin: float = 1.0
     """Factor on the sizes of an effect whose shape is known roughly only. [-]"""
     is_linear: bool = True
@@ -139,11 +143,11 @@ class UnseenEffect(NamedTuple):
         precision = 1.0 + seen
         best = products / precision
         squares = 1.0 / precision + best**2
-        if self.are_pairs:
+        if self.presence != 'all':
             evidence = 0.5 * (best**2 * precision - np.log(precision))
-            pairs = evidence.reshape(-1, 2).sum(axis=1)
-            weights = np.exp(pairs - pairs.max())
-            squares *= np.repeat(weights / weights.sum(), 2)
+            pairs = evidence.reshape(-1, 2).sum(axis=1)  # logarithms of Bayes factors
+            weigh = special.softmax if self.presence == 'one pair' else special.expit
+            squares *= np.repeat(weigh(pairs), 2)
         return np.asarray(self.margin * np.sqrt(squares))
 
 
@@ -162,13 +166,13 @@ def unseen_effects(
     size = model.description.treatment(PLATE_MODE).error
     if size is not None:
         makers[PLATE_MODE] = partial(
-            _of_changes, PLATE_MODE, model, values, _modes(size), are_pairs=True
+            _of_changes, PLATE_MODE, model, values, _modes(size), presence='one pair'
         )
-    if RINGING_AMPLITUDES[0] in model.layout:
-        size = model.description.treatment(RINGING).error or _RINGING
+    is_fitted = RINGING_AMPLITUDES[0] in model.layout
+    size = model.description.treatment(RINGING).error or (_RINGING if is_fitted else None)
+    if size is not None:
         makers[RINGING] = partial(
-            _of_changes, RINGING, model, values, _undamped(size), base=_without_ringing,
-            margin=_RINGING_MARGIN,
+            _ringing, model, values, size, presence='all' if is_fitted else 'any pair'
         )
     if model.projectiles:
         size = model.description.treatment(RELEASE_DELAY).error
@@ -213,8 +217,7 @@ def _of_changes(
     changes: Sequence[Change],
     *,
     base: Change = lambda rig, motion: (rig, motion),
-    are_pairs: bool = False,
-    margin: float = 1.0,
+    presence: Presence = 'all',
 ) -> UnseenEffect:
     """Return the effects of changes of the motion of the plate, each beside a base."""
     heights = _heights(model, values, base)
@@ -226,7 +229,7 @@ def _of_changes(
     ]
     columns = [_heights(model, values, change) - heights for change in changes]
     time, speed = np.array(moved).T
-    return UnseenEffect(name, np.array(columns), time, speed, are_pairs, margin)
+    return UnseenEffect(name, np.array(columns), time, speed, presence)
 
 
 def _modes(size: float) -> list[Change]:
@@ -241,6 +244,22 @@ def _modes(size: float) -> list[Change]:
         for frequency in _MODE_FREQUENCIES.tolist()
         for sizes in ((size, 0.0), (0.0, size))
     ]
+
+
+def _ringing(model: RigModel, values: Floats, size: float, presence: Presence) -> UnseenEffect:
+    """Return the effects of ringing without damping, a pair for each throw."""
+    effect = _of_changes(
+        RINGING, model, values, _undamped(size), base=_without_ringing, presence=presence
+    )
+    throws = np.arange(len(model.throws))[:, None]
+    own = (model.throw_of_sample == throws)[:, None, :]
+    is_first = np.repeat(throws[:, 0] == 0, 2)
+    return effect._replace(
+        heights=(own * effect.heights).reshape(-1, effect.heights.shape[1]),
+        time=is_first * np.tile(effect.time, throws.size),
+        speed=is_first * np.tile(effect.speed, throws.size),
+        margin=_RINGING_MARGIN,
+    )
 
 
 def _without_ringing(rig: Rig, motion: PlateWithWaves) -> tuple[Rig, PlateWithWaves]:

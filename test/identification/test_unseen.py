@@ -17,14 +17,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
     FitDescription,
+    FIXED,
     IDEAL_BENCH,
     parse_treatments,
 )
 from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.tracks import ThrowTracks, Track
 from soft_throw_ros.identification.unseen import UnseenEffect
 
 RIG = Rig(
@@ -81,11 +84,44 @@ def test_size_of_an_effect_agrees_with_its_posterior():
 
 def test_indistinguishable_effects_share_their_size():
     zeros = np.zeros((4, 0))
-    effect = UnseenEffect('x', zeros, np.zeros(4), np.zeros(4), are_pairs=True)
+    effect = UnseenEffect('x', zeros, np.zeros(4), np.zeros(4), presence='one pair')
     assert effect.sizes(np.zeros(4), np.zeros(4)) == pytest.approx(np.full(4, 0.5**0.5))
     # A pair that the residuals show leaves nothing to the other
     sizes = effect.sizes(np.full(4, 99.0), np.array([100.0, 0.0, 0.0, 0.0]))
     assert sizes == pytest.approx([1.0, 0.1, 0.0, 0.0], abs=0.01)
+
+
+def test_pairs_that_may_be_absent_count_by_their_evidence():
+    zeros = np.zeros((4, 0))
+    effect = UnseenEffect('x', zeros, np.zeros(4), np.zeros(4), presence='any pair')
+    assert effect.sizes(np.zeros(4), np.zeros(4)) == pytest.approx(np.full(4, 0.5**0.5))
+    # The residuals show the first pair; the odds of the second are 1 to 100
+    sizes = effect.sizes(np.full(4, 99.0), np.array([100.0, 0.0, 0.0, 0.0]))
+    assert sizes == pytest.approx([1.0, 0.1, 0.1 / 101**0.5, 0.1 / 101**0.5], rel=0.01)
+
+
+@pytest.mark.parametrize('is_ringing', [False, True])
+def test_ringing_with_its_own_damping_increases_the_error_of_the_damping(is_ringing):
+    """The residuals show it, although ringing with the damping of the plate explains nothing."""
+    engine = Engine(frequency=60.0, damping_ratio=0.12, amplitude=1e-3)
+    since = np.arange(0.0, 0.1, 1.0 / 5000.0) - 0.016
+    noise = 3e-5 * np.random.default_rng(1).normal(size=since.size)
+    angle = 2.0 * np.pi * engine.frequency * since
+    ringing = is_ringing * 2e-5 * np.exp(-0.01 * angle) * np.cos(angle + 2.5)
+    plate = Underdamped.of(engine).position(since) + ringing + noise
+    throw = ThrowTracks(name='x', plate=Track(time=since + 0.016, position=plate), projectile=None)
+    names = {'layer.wave_speed': FIXED, 'plate.ringing': DEFAULTS['plate.ringing']}
+    description = FitDescription({**IDEAL_BENCH, **names})
+    result = fit_rig([throw], replace(RIG, engine=engine), description)
+    assert not result.added_terms
+    estimate = result.fit['engine.damping_ratio']
+    budget = result.fit.budget('engine.damping_ratio')
+    deviation = abs(estimate.value - engine.damping_ratio)
+    assert deviation < 2.0 * estimate.error
+    if is_ringing:
+        assert deviation > 4.0 * budget['noise']
+    else:
+        assert estimate.error < 1.2 * budget['noise']
 
 
 @pytest.mark.parametrize('treatment', ['free', '1e-4', '+- 1 %', '+- 1e-4 per throw'])
