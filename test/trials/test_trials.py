@@ -13,80 +13,60 @@
 # limitations under the License.
 """A few trials, and the table of their verdicts."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 from trials import table
 from trials.__main__ import main
-from trials.judge import compare, Deviation, judge, Verdict
+from trials.judge import compare, Deviation, Verdict
 from trials.rows import ROWS
 
 
-def verdict(**found):
-    numbers = {name: Deviation(*value) for name, value in found.items()}
-    return Verdict(row='clean', number=0, results=numbers, seconds=0.1)
-
-
-def test_clean_throw_is_identified_within_its_errors():
-    result = judge('clean, known exactly', 3, seed=1)
-    assert not result.refusal
-    assert not result.warnings
-    assert not result.is_silently_wrong
-    assert result.results['layer.wave_speed'].errors < 4.0
-    assert result.results['ejection.time'].errors < 4.0
-
-
-def test_trial_is_determined_by_its_seed():
-    row = next(row for row in ROWS if 'outliers' in row.name)
-    first, again, other = (
-        row.draw(np.random.default_rng(seed)).records[0] for seed in (0, 0, 1)
-    )
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first[:, 1], other[:, 1])
-
-
 @pytest.mark.parametrize('row', ROWS, ids=[row.name for row in ROWS])
-def test_every_row_has_trials_with_a_truth(row):
-    trial = row.draw(np.random.default_rng(5))
-    assert all(np.isfinite(record).all() for record in trial.records)
-    assert all((np.diff(record[:, 0]) > 0.0).all() for record in trial.records)
+def test_every_row_has_trials_with_a_truth_determined_by_the_seed(row):
+    trial, again = (row.draw(np.random.default_rng(5)) for _ in range(2))
+    for record, same in zip(trial.records, again.records, strict=True):
+        assert np.isfinite(record).all()
+        assert (np.diff(record[:, 0]) > 0.0).all()
+        assert np.array_equal(record, same)
     assert trial.truth['layer.wave_speed'] > 0.0
-
-
-def test_large_deviation_without_a_warning_is_silently_wrong():
-    right, wrong = verdict(a=(1.0, 0.1, 1.15)), verdict(a=(1.0, 0.1, 1.6), b=(1.0, math.inf, 9.0))
-    assert right.results['a'].is_covered
-    assert not right.is_silently_wrong
-    assert wrong.wrong == ['a']
-    assert wrong.is_silently_wrong
 
 
 def test_truth_within_a_reported_alternative_is_right():
     one, other = {'value': 7.0, 'error': 0.1}, {'value': 9.0, 'error': 0.2}
-    truth = {'ejection.time': 9.1}
-    (alone,) = compare({'ejection': {'time': one, 'alternatives': []}}, truth).values()
-    ejection = {'time': one, 'alternatives': [{'time': other}]}
-    (both,) = compare({'ejection': ejection}, truth).values()
-    assert not alone.is_covered
-    assert both == Deviation(9.0, 0.2, 9.1)
+    alternatives = [{'time': other}]
+    results = compare(
+        {'ejection': {'time': one, 'alternatives': alternatives}}, {'ejection.time': 9.1}
+    )
+    assert results == {'ejection.time': Deviation(9.0, 0.2, 9.1)}
 
 
-def test_table_counts_verdicts():
-    verdicts = [verdict(**{'layer.wave_speed': (1.0, 0.1, truth)}) for truth in (1.0, 1.1, 2.0)]
+def test_large_deviations_without_a_warning_are_counted_as_silently_wrong():
+    results = [
+        {'layer.wave_speed': Deviation(1.0, 0.1, truth), 'a': Deviation(1.0, math.inf, 9.0)}
+        for truth in (1.0, 1.15, 2.0)
+    ]
+    verdicts = [Verdict(row='clean', number=0, results=item, seconds=0.1) for item in results]
+    assert [verdict.wrong for verdict in verdicts] == [[], [], ['layer.wave_speed']]
     cells = [cell.strip() for cell in table.line('clean', verdicts).strip('|').split('|')]
     counted = dict(zip(table.HEADS, cells, strict=True))
-    assert counted['rigs'] == '3'
-    assert counted['silently wrong'] == '1'
-    assert counted['c_s'] == '67 %'
+    assert [counted[name] for name in ('rigs', 'silently wrong', 'c_s')] == ['3', '1', '67 %']
     assert '1 of 3' in table.summary(verdicts, ['clean'])[0]
 
 
-def test_command_writes_a_table_and_a_log(capsys, tmp_path):
-    log = tmp_path / 'log.jsonl'
-    main(['--rows', 'free layers,', '--rigs', '2', '--workers', '1', '--log', str(log)])
-    assert capsys.readouterr().out.count('\n| free layers, losses') == 1
-    assert log.read_text().count('\n') == 2
+def test_command_identifies_clean_throws_and_free_layers(capsys, tmp_path):
+    log, names = tmp_path / 'log.jsonl', ('clean, known exactly', 'free layers, losses')
+    main(['--rows', *names, '--rigs', '1', '--workers', '1', '--log', str(log)])
+    printed = capsys.readouterr().out
+    clean, layers = map(json.loads, log.read_text().splitlines())
+    for name, verdict in zip(names, (clean, layers), strict=True):
+        assert printed.count(f'\n| {name}') == 1
+        assert (verdict['row'][: len(name)], verdict['refusal']) == (name, '')
+    assert clean['warnings'] == []
+    for name in ('layer.wave_speed', 'ejection.time'):
+        assert Deviation(*clean['results'][name]).errors < 4.0
 
 
 @pytest.mark.parametrize(
