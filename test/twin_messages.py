@@ -16,14 +16,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import sys
 from typing import Any
 import warnings
 
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import (
     ALL_TWIN_TOPICS,
     FRAME,
@@ -46,15 +45,12 @@ from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
 from soft_throw_ros.twin.results import Outputs, Phase
 from soft_throw_ros.twin.sample_buffer import Sample
-from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import TickSchedule
 from std_msgs.msg import Float64, String
+from twin_runs import named, Run
 
 with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
     import lark  # noqa: F401  imported later by rclpy, with a deprecation warning
-
-BEGIN = 1_700_000_000_000_000_000
 
 PHASES = tuple(Phase)
 
@@ -62,9 +58,9 @@ _LATE = 40_000
 """Time from the deadline to the published state, and to each later message. [ns]"""
 
 
-class TwinMessages:
+class TwinMessages(Run):
     """
-    A session, and the messages of its outputs so far.
+    A run of a session, and the messages of its outputs so far.
 
     Parameters
     ----------
@@ -79,7 +75,6 @@ class TwinMessages:
         self.node = node
         self.messages: list[Message] = []
         self._counts: Counter[str] = Counter()  # number of messages by topic
-        self.outputs: list[Outputs] = []
         self.channels = {
             topic.relative_name: self._channel(topic.at(node).name, topic.type)
             for topic in ALL_TWIN_TOPICS
@@ -87,52 +82,35 @@ class TwinMessages:
         self.channels['rosout'] = self._channel('/rosout', 'rcl_interfaces/msg/Log')
         self._encode_state = JointStateEncoder(FRAME, JOINTS).encode
         self._encode_prediction = JointStateEncoder(FRAME, JOINTS[1:]).encode
-        self._encode_positions = JointStateEncoder(FRAME, JOINTS, series=1).encode
+        self.encode_positions = JointStateEncoder(FRAME, JOINTS, series=1).encode
         self._encode_phase = JointStateEncoder(
             FRAME, TWIN_TOPICS.phase_change.joints, series=1
         ).encode
         self._encode_layer = JointStateEncoder(FRAME, LAYER_JOINTS).encode_arrays
-        self.now = BEGIN
-        settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), _named(request))}
-        self._settings = settings
-        self.session = Session(settings, on_entry=self._on_entry)
-        self.pace = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
-        self.session.set_tick_schedule(self.pace)
-        self._advise(settings)
+        super().__init__(**request)
+        self._advise(self.settings)
 
     def go(self, steps: int) -> TwinMessages:
         """Advance a number of steps."""
-        for _ in range(steps):
-            self.now = self.pace.deadline(self.session.step)
-            outputs = self.session.advance()
-            self.outputs.append(outputs)
-            self._publish(outputs)
-            if self.session.rate != self.pace.rate:
-                self.pace.change_rate(step=self.session.step - 1, rate=self.session.rate)
-                self.session.set_tick_schedule(self.pace)
+        super().go(steps)
         return self
 
-    def go_until(self, is_enough: Callable[[Outputs], bool], limit: int = 100_000) -> TwinMessages:
-        """Advance until the outputs of a step meet a condition."""
-        for _ in range(limit):
-            self.go(1)
-            if is_enough(self.outputs[-1]):
-                return self
-        raise AssertionError(f'it has not come in {limit} steps')
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        for sample in samples:
+            data = self.encode_positions(sample.stamp_ns, (sample.plate, sample.projectile))
+            self._send('measured_joint_states', data, 0)
+        super().on_samples(samples)
 
-    def measure(self, samples: Sequence[Sample]) -> TwinMessages:
-        """Advance during a measured throw, whose samples arrive without delay."""
-        waiting = list(samples)
-        while waiting:
-            self.now = self.pace.deadline(self.session.step)
-            count = sum(sample.stamp_ns <= self.now for sample in waiting)
-            for sample in waiting[:count]:
-                data = self._encode_positions(sample.stamp_ns, (sample.plate, sample.projectile))
-                self._send('measured_joint_states', data, 0)
-            self.session.measure(waiting[:count])
-            del waiting[:count]
-            self.go(1)
-        return self
+    def on_step(self, outputs: Outputs) -> None:
+        super().on_step(outputs)
+        self._publish(outputs)
+        if self.session.rate != self.schedule.rate:
+            self.schedule.change_rate(step=self.session.step - 1, rate=self.session.rate)
+            self.session.set_tick_schedule(self.schedule)
+
+    def on_entry(self, line: str) -> None:
+        super().on_entry(line)
+        self._send('journal', serialize_message(String(data=line)), 3)
 
     def diagnose(self, node: str, task: str, message: str, values: dict[str, Any]) -> None:
         """Publish the status of a task on /diagnostics."""
@@ -141,7 +119,7 @@ class TwinMessages:
 
     def change(self, **request: Any) -> None:
         """Change settings."""
-        self.session.change(_named(request))
+        self.session.change(named(request))
         self._advise(self.session.wanted)
 
     def _channel(self, name: str, kind: str) -> Channel:
@@ -162,7 +140,7 @@ class TwinMessages:
             self._send('predicted_joint_states', self._encode_prediction(stamp, values), 2)
         if outputs.residual is not None:
             stamp, *values = outputs.residual
-            self._send('residual', self._encode_positions(stamp, values), 2)
+            self._send('residual', self.encode_positions(stamp, values), 2)
         for phase, stamp_ns in outputs.phases:
             data = self._encode_phase(stamp_ns, (float(PHASES.index(phase)),))
             self._send('phase_change', data, 4)
@@ -175,7 +153,7 @@ class TwinMessages:
                 axes = getattr(TWIN_TOPICS, name).axes
                 self._send(name, encode_array(axes, values), 5)
         for result in outputs.results:
-            beside = other_models_values(result.rig, self._settings)
+            beside = other_models_values(result.rig, self.settings)
             status = throw_result_to_msg(result, self.node, beside)
             self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
             values = {**result.values(), **beside} if result.is_valid else {}
@@ -188,14 +166,7 @@ class TwinMessages:
         status = recommend_for(TwinConfig.from_settings(settings)).to_status(self.node)
         self._send('recommendation', serialize_message(statuses_to_msg(self.now, [status])), 8)
 
-    def _on_entry(self, line: str) -> None:
-        self._send('journal', serialize_message(String(data=line)), 3)
-
     def _send(self, name: str, data: bytes, order: int) -> None:
         time, channel = self.now + order * _LATE, self.channels[name]
         self._counts[name] += 1
         self.messages.append(Message(channel, data, time, time, self._counts[name]))
-
-
-def _named(request: dict[str, Any]) -> dict[str, Any]:
-    return {name.replace('__', '.'): value for name, value in request.items()}

@@ -63,11 +63,12 @@ class Run:
     begin_ns = BEGIN
 
     def __init__(self, **request: Any) -> None:
+        self.now = BEGIN  # time at which the present step is due
         self.journal: list[str] = []
         self.outputs: list[Outputs] = []
         self.settings = complete_settings(**request)
         self.rig = rig_of(self.settings)
-        self.session = Session(self.settings, on_entry=self.journal.append)
+        self.session = Session(self.settings, on_entry=self.on_entry)
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.schedule)
         self._waiting: list[tuple[int, Sample]] = []
@@ -77,14 +78,23 @@ class Run:
         """Advance by a number of steps and return their outputs."""
         first = len(self.outputs)
         for _ in range(steps):
-            now_ns = self.schedule.deadline(self.session.step)
-            count = sum(arrival <= now_ns for arrival, _ in self._waiting)
-            self.session.measure([sample for _, sample in self._waiting[:count]])
+            self.now = self.schedule.deadline(self.session.step)
+            count = sum(arrival <= self.now for arrival, _ in self._waiting)
+            self.on_samples([sample for _, sample in self._waiting[:count]])
             del self._waiting[:count]
-            self.outputs.append(self.session.advance())
+            self.on_step(self.session.advance())
             if self.session.step % round(self.session.rate) == 0:
                 self._notices += self.session.diagnose_sensors()
         return self.outputs[first:]
+
+    def on_entry(self, line: str) -> None:
+        self.journal.append(line)
+
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        self.session.measure(samples)
+
+    def on_step(self, outputs: Outputs) -> None:
+        self.outputs.append(outputs)
 
     def go_until(self, phase: Phase, limit: int = 20_000) -> Outputs:
         """Advance to the step that enters a phase."""
@@ -174,8 +184,12 @@ def make_samples(
 
 def complete_settings(**request: Any) -> dict[str, Any]:
     """Return complete settings."""
-    named = {name.replace('__', '.'): value for name, value in request.items()}
-    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named)}
+    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named(request))}
+
+
+def named(request: dict[str, Any]) -> dict[str, Any]:
+    """Return settings under their names, with dots."""
+    return {name.replace('__', '.'): value for name, value in request.items()}
 
 
 def same(ours: Outputs, theirs: Outputs) -> bool:

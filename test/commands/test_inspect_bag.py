@@ -89,7 +89,7 @@ def test_throw_and_time_to_show_can_be_chosen(capsys, twin, bag, tmp_path) -> No
         (stamps, _), (times, _) = (
             RrdFile(path).series(*entity, name) for name in (STAMP, THROW_TIME)
         )
-        assert abs(stamps - times - twin.pace.deadline(start)).max() <= 1
+        assert abs(stamps - times - twin.schedule.deadline(start)).max() <= 1
 
 
 def test_bag_without_screen_and_viewer_names_a_remedy(capsys, bag, monkeypatch) -> None:

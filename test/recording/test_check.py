@@ -47,39 +47,31 @@ class Twin(TwinMessages):
     """The recorded messages of a twin on a clock set by the test."""
 
     def restart(self) -> None:
-        self.session = Session(TWIN.defaults(), on_entry=self._on_entry)
+        self.session = Session(TWIN.defaults(), on_entry=self.on_entry)
         self.set_clock(self.now)
 
     def set_clock(self, now: int) -> None:
         """Change the time at which the next step is due."""
         self.now = now
-        self.pace = TickSchedule(step=self.session.step, time_ns=now, rate=self.session.rate)
-        self.session.set_tick_schedule(self.pace)
+        self.schedule = TickSchedule(step=self.session.step, time_ns=now, rate=self.session.rate)
+        self.session.set_tick_schedule(self.schedule)
 
     def stall(self, ticks: int) -> None:
         """Skip ticks without a step."""
-        late = round((ticks + 0.5) * SECOND / self.pace.rate)
-        now = self.pace.deadline(self.session.step) + late
-        assert self.pace.skip(step=self.session.step, now=now, max_catch_up=0) == ticks
-        self.session.set_tick_schedule(self.pace)
+        late = round((ticks + 0.5) * SECOND / self.schedule.rate)
+        now = self.schedule.deadline(self.session.step) + late
+        assert self.schedule.skip(step=self.session.step, now=now, max_catch_up=0) == ticks
+        self.session.set_tick_schedule(self.schedule)
 
     def throw(self, seed: int, **kwargs: Any) -> None:
         """Measure a throw and the time after the throw."""
-        begin_ns = self.pace.deadline(self.session.step)
         samples = measured_throw(
-            Rig(), begin_ns=begin_ns, noise=5e-6, jitter=0.4, seed=seed, **kwargs
+            Rig(), begin_ns=self.schedule.deadline(self.session.step), noise=5e-6, jitter=0.4,
+            seed=seed, **kwargs,
         )
         delays = np.random.default_rng(seed).integers(0, 900_000, len(samples)).tolist()
-        arrivals = sorted(
-            (sample.stamp_ns + delay, sample)
-            for sample, delay in zip(samples, delays, strict=True)
-        )
-        while arrivals:
-            now = self.pace.deadline(self.session.step)
-            count = sum(arrival <= now for arrival, _ in arrivals)
-            self.session.measure([sample for _, sample in arrivals[:count]])
-            del arrivals[:count]
-            self.go(1)
+        self.send(samples, delays)
+        self.receive()
 
     def of(self, name: str) -> list[Message]:
         return [message for message in self.messages if message.channel is self.channels[name]]

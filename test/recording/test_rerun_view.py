@@ -24,7 +24,6 @@ from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from rigs import measured_throw
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.cdr import JointStateEncoder
@@ -75,7 +74,7 @@ def recording(path) -> RrdFile:
 
 def test_scene_has_every_state_in_its_units(twin, recording) -> None:
     states = np.array([outputs.state for outputs in twin.outputs])
-    due = np.array([twin.pace.deadline(step) for step in range(1200)])
+    due = np.array([twin.schedule.deadline(step) for step in range(1200)])
     for name, expected in (
         ('position', 1e3 * states[:, 0:2]),
         ('velocity', states[:, 2:4]),
@@ -85,7 +84,7 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
         assert times.tolist() == due.tolist()
         np.testing.assert_array_equal(values, expected)
         since, values = recording.scalars(f'/twin/{name}', 'time since throw')
-        np.testing.assert_allclose(since, due - twin.pace.deadline(1000), atol=1)
+        np.testing.assert_allclose(since, due - twin.schedule.deadline(1000), atol=1)
         np.testing.assert_array_equal(values, expected)
 
 
@@ -114,7 +113,7 @@ def test_side_view_is_to_scale(twin, recording) -> None:
     _, scales = recording.series('/twin/side/layer', 'Transform3D:scale')
     top = -np.array(tops)[:, 0, 1]
     width, height = np.array(scales)[:, 0, 0], 64 * np.array(scales)[:, 0, 1]
-    begin = twin.pace.deadline(500)
+    begin = twin.schedule.deadline(500)
     in_contact = (times_of_layer >= begin) & (times_of_layer < begin + 7_600_000)
     at_layer = np.interp(times_of_layer[in_contact], times, z_of_projectile)
     assert in_contact.sum() > 100
@@ -127,10 +126,10 @@ def test_side_view_is_to_scale(twin, recording) -> None:
 
 def test_strain_of_every_throw_is_a_picture_with_its_ejection_time(twin, recording) -> None:
     times, pictures = recording.series('/twin/strain/picture', 'Image:buffer')
-    assert times.tolist() == [twin.pace.deadline(step) for step in (500, 1000)]
+    assert times.tolist() == [twin.schedule.deadline(step) for step in (500, 1000)]
     assert [len(picture[0]) for picture in pictures] == [3 * 64 * 200] * 2
     times, _ = recording.series('/twin/strain/frame', 'EncodedImage:blob')
-    assert times.tolist() == [twin.pace.deadline(step) for step in (500, 1000)]
+    assert times.tolist() == [twin.schedule.deadline(step) for step in (500, 1000)]
     left, top, width, height = charts.FRAME_BOX
     ((corner, scale),) = {
         (tuple(corner[0]), tuple(scale[0]))
@@ -227,9 +226,9 @@ def test_layer_has_the_colour_of_its_strain(twin, recording) -> None:
     times, pictures = recording.series('/twin/side/layer', 'Image:buffer')
     throw = simulate(Rig(), until=0.02)
     for since in (-0.1, 0.005, 0.0099):
-        row = int(np.searchsorted(times, twin.pace.deadline(500) + since * 1e9))
+        row = int(np.searchsorted(times, twin.schedule.deadline(500) + since * 1e9))
         red, _, blue = np.reshape(pictures[row][0], (64, 3))[::-1].astype(int).T
-        at = (times[row] - twin.pace.deadline(500)) / 1e9
+        at = (times[row] - twin.schedule.deadline(500)) / 1e9
         strain = throw.fields(np.array([max(at, 0.0)]), points=64).strain[0]
         sure = np.abs(strain) > 0.03
         are_right = (blue > red) == (strain > 0.0)
@@ -291,7 +290,7 @@ def test_phases_of_bags_without_their_times_have_the_stamps_of_steps(twin, tmp_p
     recording = record(tmp_path / 'old.rrd', Scene('test'), messages)
     times, _ = recording.series('/twin/phase', 'StateChange:state')
     steps = [outputs.step for outputs in twin.outputs for _ in outputs.phases]
-    assert times.tolist() == [twin.pace.deadline(step) for step in steps]
+    assert times.tolist() == [twin.schedule.deadline(step) for step in steps]
 
 
 def test_late_viewer_gets_the_present_state_only(twin, tmp_path) -> None:
@@ -335,10 +334,9 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
     tmp_path
 ) -> None:
     twin = TwinMessages(engine__motion='measured')
-    samples = measured_throw(Rig(), begin_ns=twin.now, duration=0.1, onset=0.05)
-    twin.measure(samples)
-    onset = twin.pace.time_ns + 50_000_000
-    outlier = twin._encode_positions(onset + 5_000_000, (0.0, 0.1))
+    twin.measure(duration=0.1)
+    onset = twin.schedule.time_ns + 50_000_000
+    outlier = twin.encode_positions(onset + 5_000_000, (0.0, 0.1))
     twin.messages.append(Message(twin.channels['residual'], outlier, twin.now, twin.now, 0))
     recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
@@ -359,7 +357,7 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
 
 def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -> None:
     twin = TwinMessages(engine__motion='measured')
-    twin.measure(measured_throw(Rig(), begin_ns=twin.now, duration=0.1, onset=0.05, noise=2e-6))
+    twin.measure(duration=0.1, noise=2e-6)
     for node, task, values in (
         ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
         ('/twin', 'timing', {'ticks': 1000}),
@@ -424,7 +422,7 @@ def test_log_lines_are_at_their_step_in_simulated_time(tmp_path) -> None:
         for item in twin.messages
     ]
     recording = record(tmp_path / 'a.rrd', Scene('test'), messages)
-    steps = [twin.pace.deadline(outputs.step) for outputs in twin.outputs if outputs.results]
+    steps = [twin.schedule.deadline(outputs.step) for outputs in twin.outputs if outputs.results]
     times, lines = recording.series('/log', 'TextLog:text')
     assert times.tolist() == steps
     assert 'throw 1' in lines[0][0]

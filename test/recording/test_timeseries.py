@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rigs import measured_throw
 from soft_throw_ros.configuration.interface import (
     TWIN_TOPICS,
 )
@@ -69,7 +68,7 @@ def real() -> Any:
 def measured() -> Any:
     """Return one throw of a measured plate, with its messages read back."""
     twin = TwinMessages(engine__motion='measured')
-    twin.measure(measured_throw(Rig(), begin_ns=twin.now, duration=0.1))
+    twin.measure(duration=0.1)
     twin.read = Read(twin.messages)
     return twin
 
@@ -139,7 +138,7 @@ def joined(items: Sequence[Any], name: str | int) -> Any:
 
 
 def stamps_of_steps(twin: Any, steps: Sequence[int]) -> list[int]:
-    return [twin.pace.deadline(step) for step in steps]
+    return [twin.schedule.deadline(step) for step in steps]
 
 
 def test_energies_of_a_throw_have_its_times(slow) -> None:
@@ -167,7 +166,7 @@ def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None
     (shown,) = [outputs.throw_field for outputs in slow.outputs if outputs.throw_field]
     np.testing.assert_allclose(field.times, shown.times, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(field.strain, shown.strain)
-    assert field.stamps[0] == slow.pace.deadline(0)
+    assert field.stamps[0] == slow.schedule.deadline(0)
     np.testing.assert_array_equal(layer.stamps, field.stamps)
     in_contact = field.times < field.ejection_time
     top = layer.height[in_contact, -1]
@@ -256,6 +255,6 @@ def test_measured_throw_starts_with_the_plate_and_the_journal_replaces_a_lost_re
 ) -> None:
     results = [item for item in measured.messages if item.channel.topic != '/twin/throw_result']
     (field,), (whole,) = Read(results).fields, measured.read.fields
-    assert field.stamps[0] == pytest.approx(measured.pace.time_ns + 50_000_000, abs=5000)
+    assert field.stamps[0] == pytest.approx(measured.schedule.time_ns + 50_000_000, abs=5000)
     assert field.times[-1] == pytest.approx(1.5 * field.ejection_time)
     assert field.ejection_time == pytest.approx(whole.ejection_time, rel=1e-12)
