@@ -32,7 +32,7 @@ import signal
 import struct
 import sys
 import tempfile
-from typing import Any
+from typing import Any, TypeVar
 
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
@@ -57,6 +57,9 @@ WORDS = [
     "'", '"', '\\', '%', '~', 'null', 'true', 'no', '2026-11-22', '1:30', '/', '../', '/tmp/x',
     '*', '**', '${HOME}', 'ä', '\N{PILE OF POO}', '\u2028', 'a' * 3000, ':=', '+-', '--', '=',
 ]
+
+
+Result = TypeVar('Result')
 
 
 class CaseHangs(BaseException):
@@ -241,11 +244,18 @@ def _note(path: str) -> None:
 sys.addaudithook(_on_audit)
 
 
-def assert_refusal(error: Exception) -> None:
-    """Check that an error message is one non-empty line."""
-    text = str(error)
-    assert text.strip()
-    assert '\n' not in text, text
+def accepted(
+    function: Callable[[], Result], *words: str, error: type[Exception] = ValueError
+) -> Result | None:
+    """Return the result of a function, or None if an error of one line with the words refuses."""
+    try:
+        return function()
+    except error as refusal:
+        text = str(refusal)
+        assert text.strip()
+        assert '\n' not in text, text
+        assert all(word in text for word in words), text
+        return None
 
 
 def run(main: Callable[[list[str]], int | None], arguments: Sequence[str]) -> tuple[int, str, str]:

@@ -23,13 +23,11 @@ from fuzzing import bounded, fuzzed
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
-
-BEGIN = 1_700_000_000 * SECOND
+from twin_runs import BEGIN, complete_settings
 
 HEIGHTS = st.floats(-0.01, 0.01) | st.sampled_from(
     [math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 99.9, 100.1, 16.8]
@@ -83,23 +81,19 @@ def test_twin_of_a_measured_plate_has_finite_outputs(
 ) -> None:
     samples = measure(rate, amplitude, damages)
     batches = [samples[first:first + size] for first in range(0, len(samples), size)]
-    settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), {'engine.motion': 'measured'})}
     clock = SensorClock()
     with bounded(tmp_path):
-        session = Session(settings)
+        session = Session(complete_settings(engine__motion='measured'))
         session.set_tick_schedule(TickSchedule(step=0, time_ns=BEGIN, rate=session.rate))
-        waiting = list(batches)
         for step in range(200):
             now = BEGIN + step * SECOND // 1000
-            while waiting and waiting[0][0].stamp_ns <= now + SECOND // 10:
-                batch = waiting.pop(0)
+            while batches and batches[0][0].stamp_ns <= now + SECOND // 10:
+                batch = batches.pop(0)
                 if not has_projectile:
                     batch = [sample._replace(projectile=math.nan) for sample in batch]
                 clock.observe((sample.stamp_ns for sample in batch), now, limit_ns=SECOND)
                 session.measure([s._replace(stamp_ns=s.stamp_ns + clock.offset_ns) for s in batch])
             outputs = session.advance()
             assert all(map(math.isfinite, outputs.state)), outputs
-            for result in outputs.results:
-                if result.first is not None:
-                    values = (result.first.ejection_time, result.first.ejection_speed)
-                    assert all(map(math.isfinite, values)), result
+            for release in [item.first for item in outputs.results if item.first is not None]:
+                assert math.isfinite(release.ejection_time + release.ejection_speed), release
