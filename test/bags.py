@@ -88,15 +88,7 @@ def stream(messages: Iterable[Message]) -> list[bytes]:
 
 
 def saved(folder: Path) -> list[tuple[str, bytes, int, int, int]]:
-    """
-    Read a bag by mcap's own reader, up to an unfinished record if the bag is being written.
-
-    Returns
-    -------
-    list of tuple
-        Topic, data, log time, publish time [ns] and sequence number of each message.
-
-    """
+    """Return topic, data, times [ns] and number of each message, as mcap reads an open bag."""
     rows = []
     for path in sorted(folder.glob('*.mcap')):
         with path.open('rb') as file, contextlib.suppress(EndOfFile, struct.error):

@@ -182,19 +182,7 @@ VALUES: st.SearchStrategy[Any] = st.one_of(
 
 @contextlib.contextmanager
 def bounded(*folders: Path) -> Iterator[None]:
-    """
-    Limit the time and memory of a case, and check that it writes only below its folders.
-
-    Raises
-    ------
-    AssertionError
-        If a file was written elsewhere.
-    CaseHangs
-        If the case takes too long.
-    MemoryError
-        If the case requests too much memory.
-
-    """
+    """Limit the time and memory of a case, and let it write below its folders only."""
     _written.clear()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[0])
@@ -259,15 +247,7 @@ def accepted(
 
 
 def run(main: Callable[[list[str]], int | None], arguments: Sequence[str]) -> tuple[int, str, str]:
-    """
-    Run a command, and check the promises of all commands.
-
-    Returns
-    -------
-    tuple of int, str, str
-        Exit code, standard output and standard error.
-
-    """
+    """Run a command, check the promises of all, return exit code, output and error."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:

@@ -19,7 +19,6 @@ from collections.abc import Callable
 import contextlib
 from pathlib import Path
 import re
-import signal
 import sys
 import time
 from typing import Any, NamedTuple
@@ -42,32 +41,14 @@ MILLISECOND = 1_000_000
 
 
 class Outcome(NamedTuple):
-    """
-    Bags and counts after the end of a system.
+    """Bags and counts after the end of a system."""
 
-    Attributes
-    ----------
-    bags : list of RecordedStates
-        States in each bag, read by the mcap library.
-    missing : int
-        Number of states missing in the last bag, as logged by its recorder.
-    heard : ndarray
-        Stamps of the states that the last subscriber received. [ns]
-    reported : int
-        Time of the twin's last report. [ns]
-    ticks_skipped : int
-        Number of skipped ticks in the last report.
-    viewers : int
-        Number of starts of the viewer sink.
-
-    """
-
-    bags: list[processes.RecordedStates]
-    missing: int
-    heard: np.ndarray
-    reported: int
-    ticks_skipped: int
-    viewers: int
+    bags: list[processes.RecordedStates]  # read by the mcap library
+    missing: int  # states that the last bag lacks, as logged by its recorder
+    heard: np.ndarray  # stamps of the states that the last subscriber received [ns]
+    reported: int  # time of the last report of the twin [ns]
+    ticks_skipped: int  # in that report
+    viewers: int  # starts of the viewer sink
 
     @property
     def published(self) -> np.ndarray:
@@ -82,17 +63,7 @@ class Outcome(NamedTuple):
 
 
 class System:
-    """
-    A running twin, recorder with a viewer sink, and subscriber.
-
-    Parameters
-    ----------
-    start : callable
-        Fixture that starts a process, on this or another host, from a name and a command.
-    folder : Path
-        Folder of the bags.
-
-    """
+    """A twin, a recorder with a viewer sink, and a subscriber, started on this or other hosts."""
 
     def __init__(self, start: Callable[..., Any], folder: Path, *, sink: str = 'file') -> None:
         self.bags: list[Path] = []
@@ -157,9 +128,7 @@ class System:
         """End all processes, the twin first, and return the outcome."""
         time.sleep(SETTLING)
         for name in ('twin', 'subscriber', 'recorder'):
-            process = self.running[name]
-            assert process.end(signal.SIGINT) == 0, process.lines
-            assert not any('Traceback' in line for line in process.lines), process.lines
+            self.running[name].end_well()
         last = self.running['recorder'].lines[-1]
         assert ' lost' in last
         # Lost states, and states published before a late recorder joined.

@@ -59,17 +59,7 @@ _LATE = 40_000
 
 
 class TwinMessages(Run):
-    """
-    A run of a session, and the messages of its outputs so far.
-
-    Parameters
-    ----------
-    node : str
-        Full name of the twin.
-    **request
-        Settings that differ from the defaults; `__` in a name stands for a dot.
-
-    """
+    """A run of the session of a node, and the messages of its outputs so far."""
 
     def __init__(self, node: str = '/twin', **request: Any) -> None:
         self.node = node

@@ -21,6 +21,7 @@ machine.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import contextlib
 import fcntl
 import os
 from pathlib import Path
@@ -81,20 +82,10 @@ AnyNode = TypeVar('AnyNode', bound=Node)
 
 
 class Ros:
-    """
-    A context, an executor that runs only on request, and their nodes.
-
-    Attributes
-    ----------
-    domain_id : int
-        Domain of the context and, by an environment variable, of child processes.
-    context : Context
-        Private to the test.
-
-    """
+    """A private context, an executor that runs only on request, and their nodes."""
 
     def __init__(self, domain_id: int) -> None:
-        self.domain_id = domain_id
+        self.domain_id = domain_id  # of child processes, too, by an environment variable
         self.context = Context()
         rclpy.init(args=[], context=self.context, domain_id=domain_id)
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -276,10 +267,8 @@ class Listener(Node):
             named = topic.at(self._name)
             create_subscription(self, named, self.heard.setdefault(topic.name, []).append)
             self._ros.spin_until(
-                lambda name=named.name: self.count_publishers(name) > 0,
-                f'discovery of {named.name}',
+                lambda name=named.name: self._is_matched(name), f'connection to {named.name}'
             )
-            self._ros.spin_until(self._is_matched(named.name), f'connection to {named.name}')
 
     def hear(self, topic: Topic, count: int = 1) -> list[Any]:
         """Wait until `count` messages have been received in total, and return all."""
@@ -311,15 +300,14 @@ class Listener(Node):
         self.create_subscription(Log, '/rosout', lambda message: lines.append(message.msg), qos)
         return lines
 
-    def _is_matched(self, topic: str) -> Callable[[], bool]:
-        """Return a condition: all publishers in this process have matched the subscription."""
-        publishers = [
-            publisher
+    def _is_matched(self, topic: str) -> bool:
+        """Return whether all publishers in this process have matched the subscription."""
+        return self.count_publishers(topic) > 0 and all(
+            publisher.get_subscription_count() > 0
             for node in self._ros.nodes
             for publisher in node.publishers
             if publisher.topic_name == topic
-        ]
-        return lambda: all(publisher.get_subscription_count() > 0 for publisher in publishers)
+        )
 
 
 @pytest.fixture(scope='session', autouse=True)
@@ -425,6 +413,11 @@ class Process:
         self.process.send_signal(number)
         return self.wait()
 
+    def end_well(self, number: int = signal.SIGINT, code: int = 0) -> None:
+        """Send a signal, and check the exit code and that there is no traceback."""
+        assert self.end(number) == code, self.lines
+        assert not any('Traceback' in line for line in self.lines), self.lines
+
     def wait(self) -> int:
         """Wait for the end of the process, and return the exit code."""
         code = self.process.wait(PROCESS_TIMEOUT)
@@ -433,8 +426,7 @@ class Process:
 
     def close(self) -> None:
         self.process.kill()
-        self.process.wait(PROCESS_TIMEOUT)
-        self._thread.join(PROCESS_TIMEOUT)
+        self.wait()
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
                 pipe.close()
@@ -455,15 +447,10 @@ class Process:
 @pytest.fixture
 def start(domain_id: int) -> Iterator[Callable[..., Process]]:
     """Start processes, and kill them after the test."""
-    started: list[Process] = []
-
-    def start(*command: str, **kwargs: Any) -> Process:
-        started.append(Process(list(command), **kwargs))
-        return started[-1]
-
-    yield start
-    for process in started:
-        process.close()
+    with contextlib.ExitStack() as started:
+        yield lambda *command, **kwargs: started.enter_context(
+            contextlib.closing(Process(list(command), **kwargs))
+        )
 
 
 @pytest.fixture
@@ -490,20 +477,9 @@ def record(start_node: Callable[..., Process], tmp_path: Path) -> Callable[..., 
     return record
 
 
-def end_recorder(
-    recorder: Process, number: int = signal.SIGINT, code: int = 0
-) -> tuple[int, int, int]:
-    """
-    End a recorder by a signal, and read the counts in its last log line.
-
-    Returns
-    -------
-    tuple of int
-        Numbers of recorded messages, of lost messages, and of messages before the recorder joined.
-
-    """
-    assert recorder.end(number) == code
-    assert not any('Traceback' in line for line in recorder.lines), recorder.lines
+def end_recorder(recorder: Process, code: int = 0) -> tuple[int, int, int]:
+    """End a recorder; return its numbers of recorded, lost and earlier messages from its log."""
+    recorder.end_well(code=code)
     line = recorder.lines[-1]
     counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
     assert counts is not None, line

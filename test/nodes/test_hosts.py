@@ -53,15 +53,7 @@ _LARGEST_FRAME = 2048
 
 
 class Host:
-    """
-    A network namespace with the address 10.77.0.NUMBER and a port of a cable.
-
-    Raises
-    ------
-    OSError
-        If the system refuses a namespace, or has no command `ip`.
-
-    """
+    """A network namespace with the address 10.77.0.NUMBER and a port of a cable."""
 
     def __init__(self, number: int) -> None:
         self._thread = ThreadPoolExecutor(1)  # the only thread in the namespace
@@ -97,26 +89,7 @@ class Host:
 
 
 class Cable:
-    """
-    A switch that delays or loses the frames between hosts.
-
-    Parameters
-    ----------
-    hosts : sequence of Host
-        Connected hosts.
-    delay : float
-        Delay of every frame. [s]
-    loss : float
-        Fraction of lost frames. [-]
-
-    Attributes
-    ----------
-    is_cut : bool
-        Whether all frames are lost.
-    lost : int
-        Number of lost frames.
-
-    """
+    """A switch that delays frames between hosts [s], and loses a fraction or, if cut, all."""
 
     def __init__(self, hosts: list[Host], *, delay: float, loss: float) -> None:
         self.is_cut = False

@@ -20,9 +20,9 @@ import re
 import signal
 import sys
 import threading
-from typing import Any
 
 import pytest
+from soft_throw_ros.nodes import calibrator, recorder, rig
 from soft_throw_ros.nodes.help_texts import HELP, help_text
 from soft_throw_ros.nodes.twin import main
 
@@ -30,11 +30,6 @@ pytestmark = pytest.mark.timeout(300)
 
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-
-
-def assert_ends_well(process: Any, number: int) -> None:
-    assert process.end(number) == 0, process.lines
-    assert not any('Traceback' in line for line in process.lines), process.lines
 
 
 def test_nodes_end_well_by_a_signal(start) -> None:
@@ -49,13 +44,13 @@ def test_nodes_end_well_by_a_signal(start) -> None:
     ]
     for process, (_, number, line) in zip(started, expected, strict=True):
         process.wait_for(line)
-        assert_ends_well(process, number)
+        process.end_well(number)
 
 
 def test_twin_that_is_still_compiling_ends_well_by_a_signal(start, tmp_path) -> None:
     twin = start(*SOFT_THROW, 'twin', env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path)})
     twin.wait_for('compiling')
-    assert_ends_well(twin, INT)
+    twin.end_well(INT)
 
 
 def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
@@ -111,9 +106,8 @@ sys.exit(process.run('hanging', Hanging, []))
 def test_node_ends_although_the_middleware_hangs(start, hanging_at, code) -> None:
     node = start(sys.executable, '-c', HANGING, hanging_at)
     node.wait_for('started')
-    assert node.end(TERM) == code
+    node.end_well(TERM, code)
     assert sum('no reaction to a signal' in line for line in node.lines) == code
-    assert not any('Traceback' in line for line in node.lines), node.lines
 
 
 ENDING = """
@@ -198,6 +192,20 @@ def test_bad_argument_is_one_line_and_exit_code_2(capfd, tmp_path, arguments, wo
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith('twin: ')
     assert all(word in line for word in words), line
+
+
+@pytest.mark.usefixtures('in_process')
+@pytest.mark.parametrize(
+    ('node', 'rule'),
+    [(rig, 'noise:=-1.0'), (calibrator, 'throws:=0'), (recorder, 'name:=../bag')],
+)
+def test_refused_value_is_one_line_and_exit_code_2(capfd, node, rule) -> None:
+    assert node.main(['--ros-args', '-p', rule]) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    name, _, value = rule.partition(':=')
+    assert line.startswith(f'{node.__name__.rpartition(".")[2]}: ')
+    assert name in line
+    assert value in line
 
 
 def test_refused_node_ends_with_exit_code_2(start) -> None:

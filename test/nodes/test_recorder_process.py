@@ -71,17 +71,7 @@ A_SECOND = 5000
 
 
 class Publisher:
-    """
-    A process that publishes on request.
-
-    Parameters
-    ----------
-    start : callable
-        The fixture that starts processes.
-    kind : str
-        Reliability of the publisher, 'reliable' or 'best effort'.
-
-    """
+    """A process that publishes on request, 'reliable' or 'best effort'."""
 
     def __init__(self, start: Any, kind: str) -> None:
         self.topic = f'/twin/{"" if kind == "reliable" else "measured_"}joint_states'

@@ -40,6 +40,7 @@ from soft_throw_ros.configuration.interface import (
     TWIN_SERVICES,
     TWIN_TOPICS,
 )
+from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import processors
 from soft_throw_ros.core.processors import usable_processors
@@ -321,12 +322,10 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
 def test_refused_request_changes_nothing(ros, twin, listener) -> None:
     client = ros.parameters(twin)
     too_slow = {'layer__thickness': 0.1, 'layer__wave_speed': 1.0, 'engine__frequency': 1000.0}
-    for values, reasons in (
-        (too_slow, ['steps per crossing']),
-        ({'layer__library': 'no.yaml'}, ['no.yaml: No such file']),
+    for values, words in (
+        (too_slow, 'steps per crossing'), ({'layer__library': 'no.yaml'}, 'no.yaml: No such file')
     ):
-        reason = client.set_atomically(**values)
-        assert all(text in reason for text in reasons), reason
+        assert words in client.set_atomically(**values)
         assert twin.parameters.settings == {**TWIN.defaults(), 'throw.period': 0.0}
         assert twin.session.pending == {}
     steps = len(twin.outputs)
@@ -424,26 +423,13 @@ def test_failed_recommendation_names_the_two_limits(ros, twin, listener) -> None
     assert math.isnan(client.get('recommended.thickness'))
 
 
-JELLY = """\
-jelly:
-  description: Firm jelly
-  source: measured
-  density: 1050.0
-  wave_speed: {value: 22.0, range: [21.0, 23.0]}
-  loss_tangent: 0.0
-  thicknesses: [20e-3, 40e-3]
-"""
-
-
-def test_applied_changes_set_the_recommended_library_layer(write) -> None:
-    path = write(JELLY)
-    request = {'layer.library': str(path), 'recommendation.vary': 'library'}
-    settings = {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), request)}
+def test_applied_changes_set_the_recommended_library_layer() -> None:
+    settings = {**TWIN.defaults(), 'engine.frequency': 31.1, 'recommendation.vary': 'library'}
     recommendation = recommend_for(TwinConfig.from_settings(settings))
     settings |= TWIN.change(settings, recommendation.changes())
-    assert settings['layer.name'] == recommendation.best.layer == 'jelly_40.0mm'
-    assert settings['layer.wave_speed'] == 22.0
-    assert settings['layer.thickness'] == 0.04
+    name = recommendation.best.layer
+    assert settings['layer.name'] == name != TWIN.defaults()['layer.name']
+    assert library().layers[name].items() <= settings.items()
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])

@@ -134,6 +134,12 @@ def test_reconnected_viewer_gets_the_present_state(ros, show, twin) -> None:
         assert node.end(signal.SIGINT) == 0
 
 
+def test_node_without_a_viewer_ends_well(show) -> None:
+    node = show(port=free_port())
+    node.end_well()
+    assert node.lines[-1].endswith('messages, 0 not shown')
+
+
 @pytest.mark.slow
 def test_stopped_viewer_does_not_delay_the_end(ros, show, twin) -> None:
     """A stopped viewer accepts no data, so Rerun would wait for ever."""
@@ -145,8 +151,7 @@ def test_stopped_viewer_does_not_delay_the_end(ros, show, twin) -> None:
         ros.spin_until(lambda: '/twin/position' in entities(viewer), 'the positions')
         os.killpg(viewer.pid, signal.SIGSTOP)
         twin.publish(begin=0.5)
-        assert node.end(signal.SIGTERM) == 0
-    assert not any('Traceback' in line for line in node.lines), node.lines
+        node.end_well(signal.SIGTERM)
 
 
 @pytest.mark.slow
