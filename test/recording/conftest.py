@@ -26,18 +26,17 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-from bags import attachments, channel
-import numpy as np
+from bags import attachments, BEGIN, channel, text
 import pytest
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.message import Channel, Message
 
-_ONES = np.ones(2)
 TIMEOUT = 60.0  # reached only when something is wrong [s]
-BEGIN = 1_700_000_000_000_000_000
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+ENCODE = JointStateEncoder('rig', ('plate', 'projectile')).encode
 PLAIN = Channel(topic='/plain', type='std_msgs/msg/String', schema='string data')
 
 
@@ -103,21 +102,12 @@ class SampleBag:
     def state(self, number: int) -> Message:
         """Make the state at a time in milliseconds."""
         time = BEGIN + number * 1_000_000
-        types = TYPES.types
-        stamp = types['builtin_interfaces/msg/Time'](time // 10**9, time % 10**9)
-        values = TYPES.types['sensor_msgs/msg/JointState'](
-            types['std_msgs/msg/Header'](stamp, 'rig'),
-            ['plate', 'projectile'],
-            *(number * array for array in (_ONES, 2.0 * _ONES, -_ONES)),
-        )
-        data = bytes(TYPES.serialize_cdr(values, 'sensor_msgs/msg/JointState'))
-        return Message(self.states, data, time + 50_000, time, number)
+        values = [float(scale * number) for scale in (1, 1, 2, 2, -1, -1)]
+        return Message(self.states, ENCODE(time, values), time + 50_000, time, number)
 
     def text(self, number: int, content: str) -> Message:
         time = BEGIN + number * 1_000_000
-        values = TYPES.types['std_msgs/msg/String'](content)
-        data = bytes(TYPES.serialize_cdr(values, 'std_msgs/msg/String'))
-        return Message(self.texts, data, time + 60_000, time + 10_000, number)
+        return Message(self.texts, text(content), time + 60_000, time + 10_000, number)
 
     def make(self, count: int) -> list[Message]:
         """Make `count` states, one per millisecond, and a text after every hundredth state."""

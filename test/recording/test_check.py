@@ -100,6 +100,12 @@ class Twin(TwinMessages):
                 messages.append(message)
         return messages
 
+    def flipped(self, message: Message, offset: int, bit: int = 0) -> list[Message]:
+        """Return the messages with another bit in one of them."""
+        data = bytearray(message.data)
+        data[offset] ^= 1 << bit
+        return self.damaged(message, bytes(data))
+
     def damaged(self, message: Message, data: bytes) -> list[Message]:
         return [
             other._replace(data=data) if other is message else other for other in self.messages
@@ -321,10 +327,7 @@ def test_every_file_of_a_bag_may_be_checked_alone(plain, tmp_path) -> None:
 def test_one_bit_of_a_recorded_state_is_found_and_named(plain, check, step, index, bit) -> None:
     blank = JointStateEncoder('rig', JOINTS).encode(0, State(*range(1, 7)))
     offset = blank.index(struct.pack('<d', index + 1)) + bit // 8
-    message = plain.of('joint_states')[step]
-    data = bytearray(message.data)
-    data[offset] ^= 1 << bit % 8
-    result = check(plain.damaged(message, bytes(data)))
+    result = check(plain.flipped(plain.of('joint_states')[step], offset, bit % 8))
     assert result.exit_code == 1
     assert result.states == Count(same=2199, different=1)
     assert result.checksums.different == 0
@@ -334,10 +337,7 @@ def test_one_bit_of_a_recorded_state_is_found_and_named(plain, check, step, inde
 
 
 def test_one_bit_of_a_stamp_is_found(plain, check) -> None:
-    message = plain.of('joint_states')[50]
-    data = bytearray(message.data)
-    data[8] ^= 1
-    result = check(plain.damaged(message, bytes(data)))
+    result = check(plain.flipped(plain.of('joint_states')[50], 8))
     assert result.exit_code == 1
     assert result.states == Count(same=2199, different=1, missing=1)
 
@@ -360,10 +360,7 @@ def test_unreadable_message_is_a_difference(plain, check) -> None:
 
 @pytest.mark.parametrize('name', ['ejection_time', 'energy_transfer', 'apex_height'])
 def test_one_bit_of_a_number_of_a_throw_is_found_and_named(plain, check, name) -> None:
-    message = plain.of(f'throw/{name}')[3]
-    data = bytearray(message.data)
-    data[4] ^= 1
-    result = check(plain.damaged(message, bytes(data)))
+    result = check(plain.flipped(plain.of(f'throw/{name}')[3], 4))
     assert result.exit_code == 1
     assert (result.numbers.same, result.numbers.different) == (
         len(plain.numbers()) - 1, 1

@@ -19,11 +19,10 @@ from collections.abc import Sequence
 import json
 from typing import Any
 
+from bags import text
 import numpy as np
 import pytest
-from soft_throw_ros.configuration.interface import (
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.message import Message
@@ -46,12 +45,6 @@ def one_throw(steps: int, **request: Any) -> Any:
     twin.go(steps)
     twin.read = Read(twin.messages)
     return twin
-
-
-def journal_message(line: str) -> bytes:
-    """Encode a line of a journal as a message std_msgs/String."""
-    text = line.encode() + b'\0'
-    return b'\0\1\0\0' + len(text).to_bytes(4, 'little') + text
 
 
 @pytest.fixture(scope='module')
@@ -137,10 +130,6 @@ def joined(items: Sequence[Any], name: str | int) -> Any:
     )
 
 
-def stamps_of_steps(twin: Any, steps: Sequence[int]) -> list[int]:
-    return [twin.schedule.deadline(step) for step in steps]
-
-
 def test_energies_of_a_throw_have_its_times(slow) -> None:
     ((stamps, energies),), (field,) = slow.read.energies, slow.read.fields
     (shown,) = [outputs.throw_field for outputs in slow.outputs if outputs.throw_field]
@@ -151,7 +140,7 @@ def test_energies_of_a_throw_have_its_times(slow) -> None:
 
 def test_layer_agrees_with_the_session(slow) -> None:
     rows = [(step, item.layer) for step, item in enumerate(slow.outputs) if item.layer is not None]
-    stamps = stamps_of_steps(slow, [step for step, _ in rows])
+    stamps = [slow.schedule.deadline(step) for step, _ in rows]
     height, _, force = (np.array([layer[index] for _, layer in rows]) for index in range(3))
     strain = -force / (Rig().layer.youngs_modulus * Rig().layer.section)
     layers = slow.read.layers
@@ -213,7 +202,7 @@ def test_former_names_in_a_journal_give_the_present_rig(real) -> None:
         'settings': {'layer.elasticity': 'neo_hookean', 'model': 'finite_difference_elastic'},
     }
     reader = TwinReader()
-    data = journal_message(json.dumps(entry))
+    data = text(json.dumps(entry))
     reader.read_journal(Message(real.channels['journal'], data, 5, 5))
     assert reader.rig == Rig(layer=Layer(stress_strain_law='neo_hookean'))
     assert reader.settings['model'] == 'cells_elastic'
@@ -231,7 +220,7 @@ def test_former_names_in_a_journal_give_the_present_rig(real) -> None:
     ],
 )
 def test_invalid_journal_lines_are_refused_like_damage(real, line) -> None:
-    data = journal_message(line)
+    data = text(line)
     reader = TwinReader()
     with pytest.raises(DECODING_ERRORS):
         reader.read_journal(Message(real.channels['journal'], data, 5, 5))
