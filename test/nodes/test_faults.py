@@ -16,15 +16,17 @@ Effects of a killed or stopped process on the others: the rows of docs/reliabili
 
 Two counts are correct in every case. The recorder reports as lost the messages that are missing
 from its bag by their sequence numbers. The twin reports at least as many skipped ticks as are
-missing by their stamps.
+missing by their stamps. A short run of `make soak` follows.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import time
 
+from bench import soak
 import numpy as np
 import pytest
 from soft_throw_ros.commands import recover
@@ -112,3 +114,16 @@ def test_restarted_twin_is_still_recorded(system):
     (states,) = outcome.bags
     assert missing(states, twins=2) == outcome.missing  # one bag has both
     assert outcome.viewers == 2
+
+
+@pytest.mark.timeout(300)
+def test_promises_are_kept_for_half_a_minute(domain_id, tmp_path, capsys):
+    pytest.importorskip('rerun')
+    report = tmp_path / 'soak.json'
+    code = soak.main(['--minutes', '0.5', '--sink', 'file', '--json', str(report)])
+    output = capsys.readouterr().out
+    assert code == 0, output
+    result = json.loads(report.read_text())
+    assert all(row['is_kept'] for row in result['promises'])
+    assert result['processes'].keys() > {'twin', 'recorder', 'subscriber 4'}
+    assert all(row['promise'] in output for row in result['promises'])

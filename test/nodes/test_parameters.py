@@ -239,20 +239,6 @@ def test_start_prefers_arguments_to_a_file(start) -> None:
     assert not twin.changes
 
 
-def test_bad_argument_is_one_line(start) -> None:
-    for rule, message in (
-        ('layer.thickness:=nan', 'got nan'),
-        ('layer.thickness:=soft', "got 'soft'"),
-        ('layer.thicknes:=0.01', 'did you mean layer.thickness'),
-        ('recommended.thickness:=0.01', 'is a result'),
-    ):
-        with pytest.raises(ParameterError) as refused:
-            start('-p', rule)
-        assert str(refused.value).startswith(f'-p {rule}: ')
-        assert message in str(refused.value)
-        assert '\n' not in str(refused.value)
-
-
 def test_dump_of_a_running_twin_starts_another_and_is_loaded(ros, start, tmp_path: Path) -> None:
     first = start('-p', 'engine.motion:=harmonic', '-p', 'measured.position_noise:=6.0e-06')
     first.parameters.set_results({'thickness': 0.04})

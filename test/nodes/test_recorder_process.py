@@ -15,23 +15,19 @@
 
 from __future__ import annotations
 
-import contextlib
 from itertools import pairwise
 from pathlib import Path
 import random
 import re
 import resource
 import signal
-import struct
 import subprocess
 import sys
 from test.nodes.conftest import end_recorder
 import time
 from typing import Any
 
-from mcap.exceptions import EndOfFile
-from mcap.records import Message
-from mcap.stream_reader import StreamReader
+from bags import saved
 import pytest
 from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
@@ -101,23 +97,18 @@ class Publisher:
 
 def numbers(path: Path) -> list[int]:
     """Read the publisher's sequence numbers from a bag, which may still be open for writing."""
-    sequence_numbers: list[int] = []
-    with (path / 'bag_0.mcap').open('rb') as file, contextlib.suppress(EndOfFile, struct.error):
-        records = StreamReader(file).records
-        messages = (record for record in records if isinstance(record, Message))
-        sequence_numbers.extend(message.sequence for message in messages)
-    return sequence_numbers
+    return [number for *_, number in saved(path)]
 
 
 def wait_for(recorder: Any, path: Path, count: int) -> None:
     """Wait until a bag has `count` messages; DDS needs time to resend reliable messages."""
     deadline = time.monotonic() + 20.0
-    while len(saved := numbers(path)) < count:
+    while len(present := numbers(path)) < count:
         assert recorder.process.poll() is None
         if time.monotonic() > deadline:
-            gaps = [(a, b) for a, b in pairwise(saved) if b != a + 1]
-            limits = f'from {saved[:1]} to {saved[-1:]}'
-            pytest.fail(f'{len(saved)} of {count} messages, {limits}; {gaps=}')
+            gaps = [(a, b) for a, b in pairwise(present) if b != a + 1]
+            limits = f'from {present[:1]} to {present[-1:]}'
+            pytest.fail(f'{len(present)} of {count} messages, {limits}; {gaps=}')
         time.sleep(0.05)
 
 

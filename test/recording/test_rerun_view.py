@@ -98,13 +98,6 @@ def test_energies_are_shown_up_to_the_release(twin, recording) -> None:
     assert duration == pytest.approx(simulate(Rig()).ejection_time, rel=0.05)
 
 
-def test_bag_without_energies_has_no_plot_of_them(twin, tmp_path) -> None:
-    older = [item for item in twin.messages if item.channel.topic != '/twin/throw_energies']
-    recording = record(tmp_path / 'scene.rrd', Scene('test'), older)
-    assert 'Compressive force F (N)' in recording.views
-    assert 'Energy (mJ)' not in recording.views
-
-
 def test_side_view_is_to_scale(twin, recording) -> None:
     """Downwards in mm: the top of the layer is where the projectile's lower face is."""
     times, translations = recording.series('/twin/side/projectile', 'Transform3D:translation')
@@ -283,11 +276,14 @@ def test_layout_is_not_sent_again_for_a_small_correction_of_the_rig(tmp_path) ->
     assert sent[1] == sent[0] < sent[2]
 
 
-def test_phases_of_bags_without_their_times_have_the_stamps_of_steps(twin, tmp_path) -> None:
-    messages = [
-        message for message in twin.messages if message.channel.topic != '/twin/phase_change'
-    ]
+def test_older_bag_has_no_plot_of_energies_and_phases_at_the_stamps_of_steps(
+    twin, tmp_path
+) -> None:
+    added = ('/twin/throw_energies', '/twin/phase_change')
+    messages = [message for message in twin.messages if message.channel.topic not in added]
     recording = record(tmp_path / 'old.rrd', Scene('test'), messages)
+    assert 'Compressive force F (N)' in recording.views
+    assert 'Energy (mJ)' not in recording.views
     times, _ = recording.series('/twin/phase', 'StateChange:state')
     steps = [outputs.step for outputs in twin.outputs for _ in outputs.phases]
     assert times.tolist() == [twin.schedule.deadline(step) for step in steps]
