@@ -25,7 +25,6 @@ import sys
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from soft_throw_ros.core.closed_form import first_release, first_releases
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
@@ -264,23 +263,3 @@ def test_plate_fit_recovers_the_true_parameters():
     values, errors = fits.fit_plate(*fits.plate_track())
     assert (np.abs(values - (0.0, 63.2, 2e-3, 0.064)) < 4.0 * errors).all()
     assert errors[1] < 0.05
-
-
-def test_thick_layer_is_the_first_interval_of_the_wave():
-    # Eq. (11), an independent formula: in contact V_m = 2 A omega (sin a - w cos a + w e^(-a/w)) /
-    # (1 + w^2) with w = omega tau and the angle a. The projectile leaves at its largest speed.
-    def speed(a, w):
-        return 2.0 * (math.sin(a) - w * math.cos(a) + w * math.exp(-a / w)) / (1.0 + w * w)
-
-    def slope(a, w):
-        return math.cos(a) + w * math.sin(a) - math.exp(-a / w)
-
-    angles, transfers, wide = panels('thick_layer')
-    for axes in (transfers, wide):
-        w, alpha = line(axes, 'exact')
-        for i in (3, 100, 333):
-            release = brentq(slope, 0.5 * math.pi, math.pi, args=(w[i],))
-            assert alpha[i] == pytest.approx(speed(release, w[i]) ** 2, rel=1e-8)
-    w, angle = line(angles, 'exact')
-    release = brentq(slope, 0.5 * math.pi, math.pi, args=(w[200],))
-    assert angle[200] == pytest.approx(release / math.pi, rel=1e-9)
