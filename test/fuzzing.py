@@ -265,3 +265,12 @@ def run(main: Callable[[list[str]], int | None], arguments: Sequence[str]) -> tu
         assert not out.getvalue()
     assert not re.search(r'\b(nan|NaN)\b', out.getvalue()), out.getvalue()
     return code, out.getvalue(), message
+
+
+def run_on(
+    path: Path, content: str | bytes, main: Callable[[list[str]], int | None], *arguments: str
+) -> tuple[int, str, str]:
+    """Write a file and run a command on it, as `run` does, within the limits of a case."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode(errors='replace'))
+    with bounded(path.parent):
+        return run(main, arguments)

@@ -19,7 +19,7 @@ import io
 from pathlib import Path
 from typing import Any
 
-from fuzzing import accepted, bounded, datas, fuzzed, NUMBERS, run, texts
+from fuzzing import accepted, bounded, datas, fuzzed, NUMBERS, run_on, texts
 from hypothesis import example, given
 from hypothesis import strategies as st
 import numpy as np
@@ -68,28 +68,22 @@ OPTIONS = ('--from=0.01', '--to=0.02', '--noise=1e-5', '--hold=layer.wave_speed'
 @given(text=texts(THROW), options=st.lists(st.sampled_from(OPTIONS), max_size=1))
 @example(text=THROW[:231] + THROW[2854:], options=[])  # has no information about the engine
 def test_identify_finds_a_rig_or_refuses(tmp_path: Path, text: str, options: list[str]) -> None:
-    path = tmp_path / 'throw.csv'
-    path.write_bytes(text.encode('utf-8', 'replace'))
-    with bounded(tmp_path):
-        run(identify.main, [str(path), '--output', str(tmp_path / 'rig.yaml'), *options])
+    path, output = tmp_path / 'throw.csv', tmp_path / 'rig.yaml'
+    run_on(path, text, identify.main, str(path), '--output', str(output), *options)
 
 
 @fuzzed(0.02)
 @given(text=texts(RINGING), thickness=st.sampled_from([*NUMBERS, '0.012', '0.012', 'x']))
 def test_free_layer_is_fitted_or_refused(tmp_path: Path, text: str, thickness: str) -> None:
     path = tmp_path / 'layer.csv'
-    path.write_bytes(text.encode('utf-8', 'replace'))
-    with bounded(tmp_path):
-        run(free_layers.main, [thickness, str(path)])
+    run_on(path, text, free_layers.main, thickness, str(path))
 
 
 @fuzzed(0.06)
 @given(text=texts('mu,kappa,zeta\n0.3,8,0\n2,60,0.064\n', 'zeta,x,kappa,mu\n0,a,10,1\n'))
 def test_cases_are_computed_or_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / 'cases.csv'
-    path.write_bytes(text.encode('utf-8', 'replace'))
-    with bounded(tmp_path):
-        code, out, printed = run(throw.main, ['--cases', str(path)])
+    code, out, printed = run_on(path, text, throw.main, '--cases', str(path))
     if code == 2:
         assert 'cases.csv' in printed
     else:
@@ -156,6 +150,5 @@ def videos() -> dict[str, bytes]:
 def test_video_is_followed_or_refused(tmp_path: Path, videos: dict[str, bytes], data: Any) -> None:
     ending = data.draw(st.sampled_from(sorted(videos)))
     path = tmp_path / f'video{ending}'
-    path.write_bytes(data.draw(datas(videos[ending])))
-    with bounded(tmp_path):
-        run(track_video, [str(path), '--rate', '2000', '--scale', '0.01', '30'])
+    content, options = data.draw(datas(videos[ending])), ('--rate=2000', '--scale', '0.01', '30')
+    run_on(path, content, track_video, str(path), *options)

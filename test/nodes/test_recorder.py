@@ -239,7 +239,7 @@ def test_deleted_bag_is_reported_and_not_counted_as_recorded(
     status = listener.status(
         RECORDER_TOPICS.diagnostics, 'bag', lambda item: item.level == DiagnosticStatus.WARN
     )
-    assert 'was deleted' in status.message
+    assert 'deleted' in status.message
     recording = node.recording
     node.close()
     assert node.exit_code == 1

@@ -521,7 +521,7 @@ def test_journal_of_very_many_steps_is_refused(plain, check, monkeypatch) -> Non
 
 def test_bag_with_too_many_states_is_refused(plain, check, monkeypatch) -> None:
     monkeypatch.setattr(recorded_outputs, 'MAX_STATES', 2199)
-    with pytest.raises(BagError, match='more than 2199 states'):
+    with pytest.raises(BagError, match='2199'):
         check(plain.messages)
 
 

@@ -121,26 +121,24 @@ def zstd_claim(size: int, payload: bytes) -> bytes:
     return bytes(frame[:6]) + struct.pack('<Q', size) + bytes(frame[6:])
 
 
-def zeros(size: int) -> bytes:
+def zeros(size: int, compression: str) -> bytes:
     """Compress zeros without having them in memory."""
-    context = zstandard.ZstdCompressor(level=3).compressobj(size=size)
-    block = bytes(2**20)
-    return b''.join(context.compress(block) for _ in range(size // 2**20)) + context.flush()
-
-
-def lz4_zeros(size: int) -> bytes:
-    compressor = lz4.frame.LZ4FrameCompressor()
-    block, pieces = bytes(2**20), [compressor.begin()]
-    pieces += [compressor.compress(block) for _ in range(size // 2**20)]
-    return b''.join([*pieces, compressor.flush()])
+    if compression == 'zstd':
+        context: Any = zstandard.ZstdCompressor(level=3).compressobj(size=size)
+        pieces = []
+    else:
+        context = lz4.frame.LZ4FrameCompressor()
+        pieces = [context.begin()]
+    pieces += [context.compress(bytes(2**20)) for _ in range(size // 2**20)]
+    return b''.join([*pieces, context.flush()])
 
 
 @pytest.mark.parametrize('make', [
     lambda: chunk(zstd_claim(2**32, b'x' * 1000), 'zstd', 2**32),
-    lambda: chunk(zeros(2**28), 'zstd', 1000),
+    lambda: chunk(zeros(2**28, 'zstd'), 'zstd', 1000),
     lambda: chunk(zstd_claim(2**32, b'x' * 1000), 'zstd', 1000),
-    lambda: chunk(lz4_zeros(2**28), 'lz4', 1000),
-    lambda: chunk(lz4_zeros(2**28), 'lz4', 2**28),
+    lambda: chunk(zeros(2**28, 'lz4'), 'lz4', 1000),
+    lambda: chunk(zeros(2**28, 'lz4'), 'lz4', 2**28),
     lambda: chunk(b'', 'zstd', 2**63),
     lambda: chunk(b'', 'deflate', 10),
 ])
@@ -163,7 +161,7 @@ def test_very_many_messages_in_a_chunk_are_damage(tmp_path, monkeypatch, compres
     del data, packed
 
     for read in (lambda: recover(path, tmp_path / 'new'), lambda: messages_of(finish(path))):
-        with pytest.raises(BagError, match='more than 1000 records'):
+        with pytest.raises(BagError, match='1000'):
             bounded(read)
 
 
@@ -177,7 +175,7 @@ def test_bag_needs_no_more_memory_than_the_limit(tmp_path, monkeypatch) -> None:
             writer.add_metadata(str(number), {'key': 'x' * 1000})
         writer.finish()
     for read in (BagReader, lambda path: recover(path, tmp_path / 'new')):
-        with pytest.raises(BagError, match=r'bag\.mcap: .*100000 bytes of memory'):
+        with pytest.raises(BagError, match=r'bag\.mcap: .*100000'):
             read(path)
 
 
