@@ -23,9 +23,7 @@ import numpy as np
 import pytest
 from soft_throw_ros import __main__ as umbrella
 from soft_throw_ros.commands import design, free_layers, identify, plan, throw, track
-from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.core.throw import simulate
 
 ROOT = Path(__file__).parents[1]
 PAGES = {
@@ -54,16 +52,6 @@ def test_python_example_prints_an_ejection_time(capsys):
     printed = capsys.readouterr().out.strip()
     assert re.fullmatch(r'released at 7\.647 ms, alpha 3\.637', printed)
     assert f'prints `{printed}`' in PAGES['README.md']
-
-
-def test_readme_shows_the_log_line_of_the_default_twin():
-    rig = rig_of(TWIN.defaults())
-    throw_of_twin = simulate(rig)
-    line = (
-        f'throw 1: released at {1e3 * throw_of_twin.ejection_time:.3f} ms, '
-        f'{throw_of_twin.ejection_speed:.4f} m/s, alpha {throw_of_twin.energy_transfer:.3f}'
-    )
-    assert line in PAGES['README.md']
 
 
 def test_example_of_a_layer_library_is_valid(tmp_path):

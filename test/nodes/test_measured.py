@@ -33,7 +33,7 @@ from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values, time_to
 from soft_throw_ros.twin.sample_buffer import Sample
 
 MEASURED = TWIN_TOPICS.measured_joint_states.at('/twin').name
-BATCH = 10  # [ms]
+BATCH_NS = 10 * MILLISECOND
 
 
 class Sensors(Node):
@@ -63,17 +63,20 @@ class Sensors(Node):
 
         self._ros.spin_until(is_taken, 'receipt of all samples')
 
-    def throw(self, samples: Iterable[Sample], *, behind_ns: int = 0) -> None:
-        """Send samples as the twin advances, stamped by a clock that is behind."""
+    def throw(
+        self, samples: Iterable[Sample], *, behind_ns: int = 0, step_ns: int = BATCH_NS
+    ) -> None:
+        """Send samples as the clock advances in steps, stamped by a clock that is behind."""
         waiting = list(samples)
         while waiting:
-            until = self._twin.clock.time + BATCH * MILLISECOND
+            until = self._twin.clock.time + step_ns
             count = sum(sample.stamp_ns <= until for sample in waiting)
             for sample in waiting[:count]:
                 self.send(sample._replace(stamp_ns=sample.stamp_ns - behind_ns))
             del waiting[:count]
             self.wait()
-            self._twin.go(BATCH)
+            self._twin.clock.time = until
+            self._twin.ticker.run_due()
 
 
 @pytest.fixture
@@ -121,7 +124,7 @@ def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener)
     assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=0.01)
     released_ns = begin_ns + round((0.35 + exact.ejection_time) * SECOND)
     # samples are sent so early
-    assert abs(release.accuracy.release_ns - released_ns) <= 1.1 * BATCH * MILLISECOND
+    assert abs(release.accuracy.release_ns - released_ns) <= 1.1 * BATCH_NS
     status = listener.status(
         TWIN_TOPICS.diagnostics, 'measurement', lambda s: msg_to_values(s)['clock_offset'] > 0.0
     )
@@ -130,16 +133,8 @@ def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener)
 
 
 def test_clock_topic_that_moves_in_steps_is_no_offset_of_the_sensors(twin, sensors) -> None:
-    step_ns = 25 * MILLISECOND  # `/clock` at 40 Hz
     samples = measured_throw(Rig(), begin_ns=twin.clock.time, onset=0.35, duration=0.4)
-    while samples:
-        until = twin.clock.time + step_ns
-        for sample in [item for item in samples if item.stamp_ns <= until]:
-            sensors.send(sample)
-        samples = [item for item in samples if item.stamp_ns > until]
-        sensors.wait()
-        twin.clock.time = until
-        twin.ticker.run_due()
+    sensors.throw(samples, step_ns=25 * MILLISECOND)  # `/clock` at 40 Hz
     assert twin.measurement.clock.offset_ns == 0
     release = next(result for result in twin.results if result.stage == 'release')
     assert release.lead > 0.0

@@ -108,9 +108,8 @@ def test_check_of_a_correct_bag_has_exit_code_0(bag, capsys) -> None:
 def test_check_of_a_wrong_bag_has_exit_code_1(messages, tmp_path, capsys) -> None:
     made = list(messages)
     index = [message.channel.topic for message in made].index('/twin/joint_states')
-    data = bytearray(made[index].data)
-    data[-1] ^= 0x40
-    made[index] = made[index]._replace(data=bytes(data))
+    data = made[index].data
+    made[index] = made[index]._replace(data=data[:-1] + bytes([data[-1] ^ 0x40]))
     assert main(['--check', str(write(tmp_path / 'bag', made))]) == 1
     assert '/twin' in capsys.readouterr().out
 

@@ -63,6 +63,7 @@ from soft_throw_ros.twin.results import Phase
 
 PUBLISHED = [topic for topic in ALL_TWIN_TOPICS if not topic.is_input]
 NAME = '/thrown/twin'
+README = Path(__file__).parents[2] / 'README.md'
 
 
 # published messages
@@ -227,6 +228,7 @@ def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
 
     (line,) = lines('INFO')
     assert line.endswith('throw 1: released at 7.647 ms, 1.3750 m/s, alpha 3.637')
+    assert line[line.index('throw 1: '):] in README.read_text('utf-8')
     assert lines('INFO', 8000) == []
     twin.on_second()
     twin.ticker.counts['ticks_skipped'] += 3
