@@ -25,7 +25,7 @@ from bench.race import Case, Table
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.cell_stepper import CellStepper, first_throws
+from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.closed_form import (
     first_release,
     first_release_kernel,
@@ -33,8 +33,9 @@ from soft_throw_ros.core.closed_form import (
     MAX_INTERVALS,
 )
 from soft_throw_ros.core.processors import usable_processors
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.objectives.robust import Robust
@@ -106,7 +107,7 @@ def one_gel() -> Table:
     true = first_release_by_lines(rig, cells=400)[0]
 
     def by_cells() -> float:
-        return float(first_throws(**rig.cell_ratios).ejection_phase) / rig.engine.frequency
+        return float(throw_many(rig).ejection_time)
 
     cases = [
         Case('cells, to the release', by_cells),
@@ -129,9 +130,14 @@ def landscape() -> Table:
     def closed_form(threads: int | None) -> Floats:
         return np.asarray(first_releases(**ratios, threads=threads).ejection_phase)
 
+    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
+    thickness = rig.layer.thickness * rig.mass_ratio / ratios['mass_ratio']
+    wave_speed = ratios['speed_ratio'] * thickness * rig.engine.frequency
+    layers = {'thickness': thickness, 'wave_speed': wave_speed}
+
     def by_cells() -> Floats:
-        throws = first_throws(**ratios, unresolved='nan', threads=1)
-        return np.asarray(throws.ejection_phase)
+        throws = throw_many(rig, layers, model='cells', threads=1)
+        return throws.ejection_time * rig.engine.frequency
 
     def error(phases: Floats) -> float:
         errors = np.abs(phases - exact)
@@ -214,7 +220,6 @@ def recommendation() -> Table:
             mass_ratio=rig.projectile.mass / layer_mass + 0.0 * speed,
             speed_ratio=speed / (thickness * rig.engine.frequency),
             damping_ratio=rig.engine.damping_ratio,
-            unresolved='nan',
         )
         return float(np.nanmax(releases.energy_transfer))
 

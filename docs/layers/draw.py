@@ -30,9 +30,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
-from soft_throw_ros.core.cell_stepper import CellStepper, first_throws
+from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.rig import Layer, Rig, Stack
 from soft_throw_ros.core.stepper import PLATE_VELOCITY, PROJECTILE_VELOCITY
+from soft_throw_ros.core.throws import throw_many
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
@@ -74,11 +75,8 @@ class Best(NamedTuple):
 
 def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float, float]:
     """Return energy transfer, peak strain and ejection speed [m/s] of the default rig."""
-    rig = Rig(layer=layer)
-    throw = first_throws(**rig.cell_ratios, cells=cells, unresolved='nan')
-    scale = rig.engine.speed_scale
-    strain = float(throw.peak_strain) * scale / layer.wave_speed
-    return float(throw.energy_transfer), strain, float(throw.speed) * scale
+    throw = throw_many(Rig(layer=layer), model='cells', cells=cells)
+    return float(throw.energy_transfer), float(throw.peak_strain), float(throw.ejection_speed)
 
 
 def find_best(

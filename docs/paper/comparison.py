@@ -39,9 +39,9 @@ from scipy.optimize import bisect, minimize_scalar
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Ratios, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.wave_stepper import first_throws
+from soft_throw_ros.core.wave_stepper import throw_batch
 from soft_throw_ros.design.recommendation import best_ratios
 
 Floats = NDArray[np.float64]
@@ -391,8 +391,8 @@ def _alpha_at_axes() -> float:
     x = np.array([0.2, 0.5, 0.8, 1e-5, 1e-5])
     c = np.array([0.01, 0.01, 0.01, 3.0, 10.0])
     # Travelling waves, because the closed form loses digits so close to the axes
-    throws = first_throws(mass_ratio=(1.0 - x) / x, speed_ratio=c / x)
-    return float(np.max(throws.energy_transfer))
+    _, _, energy_transfer, *_ = throw_batch(Ratios((1.0 - x) / x, c / x))
+    return float(np.max(energy_transfer))
 
 
 def _change_by_damping(series: Series) -> Floats:

@@ -157,7 +157,7 @@ def draw_spring() -> Figure:
     spring = spring_mass.first_release(frequency_ratio=ratio)
     for mu, color in ((0.25, style.ORANGE), (1.0, style.SKY), (4.0, style.BLUE)):
         layer = first_releases(
-            mass_ratio=mu, speed_ratio=2.0 * math.pi * math.sqrt(mu) * ratio, unresolved='nan'
+            mass_ratio=mu, speed_ratio=2.0 * math.pi * math.sqrt(mu) * ratio
         )
         label = rf'layer, $\mu = m/\rho_s S L_s$ = {mu:g}'
         style.draw_results(panels, ratio, layer, color=color, label=label)

@@ -318,9 +318,7 @@ def _compute_cases(path: str) -> str:
         print_note('throw', f'{name} has no rows below its header')
     mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
     with slow_notice('throw'):
-        releases = first_releases(
-            mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta, unresolved='nan'
-        )
+        releases = first_releases(mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta)
     for i in np.flatnonzero(np.isnan(releases.ejection_phase)):
         try:
             first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 import math
 
@@ -37,8 +37,7 @@ _CHECKS = {
     'constant_loss': checks.require_not_negative_array,
 }
 
-
-MAX_PERIODS = 16.0
+_MAX_PERIODS = 16.0
 """Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
 
 _MAX_CROSSINGS = 4096.0
@@ -49,18 +48,16 @@ class ThrowUnresolvedError(ValueError):
     """No release within the simulated time, or none with the promised accuracy."""
 
 
-def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
+def broadcast_ratios(**ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
     """
-    Check ratios, in the order of `describe_ratios`; return a row of each, and their shape.
+    Check fields of `rig.Ratios`; return a row for each, and their common shape.
 
     Raises
     ------
     ValueError
-        If a ratio is out of range, shapes do not fit, or `unresolved` is not 'raise' or 'nan'.
+        If a ratio is out of range, or the shapes do not fit.
 
     """
-    if unresolved not in ('raise', 'nan'):
-        raise ValueError(f"unresolved must be 'raise' or 'nan', got {unresolved!r}")
     arrays = [_CHECKS[name](name, ratio) for name, ratio in ratios.items()]
     shape = np.broadcast_shapes(*(array.shape for array in arrays))
     rows = np.empty((len(arrays), *shape))
@@ -69,15 +66,10 @@ def broadcast_ratios(unresolved: str, **ratios: ArrayLike) -> tuple[Floats, tupl
     return rows.reshape(len(arrays), -1), shape
 
 
-def describe_ratios(ratios: Iterable[float]) -> str:
-    """Format the ratios of one throw for a message; trailing ratios may be missing."""
-    return ', '.join(f'{name} {value:g}' for name, value in zip(_CHECKS, ratios, strict=False))
-
-
 def longest_wait(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
     """Return the time until which steppers follow throws without a release [crossings]."""
     longest = np.maximum(speed_ratio, 2.0 * math.pi * np.sqrt(mass_ratio))
-    return np.minimum(1.0 + MAX_PERIODS * longest, _MAX_CROSSINGS)
+    return np.minimum(1.0 + _MAX_PERIODS * longest, _MAX_CROSSINGS)
 
 
 def in_threads(

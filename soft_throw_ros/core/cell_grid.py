@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.material import LARGEST_STRAIN, relaxation
-from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.core.rig import Layer, Ratios, ratios_of, Rig, values_of
 
 Floats = NDArray[np.float64]
 
@@ -116,19 +116,16 @@ def _fastest_waves(bodies: NDArray[np.void]) -> Floats:
     return np.asarray(np.sqrt(tangent) * np.where(bound > 0.0, _SHOCK_SPEED, 1.0))
 
 
-def make_bodies(
-    *, speed_ratio: Floats, loss_tangent: Floats, strain_ratio: Floats, constant_loss: Floats,
-    stack: Stack | None,
-) -> tuple[NDArray[np.void], Floats]:
+def make_bodies(ratios: Ratios, layer: Layer) -> tuple[NDArray[np.void], Floats]:
     """
     Make the sheets of layers in units of layer mass, crossing time and amplitude.
 
     Parameters
     ----------
-    speed_ratio, loss_tangent, strain_ratio, constant_loss : ndarray, shape (n,)
-        As for `cell_stepper.first_throws`.
-    stack : Stack, optional
-        The layers, if they are no single sheets.
+    ratios : Ratios
+        Arrays of shape (n,).
+    layer : Layer
+        Layer whose sheets have the proportions of all layers.
 
     Returns
     -------
@@ -139,7 +136,6 @@ def make_bodies(
         Crossing times of the fastest wave. [-]
 
     """
-    layer = stack or Layer()
     values = np.array([
         (sheet.thickness, sheet.mass, sheet.crossing_time, sheet.loss_tangent)
         for sheet in layer.sheets
@@ -148,17 +144,17 @@ def make_bodies(
     thickness, mass, crossing, loss_share = (values / sums).T
     if layer.loss_tangent == 0.0:
         loss_share = np.ones(len(values))
-    losses = loss_tangent[:, None] * loss_share
-    omega, strain = 2.0 * math.pi / speed_ratio[:, None], strain_ratio[:, None]
+    losses = ratios.loss_tangent[:, None] * loss_share
+    omega, strain = 2.0 * math.pi / ratios.speed_ratio[:, None], ratios.strain_ratio[:, None]
     is_curved = strain > 0.0
     bodies = np.zeros(losses.shape, BODY)
     scale = np.where(is_curved, omega / np.where(is_curved, strain, 1.0), 1.0)
     bodies['thickness'] = thickness * scale
     bodies['mass'], bodies['stiffness'] = mass, mass / crossing**2
-    bodies['lag'] = np.where(constant_loss[:, None] > 0.0, 0.0, losses / omega)
+    bodies['lag'] = np.where(ratios.constant_loss[:, None] > 0.0, 0.0, losses / omega)
     bodies['max_compression'] = np.where(is_curved, LARGEST_STRAIN, 0.0)
     bodies['relaxed'] = 1.0
-    for throw in np.flatnonzero(constant_loss):
+    for throw in np.flatnonzero(ratios.constant_loss):
         fits = [relaxation(tangent) for tangent in losses[throw].tolist()]
         bodies['relaxed'][throw] = [fit.relaxed for fit in fits]
         bodies['maxwell'][throw] = [fit.strengths for fit in fits]
@@ -172,10 +168,9 @@ def make_projectile(cells: int, mass: float, stiffness: float) -> NDArray[np.voi
 
 def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
     """Return a `BODY` for each sheet, and the crossing times of its fastest wave [s]."""
-    layer, time, ratios = rig.layer, rig.crossing_time, rig.cell_ratios
-    names = ('speed_ratio', 'loss_tangent', 'strain_ratio', 'constant_loss')
-    series = {name: np.array([ratios[name]], dtype=np.float64) for name in names}
-    bodies, crossings = make_bodies(**series, stack=ratios['stack'])
+    layer, time = rig.layer, rig.crossing_time
+    ratios = Ratios(*(np.array([ratio]) for ratio in ratios_of(rig, values_of(rig))))
+    bodies, crossings = make_bodies(ratios, layer)
     sheets = bodies[0]
     sheets['thickness'] = [sheet.thickness for sheet in layer.sheets]
     sheets['mass'] *= layer.mass

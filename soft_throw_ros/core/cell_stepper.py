@@ -24,7 +24,7 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
 from soft_throw_ros.core.cell_grid import (
     count_cells,
@@ -47,11 +47,10 @@ from soft_throw_ros.core.cell_kernels import (
     stored_energy,
 )
 from soft_throw_ros.core.models import CELL_MODELS
-from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
 from soft_throw_ros.core.plate_kernels import BLOCK
-from soft_throw_ros.core.rig import Rig, Stack
+from soft_throw_ros.core.rig import Layer, Ratios, Rig
 from soft_throw_ros.core.stepper import (
-    FirstThrows,
     load_kernels,
     Loads,
     require_count,
@@ -69,7 +68,7 @@ MAX_UPDATE_RATE = 6e7
 """Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
 
 MAX_CROSSING_RATIO = 32.0
-"""Largest crossing time of a projectile in `first_throws`, over that of the layer. [-]"""
+"""Largest crossing time of a projectile in `throw_batch`, over that of the layer. [-]"""
 
 UPDATE_COST = 4e-9
 """Time of a processor for a cell in a step. [s]"""
@@ -78,7 +77,7 @@ _CELLS = 64
 """Fewest cells of a layer that are chosen, for 1e-4. [-]"""
 
 _NEO_HOOKEAN_CELLS = 1.5
-"""Cells of a neo-Hookean layer over those of a linear one in `first_throws`, for 2e-4. [-]"""
+"""Cells of a neo-Hookean layer over those of a linear one in `throw_batch`, for 2e-4. [-]"""
 
 _CELLS_PER_RELAXATION = 12.0
 """Cells per relaxation time, over the crossing time, for 1e-4 in the speed. [-]"""
@@ -99,7 +98,7 @@ _SPRING_STEPS = 1000.0
 """Steps of a layer without mass, per period of plate or projectile. [-]"""
 
 _MAX_BATCH_CELLS = 1024
-"""Most cells that `first_throws` chooses. [-]"""
+"""Most cells that `throw_batch` chooses. [-]"""
 
 _THROWS_PER_THREAD = 16
 """Fewest throws that are worth a thread. [-]"""
@@ -177,102 +176,52 @@ def _spring_step(rig: Rig) -> float:
     return 1.0 / (_SPRING_STEPS * max(rig.engine.frequency, rig.natural_frequency))
 
 
-def first_throws(
+def throw_batch(
+    ratios: Ratios,
+    layer: Layer,
     *,
-    mass_ratio: ArrayLike,
-    speed_ratio: ArrayLike,
-    damping_ratio: ArrayLike = 0.0,
-    gravity_ratio: ArrayLike = 0.0,
-    loss_tangent: ArrayLike = 0.0,
-    crossing_ratio: ArrayLike = 0.0,
-    strain_ratio: ArrayLike = 0.0,
-    constant_loss: ArrayLike = False,
-    stack: Stack | None = None,
-    glued_to: Literal['plate', 'projectile'] = 'plate',
+    is_on_projectile: bool = False,
     cells: int | None = None,
-    unresolved: Literal['raise', 'nan'] = 'raise',
     threads: int | None = None,
-) -> FirstThrows:
+) -> Floats:
     r"""
-    Compute first releases of many throws, with a plate that moves as `plate.Underdamped`.
+    Compute first releases and loads for `throws.throw_many`.
 
     Parameters
     ----------
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, unresolved, threads
-        As for `closed_form.first_releases`, and so are shapes and results.
-    loss_tangent : array_like
-        Loss tangent of the layer at the plate's frequency, :math:`\eta \omega / E_s`. [-]
-    crossing_ratio : array_like
-        Crossing time of a wave through the projectile over that of the layer, up to
-        `MAX_CROSSING_RATIO`; 0 is a rigid projectile. [-]
-    strain_ratio : array_like
-        :math:`A \omega / c_s` of a neo-Hookean layer, 0 is a linear one. [-]
-    constant_loss : array_like of bool
-        Whether the loss tangent is constant, and not in proportion to frequency.
-    stack : Stack, optional
-        Sheets of the layer, all scaled alike; the layer is of one material by default.
-        Mass, crossing time and loss tangent are values of the whole stack.
-    glued_to : {'plate', 'projectile'}
-        Body that keeps the layer. A layer glued to the projectile leaves the plate with it.
+    ratios : Ratios
+        Ratios of the throws; `crossing_ratio` is at most `MAX_CROSSING_RATIO`.
+    layer : Layer
+        Layer whose sheets have the proportions of all layers.
+    is_on_projectile : bool
+        Whether the layer is glued to the projectile and leaves the plate with it.
     cells : int, optional
         Number of cells of the layer, from 8 to `MAX_CELLS`; by default chosen for each throw, at
         least 64, for errors of 1e-4. Errors are of second order, but of first order in shocks.
+    threads : int, optional
+        As for `throws.throw_many`.
 
     Returns
     -------
-    FirstThrows
-        Arrays of the common shape; the speed is that of the common centre of mass after release.
+    ndarray, shape (7, n)
+        Rows of `throws.Throws`, divided by `throws.units_of`; NaN without a release by
+        `batch.longest_wait`. The speed is that of the common centre of mass after release.
 
     Raises
     ------
     ValueError
-        If a ratio is out of range, or an option is not one of its values.
-    ThrowUnresolvedError
-        If a projectile does not leave by `batch.longest_wait`, unless `unresolved` is 'nan'.
-
-    Examples
-    --------
-    Internal loss costs energy:
-
-    >>> throws = first_throws(
-    ...     mass_ratio=0.234231, speed_ratio=8.242210, loss_tangent=[0.0, 0.02]
-    ... )
-    >>> throws.energy_transfer.round(3)
-    array([4.123, 3.798])
+        If a ratio or `cells` is out of range.
 
     """
-    if glued_to not in ('plate', 'projectile'):
-        raise ValueError(f"glued_to must be 'plate' or 'projectile', got {glued_to!r}")
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
-    ratios, shape = broadcast_ratios(
-        unresolved,
-        mass_ratio=mass_ratio,
-        speed_ratio=speed_ratio,
-        damping_ratio=damping_ratio,
-        gravity_ratio=gravity_ratio,
-        loss_tangent=loss_tangent,
-        crossing_ratio=crossing_ratio,
-        strain_ratio=strain_ratio,
-        constant_loss=constant_loss,
-    )
-    slowest = ratios[5].max(initial=0.0)
+    rows, _ = broadcast_ratios(**ratios._asdict())
+    ratios = Ratios(*rows)
+    mu, kappa, _, _, _, crossing_ratio, strain_ratio, _ = rows
+    slowest = crossing_ratio.max(initial=0.0)
     if slowest > MAX_CROSSING_RATIO:
         raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
-    results = _throw_all(ratios, stack, cells, glued_to == 'projectile', threads)
-    return FirstThrows.collect(results, ratios, shape, unresolved)
-
-
-def _throw_all(
-    ratios: Floats,
-    stack: Stack | None,
-    cells: int | None,
-    is_on_projectile: bool,
-    threads: int | None,
-) -> Floats:
-    """Compute the rows of `FirstThrows` from rows of ratios."""
-    mu, kappa, _, _, loss, crossing_ratio, strain_ratio, constant_loss = ratios
-    results = np.full((6, mu.size), math.nan)
+    results = np.full((7, mu.size), math.nan)
     counts = np.full(mu.size, cells or _CELLS)
     if cells is None:
         finer = np.where(strain_ratio > 0.0, _NEO_HOOKEAN_CELLS, 1.0)
@@ -280,15 +229,12 @@ def _throw_all(
         needed = finer * np.maximum(_CELLS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
         while (too_few := (counts < needed) & (counts < _MAX_BATCH_CELLS)).any():
             counts[too_few] *= 2
-    bodies, crossings = make_bodies(
-        speed_ratio=kappa, loss_tangent=loss, strain_ratio=strain_ratio,
-        constant_loss=constant_loss, stack=stack,
-    )
+    bodies, crossings = make_bodies(ratios, layer)
     steps = crossings.sum(axis=1) / counts
     bodies['count'] = count_cells(crossings, steps[:, None])
     projectile_cells = np.maximum(MIN_PROJECTILE_CELLS, (crossing_ratio / steps).astype(np.int64))
     projectile_cells[crossing_ratio == 0.0] = 0
-    latest = longest_wait(mu, kappa)
+    latest, peak_speed = longest_wait(mu, kappa), peak_velocity_ratios(ratios.damping_ratio)
 
     def run(first: int, stride: int) -> None:
         core, path, no_events = np.zeros(3, RECORD), np.empty((2, BLOCK)), np.empty((0, 4))
@@ -302,7 +248,7 @@ def _throw_all(
                 sheets = np.concatenate([sheets, elastic])
             numbers[:] = 0.0
             prepare_ratios(
-                core, nodes, path, sheets, tuple(ratios[:4, n].tolist()), steps[n],
+                core, nodes, path, sheets, tuple(rows[:4, n].tolist()), steps[n],
                 in_projectile > 0, is_on_projectile,
             )
             numbers[:2] = numbers[2]
@@ -314,8 +260,9 @@ def _throw_all(
                 strain = max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max())
                 if strain_ratio[n] > 0.0:
                     strain *= omega / strain_ratio[n]
+                speed = grid['event_velocity'] / omega
                 results[:, n] = (
-                    grid['event_time'] / kappa[n], grid['event_velocity'] / omega,
+                    grid['event_time'] / kappa[n], speed, (speed / peak_speed[n]) ** 2,
                     strain / omega, grid['acceleration'] / omega**2,
                     grid['plate_force'] / omega, grid['work'] / (mu[n] * omega**2),
                 )
@@ -446,4 +393,4 @@ class CellStepper(Stepper):
 def warm_up() -> None:
     """Compile or load all kernels."""
     load_kernels(CellStepper(Rig(), 'measured', field_points=2))
-    first_throws(mass_ratio=1.0, speed_ratio=8.0, cells=8)
+    throw_batch(Ratios(mass_ratio=1.0, speed_ratio=8.0), Layer(), cells=8)

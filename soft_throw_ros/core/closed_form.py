@@ -48,19 +48,13 @@ falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.batch import (
-    broadcast_ratios,
-    describe_ratios,
-    in_threads,
-    ThrowUnresolvedError,
-)
+from soft_throw_ros.core.batch import broadcast_ratios, in_threads, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import inlined, kernel, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
 
@@ -195,32 +189,30 @@ def first_releases(
     speed_ratio: ArrayLike,
     damping_ratio: ArrayLike = 0.0,
     gravity_ratio: ArrayLike = 0.0,
-    unresolved: Literal['raise', 'nan'] = 'raise',
     threads: int | None = None,
 ) -> FirstRelease:
     """
     Compute times and speeds of the first releases of rigid projectiles, for many throws.
 
+    This is the one function for many throws that are given in ratios, as the maps of the paper
+    are; `throws.throw_many` takes SI units.
+
     Parameters
     ----------
     mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
         Arguments of `first_release`, broadcast against each other. [-]
-    unresolved : {'raise', 'nan'}
-        Treatment of throws without a release: raise an error for the first one, or return NaN.
     threads : int, optional
         Largest number of threads, all cores if not given. The number does not change the results.
 
     Returns
     -------
     FirstRelease
-        Of arrays with the common shape.
+        Of arrays with the common shape; NaN where `first_release` raises ThrowUnresolvedError.
 
     Raises
     ------
     ValueError
-        As for `first_release`, or if the shapes do not fit or an option is not one of its values.
-    ThrowUnresolvedError
-        As for `first_release`, unless `unresolved` is 'nan'.
+        As for `first_release`, or if the shapes do not fit.
 
     Examples
     --------
@@ -233,7 +225,6 @@ def first_releases(
 
     """
     ratios, shape = broadcast_ratios(
-        unresolved,
         mass_ratio=mass_ratio,
         speed_ratio=speed_ratio,
         damping_ratio=damping_ratio,
@@ -247,18 +238,20 @@ def first_releases(
         per_thread=_THROWS_PER_THREAD,
         threads=threads,
     )
-    failed = np.flatnonzero(status != _RELEASED)
-    if failed.size:
-        if unresolved == 'raise':
-            first = int(failed[0])
-            raise _unresolved(status[first], phase[first], ratios[:, first])
-        phase[failed] = np.nan
+    phase[status != _RELEASED] = np.nan
     energy_transfer = (speed / peak_velocity_ratios(ratios[2])) ** 2
     return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
 
 
-def _unresolved(status: int, crossings: float, ratios: Iterable[float]) -> ThrowUnresolvedError:
-    case = describe_ratios(ratios)
+def _unresolved(
+    status: int, crossings: float, ratios: tuple[float, float, float, float]
+) -> ThrowUnresolvedError:
+    """Return the exception for a throw without a release."""
+    mu, kappa, zeta, gravity = ratios
+    case = (
+        f'mass_ratio {mu:g}, speed_ratio {kappa:g}, damping_ratio {zeta:g}, '
+        f'gravity_ratio {gravity:g}'
+    )
     if status == _NOT_WITHIN:
         return ThrowUnresolvedError(f'no release within {crossings:.0f} crossings for {case}')
     return ThrowUnresolvedError(

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from soft_throw_ros.core import checks
@@ -453,14 +453,7 @@ class Rig:
     @property
     def crossing_ratio(self) -> float:
         """Return the time of a wave through the projectile over that through the layer [-]."""
-        return float(ratios_of(self, values_of(self))['crossing_ratio'])
-
-    @property
-    def cell_ratios(self) -> dict[str, Any]:
-        """Return the dimensionless arguments of `cell_stepper.first_throws`."""
-        ratios = ratios_of(self, values_of(self))
-        del ratios['crossing_ratio']
-        return {**ratios, 'stack': self.layer if isinstance(self.layer, Stack) else None}
+        return float(ratios_of(self, values_of(self)).crossing_ratio)
 
     def check_for_waves(self) -> None:
         """
@@ -490,9 +483,35 @@ def values_of(rig: Rig) -> dict[str, float]:
     return {**values, 'mass': rig.projectile.mass}
 
 
-def ratios_of(rig: Rig, values: Mapping[str, Any]) -> dict[str, Any]:
+class Ratios(NamedTuple):
+    r"""
+    Ratios that decide first throws, as numbers or arrays that broadcast against each other.
+
+    They leave the units of time, length and force open: :math:`1 / f`, :math:`A \omega / f` and
+    so on. Only the core computes with them; others name rigs in SI units.
     """
-    Return the ratios that decide throws, the arguments of `cell_stepper.first_throws`.
+
+    mass_ratio: Any
+    r""":math:`\mu = m / (\rho_s S L_s)`, projectile over layer. [-]"""
+    speed_ratio: Any
+    r""":math:`\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
+    damping_ratio: Any = 0.0
+    r"""Damping ratio of the plate, :math:`\zeta`. [-]"""
+    gravity_ratio: Any = 0.0
+    r""":math:`g / (A \omega^2)`. [-]"""
+    loss_tangent: Any = 0.0
+    """Loss tangent of the whole layer at the plate's frequency. [-]"""
+    crossing_ratio: Any = 0.0
+    """Time of a wave through the projectile over that through the layer; 0 if it is rigid. [-]"""
+    strain_ratio: Any = 0.0
+    r""":math:`A \omega / c_s` of a neo-Hookean layer, 0 for a linear one. [-]"""
+    constant_loss: Any = 0.0
+    """Whether the loss tangent is constant, and not in proportion to frequency; 1 or 0."""
+
+
+def ratios_of(rig: Rig, values: Mapping[str, Any]) -> Ratios:
+    """
+    Return the ratios that decide the throws of a rig with other values.
 
     Parameters
     ----------
@@ -509,16 +528,16 @@ def ratios_of(rig: Rig, values: Mapping[str, Any]) -> dict[str, Any]:
         speed_ratio = values['wave_speed'] / (thickness * frequency)
         mass_ratio = mass / (values['density'] * section * thickness)
     is_linear = rig.layer.stress_strain_law == 'linear'
-    return {
-        'mass_ratio': mass_ratio,
-        'speed_ratio': speed_ratio,
-        'damping_ratio': values['damping_ratio'],
-        'gravity_ratio': values['gravity'] / (values['amplitude'] * omega * omega),
-        'loss_tangent': values['loss_tangent'],
-        'crossing_ratio': np.sqrt(mass / spring) * frequency * speed_ratio,
-        'strain_ratio': 0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
-        'constant_loss': float(rig.layer.loss == 'constant'),
-    }
+    return Ratios(
+        mass_ratio=mass_ratio,
+        speed_ratio=speed_ratio,
+        damping_ratio=values['damping_ratio'],
+        gravity_ratio=values['gravity'] / (values['amplitude'] * omega * omega),
+        loss_tangent=values['loss_tangent'],
+        crossing_ratio=np.sqrt(mass / spring) * frequency * speed_ratio,
+        strain_ratio=0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
+        constant_loss=float(rig.layer.loss == 'constant'),
+    )
 
 
 def section_of(diameter: Any) -> Any:

@@ -27,9 +27,8 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.batch import describe_ratios, MAX_PERIODS, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import Record, subroutine
-from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion, require_series
+from soft_throw_ros.core.plate import PlateMotion, require_series
 from soft_throw_ros.core.plate_kernels import (
     append_states,
     extrapolate,
@@ -104,38 +103,6 @@ class Loads(NamedTuple):
     contact_strain: float
     acceleration: float
     plate_force: float
-
-
-class FirstThrows(NamedTuple):
-    """First releases and loads of many throws, without units."""
-
-    ejection_phase: Floats
-    """:math:`t_e f`. [-]"""
-    speed: Floats
-    r""":math:`V_e / (A \omega)`. [-]"""
-    energy_transfer: Floats
-    r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
-    peak_strain: Floats
-    r"""Largest strain in the layer, over :math:`A \omega / c_s`. [-]"""
-    peak_acceleration: Floats
-    r"""Largest acceleration of the projectile, over :math:`A \omega^2`. [-]"""
-    peak_plate_force: Floats
-    r"""Largest force of the layer on the plate, over :math:`A \omega E_s S / c_s`. [-]"""
-    plate_work: Floats
-    r"""Work of the plate up to the release, over :math:`m (A \omega)^2`. [-]"""
-
-    @classmethod
-    def collect(
-        cls, results: Floats, ratios: Floats, shape: tuple[int, ...], unresolved: str
-    ) -> FirstThrows:
-        """Take rows of all but the energy transfer, NaN for throws that end in no release."""
-        failed = np.flatnonzero(np.isnan(results[0]))
-        if failed.size and unresolved == 'raise':
-            case = describe_ratios(ratios[:, failed[0]])
-            raise ThrowUnresolvedError(f'no release within {MAX_PERIODS:g} periods for {case}')
-        transfer = (results[1] / peak_velocity_ratios(ratios[2])) ** 2
-        rows = (*results[:2], transfer, *results[2:])
-        return cls(*(np.reshape(row, shape)[()] for row in rows))
 
 
 class Stepper(ABC):

@@ -35,6 +35,7 @@ from soft_throw_ros.core.rig import (
     Engine,
     Layer,
     model_for,
+    Ratios,
     ratios_of,
     Rig,
     section_of,
@@ -68,9 +69,6 @@ frequencies :math:`q \ge 2` times the plate's. Waves increase it; 3.1 is the lar
 
 _CLOSED_FORM_BATCH, _STEPPER_BATCH, _SAMPLED_BATCH = 1 << 16, 1 << 10, 1 << 8
 """Throws per batch: some tenths of a second, so that a cancelled search ends soon."""
-
-_RIGID = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
-"""Ratios that decide the throw of a rigid projectile from a lossless layer."""
 
 _WAIT = 8.0
 """Longest wait for a release after a sampled motion, in periods of plate and projectile. [-]"""
@@ -122,7 +120,7 @@ def throw_many(
     ----------
     rig : Rig or sequence of Rig
         Several rigs may differ in the values of `Changes` only.
-    changes : mapping of str to array_like, optional
+    changes : mapping of str to float or ndarray, optional
         Values that replace values of the rig; arrays broadcast against each other.
     model : str
         One of `models.MODELS`; its fallback follows layers that it cannot.
@@ -170,22 +168,21 @@ def throw_many(
                 rig, series, batch.size, model, cells, threads
             )
         return Throws(*rows)
-    ratios = ratios_of(rig, values)
-    cases = {name: np.broadcast_to(ratio, shape).ravel() for name, ratio in ratios.items()}
-    for name, chosen in _methods(rig, cases, method).items():
+    ratios = Ratios(*(np.broadcast_to(ratio, shape).ravel() for ratio in ratios_of(rig, values)))
+    for name, chosen in _methods(rig, ratios, method).items():
         is_fast = name in ('closed_form', 'spring') and not loads
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
         for batch in _batches(chosen, size, cancelled):
-            ratios = {ratio: row[batch] for ratio, row in cases.items()}
-            results[:, batch] = _throw_by(name, rig, ratios, method, loads, cells, threads)
+            selected = Ratios(*(row[batch] for row in ratios))
+            results[:, batch] = _throw_by(name, rig, selected, method, loads, cells, threads)
     results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
-    for n, unit in enumerate(_units(values)):
+    for n, unit in enumerate(units_of(values)):
         rows[n] *= unit
     return Throws(*rows)
 
 
-def _units(values: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return the units of the rows of `FirstThrows` for the numbers of `values_of`."""
+def units_of(values: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return the units of the rows of `cell_stepper.throw_batch`, for the numbers of a rig."""
     omega = 2.0 * math.pi * values['frequency']
     speed = values['amplitude'] * omega
     impedance = values['density'] * values['wave_speed'] * section_of(values['diameter'])
@@ -256,11 +253,9 @@ def _batches(
         yield indices[start:start + size]
 
 
-def _methods(
-    rig: Rig, cases: Mapping[str, Floats], model: LayerModel
-) -> dict[str, NDArray[np.bool_]]:
+def _methods(rig: Rig, ratios: Ratios, model: LayerModel) -> dict[str, NDArray[np.bool_]]:
     """Return the throws that each method computes."""
-    mu, kappa, gravity = cases['mass_ratio'], cases['speed_ratio'], cases['gravity_ratio']
+    mu, kappa, gravity = ratios.mass_ratio, ratios.speed_ratio, ratios.gravity_ratio
     exist = (mu > 0.0) & (mu < math.inf) & (kappa > 0.0) & (kappa < math.inf)
     if model.batch == 'spring':
         return {'spring': exist}
@@ -271,7 +266,7 @@ def _methods(
     if model.batch == 'cells':
         return {'cells': exist}
     is_strong = gravity > STRONG_GRAVITY
-    is_lossy = cases['loss_tangent'] > 0.0
+    is_lossy = ratios.loss_tangent > 0.0
     needs_cells = is_lossy | (not rig.layer.is_uniform or rig.layer.stress_strain_law != 'linear')
     return {
         'closed_form': exist & ~needs_cells & ~is_strong,
@@ -281,28 +276,27 @@ def _methods(
 
 
 def _throw_by(
-    name: str, rig: Rig, ratios: Mapping[str, Floats], model: LayerModel, loads: bool,
+    name: str, rig: Rig, ratios: Ratios, model: LayerModel, loads: bool,
     cells: int | None, threads: int | None,
 ) -> Floats:
-    """Compute the rows of `FirstThrows` by a method of `_methods`; the closed form lacks loads."""
-    rigid = {ratio: ratios[ratio] for ratio in _RIGID}
-    results = np.full((len(Throws._fields), ratios['mass_ratio'].size), math.nan)
+    """Compute rows as of `cell_stepper.throw_batch` by a method of `_methods`."""
     if name == 'cells':
-        options = dict(ratios)
         if not model.has_elastic_projectile:
-            del options['crossing_ratio']
-        stack = rig.layer if isinstance(rig.layer, Stack) else None
-        results[:] = cell_stepper.first_throws(
-            **options, glued_to=model.glued_to, cells=cells, stack=stack, unresolved='nan',
-            threads=threads,
+            ratios = ratios._replace(crossing_ratio=0.0)
+        is_on_projectile = model.glued_to == 'projectile'
+        return cell_stepper.throw_batch(
+            ratios, rig.layer, is_on_projectile=is_on_projectile, cells=cells, threads=threads
         )
-    elif name == 'spring':
-        frequency_ratio = ratios['speed_ratio'] / (2.0 * math.pi * np.sqrt(ratios['mass_ratio']))
-        results[:3] = spring_mass.first_release(frequency_ratio=frequency_ratio)
     if name == 'waves' or (name == 'closed_form' and loads):
-        results[:] = wave_stepper.first_throws(**rigid, unresolved='nan', threads=threads)
+        results = wave_stepper.throw_batch(ratios, threads=threads)
+    else:
+        results = np.full((len(Throws._fields), ratios.mass_ratio.size), math.nan)
     if name == 'closed_form':
-        results[:3] = closed_form.first_releases(**rigid, unresolved='nan', threads=threads)
+        rigid = dict(zip(ratios._fields[:4], ratios[:4], strict=True))
+        results[:3] = closed_form.first_releases(**rigid, threads=threads)
+    elif name == 'spring':
+        frequency_ratio = ratios.speed_ratio / (2.0 * math.pi * np.sqrt(ratios.mass_ratio))
+        results[:3] = spring_mass.first_release(frequency_ratio=frequency_ratio)
     return results
 
 

@@ -24,13 +24,12 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
-from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
 from soft_throw_ros.core.plate_kernels import BLOCK
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Ratios, Rig
 from soft_throw_ros.core.stepper import (
-    FirstThrows,
     load_kernels,
     Loads,
     MAX_EVENTS,
@@ -233,56 +232,27 @@ class WaveStepper(Stepper):
         return self.plate_work
 
 
-def first_throws(
-    *,
-    mass_ratio: ArrayLike,
-    speed_ratio: ArrayLike,
-    damping_ratio: ArrayLike = 0.0,
-    gravity_ratio: ArrayLike = 0.0,
-    unresolved: Literal['raise', 'nan'] = 'raise',
-    threads: int | None = None,
-) -> FirstThrows:
+def throw_batch(ratios: Ratios, *, threads: int | None = None) -> Floats:
     r"""
-    Compute first releases and loads of many throws.
-
-    Where loads do not matter, `closed_form.first_releases` is exact and faster.
-
-    Parameters
-    ----------
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio, unresolved, threads
-        As for `closed_form.first_releases`.
+    Compute first releases and loads for `throws.throw_many`, without loss.
 
     Returns
     -------
-    FirstThrows
-        Arrays of the common shape. Errors: 1e-5 in the release, 5e-4 in loads.
+    ndarray, shape (7, n)
+        Rows as of `cell_stepper.throw_batch`. Errors: 1e-5 in the release, 5e-4 in loads.
 
     Raises
     ------
     ValueError
-        If a ratio is out of range, or an option is not one of its values.
-    ThrowUnresolvedError
-        If a projectile does not leave by `batch.longest_wait`, unless `unresolved` is 'nan'.
-
-    Examples
-    --------
-    >>> throws = first_throws(mass_ratio=[0.1, 0.234231], speed_ratio=8.24221)
-    >>> throws.energy_transfer.round(3), throws.peak_strain.round(3)
-    (array([4.081, 4.123]), array([1.046, 1.107]))
+        If a ratio is out of range.
 
     """
-    ratios, shape = broadcast_ratios(
-        unresolved,
-        mass_ratio=mass_ratio,
-        speed_ratio=speed_ratio,
-        damping_ratio=damping_ratio,
-        gravity_ratio=gravity_ratio,
-    )
-    mu, kappa = ratios[:2]
+    rows, _ = broadcast_ratios(**ratios._asdict())
+    mu, kappa, damping_ratio = rows[:3]
     steps = np.maximum(_STEPS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    latest = longest_wait(mu, kappa) / kappa
-    results = np.full((6, mu.size), math.nan)
+    latest, peak_speed = longest_wait(mu, kappa) / kappa, peak_velocity_ratios(damping_ratio)
+    results = np.full((7, mu.size), math.nan)
 
     def run(first: int, stride: int) -> None:
         core, path, no_events = np.zeros(3, RECORD), np.empty((2, BLOCK)), np.empty((0, 4))
@@ -292,24 +262,25 @@ def first_throws(
         for n in range(first, mu.size, stride):
             waves = make_waves(int(steps[n]))
             numbers[:] = 0.0
-            prepare_underdamped(core, path, steps[n], *ratios[:, n])
+            prepare_underdamped(core, path, steps[n], *rows[:4, n])
             numbers[:2] = numbers[2]
             advance(core, waves, no_jumps, path, no_events, latest[n])
             if core[0]['events']:
-                results[:, n] = _first_throw(core[0])
+                results[:, n] = _first_throw(core[0], peak_speed[n])
 
     in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
-    return FirstThrows.collect(results, ratios, shape, unresolved)
+    return results
 
 
-def _first_throw(s: np.void) -> tuple[float, ...]:
-    """Read the rows of `FirstThrows` from a record that has come to the first release."""
-    time = (s['launch_cell'] + s['launch_offset']) * s['step']
+def _first_throw(s: np.void, peak_speed: float) -> tuple[float, ...]:
+    """Read the rows of `throw_batch` from a record that has come to the first release."""
+    time, speed = (s['launch_cell'] + s['launch_offset']) * s['step'], s['launch_velocity']
     contact_force, omega = s['peak_contact_force'], 2.0 * math.pi
     strain = max(s['peak_strain'], contact_force + s['gravity_offset'])
     work = s['first_work'] * s['step'] / s['relaxation']
     acceleration = contact_force / (omega * s['relaxation'])
-    return time, s['launch_velocity'], strain, acceleration, s['peak_plate_stress'], work
+    transfer = (speed / peak_speed) ** 2
+    return time, speed, transfer, strain, acceleration, s['peak_plate_stress'], work
 
 
 def warm_up() -> None:

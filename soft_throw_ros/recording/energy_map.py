@@ -83,7 +83,6 @@ def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
         speed_ratio=wave_speed / (thickness * rig.engine.frequency),
         damping_ratio=rig.engine.damping_ratio,
         gravity_ratio=rig.gravity_ratio,
-        unresolved='nan',
     )
     return np.asarray(releases.energy_transfer)
 

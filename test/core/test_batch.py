@@ -18,65 +18,62 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.core import cell_stepper, closed_form, wave_stepper
-from soft_throw_ros.core.batch import ThrowUnresolvedError
+from soft_throw_ros.core import cell_stepper, wave_stepper
 from soft_throw_ros.core.cell_stepper import MAX_CELLS
-
-RELEASES = closed_form.first_releases
-WAVES = wave_stepper.first_throws
-CELLS = partial(cell_stepper.first_throws, cells=16)
-first_throws = pytest.mark.parametrize('first_throws', [RELEASES, WAVES, CELLS])
+from soft_throw_ros.core.closed_form import first_releases
+from soft_throw_ros.core.rig import Layer, Ratios
 
 
-def some_cases(count):
-    """Draw ratios of all kinds."""
+def by_closed_form(ratios, **options):
+    rigid = dict(zip(Ratios._fields[:4], ratios, strict=False))
+    return first_releases(**rigid, **options)
+
+
+BY_CELLS = partial(cell_stepper.throw_batch, layer=Layer())
+each_method = pytest.mark.parametrize(
+    'throw', [by_closed_form, wave_stepper.throw_batch, partial(BY_CELLS, cells=16)]
+)
+
+
+@pytest.mark.parametrize(
+    ('throw', 'count', 'others'),
+    [
+        (by_closed_form, 3 * 2048, {}),
+        (wave_stepper.throw_batch, 3 * 64, {}),
+        (BY_CELLS, 60, {'loss_tangent': 0.1, 'crossing_ratio': 0.02}),
+        (partial(BY_CELLS, is_on_projectile=True), 60, {}),
+    ],
+)
+def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(throw, count, others):
     random = np.random.default_rng(2)
-    return {
+    cases = {
         'mass_ratio': np.exp(random.uniform(-2.0, 2.0, count)),
         'speed_ratio': np.exp(random.uniform(0.0, 4.0, count)),
         'damping_ratio': random.uniform(0.0, 0.3, count),
         'gravity_ratio': random.uniform(0.0, 0.02, count),
     }
-
-
-@pytest.mark.parametrize(
-    ('first_throws', 'count', 'options'),
-    [
-        (RELEASES, 3 * 2048, {}),
-        (WAVES, 3 * 64, {}),
-        (cell_stepper.first_throws, 60, {'loss_tangent': 0.1, 'crossing_ratio': 0.02}),
-        (cell_stepper.first_throws, 60, {'glued_to': 'projectile'}),
-    ],
-)
-def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(first_throws, count, options):
-    cases = some_cases(count)
-    together = first_throws(**cases, **options, threads=1)
-    shared = first_throws(**cases, **options, threads=3)
+    together = throw(Ratios(**cases, **others), threads=1)
+    shared = throw(Ratios(**cases, **others), threads=3)
     assert np.array(together).tobytes() == np.array(shared).tobytes()
     for i in range(0, count, count // 6):
-        alone = first_throws(**{name: values[i] for name, values in cases.items()}, **options)
-        assert np.array(alone).tolist() == np.array(together)[:, i].tolist()
+        alone = throw(Ratios(**{name: values[i] for name, values in cases.items()}, **others))
+        assert np.ravel(alone).tolist() == np.array(together)[:, i].tolist()
 
 
-@first_throws
-def test_arguments_are_broadcast(first_throws):
-    throws = first_throws(
-        mass_ratio=[[0.5], [1.0]], speed_ratio=[5.0, 8.0, 12.0], damping_ratio=0.1
-    )
-    assert all(values.shape == (2, 3) for values in throws)
-    throw = first_throws(mass_ratio=1.0, speed_ratio=8.0, damping_ratio=0.1)
-    assert throws.energy_transfer[1, 1] == pytest.approx(throw.energy_transfer, rel=1e-14)
-    assert first_throws(mass_ratio=[], speed_ratio=[]).speed.shape == (0,)
+@each_method
+def test_ratios_are_broadcast(throw):
+    throws = throw(Ratios([[0.5], [1.0]], [5.0, 8.0, 12.0], 0.1))
+    assert all(values.size == 6 for values in throws)
+    single = throw(Ratios(1.0, 8.0, 0.1))
+    assert throws[2].flat[4] == pytest.approx(single[2].item(), rel=1e-14)
+    assert throw(Ratios([], []))[0].shape == (0,)
     with pytest.raises(ValueError, match='shape'):
-        first_throws(mass_ratio=[1.0, 2.0], speed_ratio=[1.0, 2.0, 3.0])
+        throw(Ratios([1.0, 2.0], [1.0, 2.0, 3.0]))
 
 
-@first_throws
-def test_projectile_that_does_not_leave_raises_an_error_or_is_nan(first_throws):
-    case = {'mass_ratio': 1.0, 'speed_ratio': 5.0, 'gravity_ratio': [0.0, 9.0]}
-    with pytest.raises(ThrowUnresolvedError, match='gravity_ratio 9'):
-        first_throws(**case)
-    throws = first_throws(**case, unresolved='nan')
+@each_method
+def test_projectile_that_does_not_leave_is_nan(throw):
+    throws = throw(Ratios(1.0, 5.0, gravity_ratio=np.array([0.0, 9.0])))
     assert np.isnan(throws).tolist() == [[False, True]] * len(throws)
 
 
@@ -89,15 +86,18 @@ def test_projectile_that_does_not_leave_raises_an_error_or_is_nan(first_throws):
         ('damping_ratio', 1.0),
         ('damping_ratio', -0.25),
         ('gravity_ratio', -0.125),
-        ('unresolved', 'skip'),
         ('threads', 0),
         ('threads', 1.5),
     ],
 )
-@first_throws
-def test_bad_arguments_are_quoted(first_throws, name, value):
+@each_method
+def test_bad_arguments_are_quoted(throw, name, value):
+    ratios = {'mass_ratio': 1.0, 'speed_ratio': 5.0}
+    options = {'threads': value} if name == 'threads' else {}
+    if not options:
+        ratios[name] = value
     with pytest.raises(ValueError, match=f'^{name} must be .* got {value!r}$'):
-        first_throws(**{'mass_ratio': 1.0, 'speed_ratio': 5.0, name: value})
+        throw(Ratios(**ratios), **options)
 
 
 @pytest.mark.parametrize(
@@ -105,11 +105,11 @@ def test_bad_arguments_are_quoted(first_throws, name, value):
     [
         ({'loss_tangent': -0.1}, r'loss_tangent .* got -0\.1'),
         ({'crossing_ratio': [1.0, 40.0]}, r'crossing_ratio .* 32, got 40\.0'),
-        ({'glued_to': 'both'}, "glued_to .* got 'both'"),
         ({'cells': 7}, f'cells .* 8 to {MAX_CELLS}, got 7'),
         ({'cells': 64.0}, r'got 64\.0'),
     ],
 )
 def test_bad_arguments_of_cells_are_quoted(arguments, message):
+    cells = arguments.pop('cells', None)
     with pytest.raises(ValueError, match=message):
-        cell_stepper.first_throws(mass_ratio=1.0, speed_ratio=5.0, **arguments)
+        BY_CELLS(Ratios(1.0, 5.0, **arguments), cells=cells)

@@ -33,7 +33,7 @@ from reference.method_of_steps import follow
 from scipy.integrate import trapezoid
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Ratios, Rig
 from soft_throw_ros.core.stepper import (
     PLATE_FORCE,
     PLATE_POSITION,
@@ -41,7 +41,8 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
 )
-from soft_throw_ros.core.wave_stepper import first_throws, steps_per_crossing, WaveStepper
+from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.wave_stepper import steps_per_crossing, throw_batch, WaveStepper
 
 
 @pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), EXACT)
@@ -267,19 +268,15 @@ def test_batched_throws_agree_with_steppers():
         'damping_ratio': rng.uniform(0.0, 0.3, 12),
         'gravity_ratio': rng.choice([0.0, 0.05], 12),
     }
-    throws = first_throws(**ratios, unresolved='nan')
-    exact = first_releases(**ratios, unresolved='nan')
-    assert throws.ejection_phase == pytest.approx(exact.ejection_phase, abs=1e-5, nan_ok=True)
-    assert throws.energy_transfer == pytest.approx(exact.energy_transfer, abs=1e-5, nan_ok=True)
-    for n in np.flatnonzero(np.isfinite(throws.speed)):
-        rig = make_rig(*(values[n] for values in ratios.values()))
-        model, scale = WaveStepper(rig), rig.engine.speed_scale
+    exact = first_releases(**ratios)
+    phase, _, transfer, *_ = throw_batch(Ratios(**ratios))
+    assert phase == pytest.approx(exact.ejection_phase, abs=1e-5, nan_ok=True)
+    assert transfer == pytest.approx(exact.energy_transfer, abs=1e-5, nan_ok=True)
+    rigs = [make_rig(*case) for case in zip(*ratios.values(), strict=True)]
+    throws = throw_many(rigs, loads=True)
+    for n in np.flatnonzero(np.isfinite(phase)):
+        model = WaveStepper(rigs[n])
         model.advance_to((float(exact.ejection_phase[n]) + 0.01) / FREQUENCY)
-        loads, layer, omega = model.loads, rig.layer, rig.engine.angular_frequency
-        for computed, expected in (
-            (throws.peak_strain[n], loads.strain * layer.wave_speed / scale),
-            (throws.peak_acceleration[n], loads.acceleration / (scale * omega)),
-            (throws.peak_plate_force[n], loads.plate_force / (scale * layer.impedance)),
-            (throws.plate_work[n], model.plate_work / (rig.projectile.mass * scale**2)),
-        ):
-            assert computed == pytest.approx(expected, rel=1e-3)
+        loads = model.loads
+        expected = loads.strain, loads.acceleration, loads.plate_force, model.plate_work
+        assert [row[n] for row in throws[3:]] == pytest.approx(expected, rel=1e-3)
