@@ -223,6 +223,25 @@ class Stepper(ABC):
             raise self._refusal(count, float(time))
         return count
 
+    def advance_to_release(self, *, latest: float, step: float) -> Event | None:
+        """
+        Go forward from the start in steps until the first release, and return it.
+
+        Parameters
+        ----------
+        latest : float
+            Time after which to give up and return None. [s]
+        step : float
+            Time of each step. [s]
+
+        """
+        steps = 0
+        while not self.advance_to(min(steps * step, latest)):
+            if steps * step >= latest:
+                return None
+            steps += 1
+        return self.events()[0]
+
     def _refusal(self, status: int, time: float) -> Exception:
         """Return the exception for a failed advance."""
         if status == BEYOND_HORIZON:

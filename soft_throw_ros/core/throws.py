@@ -42,7 +42,7 @@ from soft_throw_ros.core.rig import (
     Stack,
     values_of,
 )
-from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
+from soft_throw_ros.core.stepper import EventLimitError
 from soft_throw_ros.core.throw import make_stepper, simulate, ThrowUnfinishedError
 
 Floats = NDArray[np.float64]
@@ -331,8 +331,8 @@ def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float,
     cells = cells if model_of(model).batch == 'cells' else None
     stepper = make_stepper(rig, model=model, cells=cells, field_points=2)
     own_period = 1.0 / rig.natural_frequency + rig.crossing_time
-    release = advance_to_release(
-        stepper, latest=motion.end_time + _WAIT * own_period, step=0.25 * own_period
+    release = stepper.advance_to_release(
+        latest=motion.end_time + _WAIT * own_period, step=0.25 * own_period
     )
     if release is None:
         return (math.nan,) * len(Throws._fields)
@@ -343,33 +343,6 @@ def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float,
     )
 
 
-def advance_to_release(stepper: Stepper, *, latest: float, step: float) -> Event | None:
-    """
-    Advance a stepper in steps until the first release.
-
-    Parameters
-    ----------
-    stepper : Stepper
-        Stepper at its start.
-    latest : float
-        Time after which to give up. [s]
-    step : float
-        Time of each step. [s]
-
-    Returns
-    -------
-    Event or None
-        The first release; None if there is none by then.
-
-    """
-    steps = 0
-    while not stepper.advance_to(min(steps * step, latest)):
-        if steps * step >= latest:
-            return None
-        steps += 1
-    return stepper.events()[0]
-
-
 class LastRelease(NamedTuple):
     """Time and speed at which a projectile leaves for good, and its flight."""
 
@@ -377,10 +350,8 @@ class LastRelease(NamedTuple):
     """From the start of the throw. [s]"""
     speed: float
     """[m/s]"""
-    rise: float
-    """Above where it rested on the layer. [m]"""
     height: float
-    """Of its apex, above the same; infinite without gravity. [m]"""
+    """Of its apex above where it rested on the layer; infinite without gravity. [m]"""
 
 
 def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
@@ -410,13 +381,8 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
         throw = simulate(rig, model=model_for(rig, model))
     except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
         raise ThrowUnresolvedError(f'the last release is unknown: {error}') from error
-    last, rest_height = throw.last_release, throw.rest_height
-    return LastRelease(
-        last.time,
-        last.velocity,
-        last.position - rest_height,
-        throw.apex_height - rest_height,
-    )
+    last = throw.last_release
+    return LastRelease(last.time, last.velocity, throw.apex_height - throw.rest_height)
 
 
 def require_uniform(rig: Rig) -> Rig:

@@ -29,7 +29,6 @@ from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import EventLimitError, Stepper
 from soft_throw_ros.core.throw import make_stepper
-from soft_throw_ros.core.throws import advance_to_release
 from soft_throw_ros.core.wave_stepper import STEP_COST, steps_per_crossing
 from soft_throw_ros.twin.engine_forecast import EngineForecaster
 from soft_throw_ros.twin.results import LayerState, State, ThrowField
@@ -269,7 +268,7 @@ def _ejection_time(stepper: Stepper) -> float:
         cycle += rig.engine.motion.end_time
     latest = _LONGEST_CONTACT * cycle
     try:
-        release = advance_to_release(stepper, latest=latest, step=0.125 * cycle)
+        release = stepper.advance_to_release(latest=latest, step=0.125 * cycle)
     except EventLimitError:  # the projectile has left, and bounces on a stiff layer
         release = stepper.events()[0]
     return latest if release is None else release.time

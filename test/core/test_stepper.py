@@ -22,7 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from reference.cases import log_uniform
+from reference.cases import log_uniform, make_paper_rig, STRAINS
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
@@ -92,6 +92,36 @@ def test_results_do_not_depend_on_the_requested_times(make):
     wandering.advance_to(0.35)
     assert observe(direct) == observe(wandering)
     assert direct.event_count >= 1
+
+
+@all_steppers
+def test_stepper_is_advanced_to_its_first_release_or_gives_up(make):
+    model = make()
+    assert model.advance_to_release(latest=1e-3, step=3e-4) is None
+    assert model.state[TIME] == 1e-3
+    model.reset()
+    release = model.advance_to_release(latest=1.0, step=1e-3)
+    assert release.kind == 'release'
+    assert release.time <= model.state[TIME] < release.time + 1e-3
+
+
+@pytest.mark.parametrize('stepper', [WaveStepper, CellStepper])
+@pytest.mark.parametrize(('thickness', 'largest', 'at_contact'), STRAINS)
+def test_loads_are_exact_to_1e_4_and_stay_after_the_first_release(
+    stepper, thickness, largest, at_contact
+):
+    rig = make_paper_rig(thickness)
+    model = stepper(rig)
+    model.advance_to(0.0085)
+    loads, work = model.loads, model.plate_work
+    assert loads.strain == loads.plate_strain == pytest.approx(largest, rel=1e-4)
+    assert loads.contact_strain == pytest.approx(at_contact, rel=1e-4)
+    stiffness = rig.layer.youngs_modulus * rig.layer.section
+    assert loads.plate_force == pytest.approx(largest * stiffness, rel=1e-4)
+    force = loads.acceleration * rig.projectile.mass
+    assert force == pytest.approx(at_contact * stiffness, rel=1e-4)
+    model.advance_to(0.5)
+    assert (model.loads, model.plate_work) == (loads, work)
 
 
 @all_steppers

@@ -19,13 +19,8 @@ from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.models import LayerModel, MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, model_for, Rig, Stack
-from soft_throw_ros.core.throw import make_stepper, simulate
-from soft_throw_ros.core.throws import (
-    advance_to_release,
-    last_release,
-    rig_with,
-    throw_many,
-)
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.throws import last_release, rig_with, throw_many
 
 THICKNESS, SPEED = np.geomspace(5e-3, 0.05, 4)[:, None], np.array([5.0, 8.0, 15.0])
 TIMES = np.arange(0.0, 0.05, 2e-4)
@@ -139,13 +134,6 @@ def test_model_without_a_method_for_many_throws_is_refused(monkeypatch):
         throw_many(Rig(), model='guess')
 
 
-def test_stepper_is_advanced_to_its_first_release_or_an_error():
-    rig = Rig()
-    release = advance_to_release(make_stepper(rig), latest=1.0, step=1e-3)
-    assert release == simulate(rig).first_release
-    assert advance_to_release(make_stepper(rig), latest=5e-3, step=1e-3) is None
-
-
 @pytest.mark.parametrize(
     'rig',
     [
@@ -158,15 +146,8 @@ def test_stepper_is_advanced_to_its_first_release_or_an_error():
 def test_last_release_agrees_with_a_simulated_throw(rig):
     throw, rest_height = simulate(rig, model=model_for(rig, 'travelling_wave')), rig.rest_height
     assert throw.rest_height == pytest.approx(rest_height, rel=1e-9)
-    assert last_release(rig) == pytest.approx(
-        (
-            throw.last_release.time,
-            throw.last_release.velocity,
-            throw.last_release.position - rest_height,
-            throw.apex_height - rest_height,
-        ),
-        rel=1e-4,
-    )
+    last, height = throw.last_release, throw.apex_height - rest_height
+    assert last_release(rig) == pytest.approx((last.time, last.velocity, height), rel=1e-4)
 
 
 def test_projectile_that_stays_on_the_layer_raises_an_error():

@@ -95,10 +95,9 @@ def exact_release(rig):
 
 def released(stepper, periods=12.0):
     """Advance a stepper until the projectile has left, and return it."""
-    for quarter in range(1, round(4 * periods) + 1):
-        if stepper.advance_to(0.25 * quarter / stepper.rig.engine.frequency):
-            return stepper
-    raise AssertionError('no release')
+    period = 1.0 / stepper.rig.engine.frequency
+    assert stepper.advance_to_release(latest=periods * period, step=0.25 * period), 'no release'
+    return stepper
 
 
 def log_uniform(low, high):
