@@ -508,6 +508,11 @@ class Ratios(NamedTuple):
     constant_loss: Any = 0.0
     """Whether the loss tangent is constant, and not in proportion to frequency; 1 or 0."""
 
+    @property
+    def rigid(self) -> dict[str, Any]:
+        """Ratios that decide the throw of a rigid projectile from a lossless layer."""
+        return dict(zip(self._fields[:4], self[:4], strict=True))
+
 
 def ratios_of(rig: Rig, values: Mapping[str, Any]) -> Ratios:
     """

@@ -292,8 +292,7 @@ def _throw_by(
     else:
         results = np.full((len(Throws._fields), ratios.mass_ratio.size), math.nan)
     if name == 'closed_form':
-        rigid = dict(zip(ratios._fields[:4], ratios[:4], strict=True))
-        results[:3] = closed_form.first_releases(**rigid, threads=threads)
+        results[:3] = closed_form.first_releases(**ratios.rigid, threads=threads)
     elif name == 'spring':
         frequency_ratio = ratios.speed_ratio / (2.0 * math.pi * np.sqrt(ratios.mass_ratio))
         results[:3] = spring_mass.first_release(frequency_ratio=frequency_ratio)

@@ -247,7 +247,7 @@ def throw_batch(ratios: Ratios, *, threads: int | None = None) -> Floats:
         If a ratio is out of range.
 
     """
-    rows, _ = broadcast_ratios(**ratios._asdict())
+    rows, _ = broadcast_ratios(**ratios.rigid)
     mu, kappa, damping_ratio = rows[:3]
     steps = np.maximum(_STEPS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
@@ -262,7 +262,7 @@ def throw_batch(ratios: Ratios, *, threads: int | None = None) -> Floats:
         for n in range(first, mu.size, stride):
             waves = make_waves(int(steps[n]))
             numbers[:] = 0.0
-            prepare_underdamped(core, path, steps[n], *rows[:4, n])
+            prepare_underdamped(core, path, steps[n], *rows[:, n])
             numbers[:2] = numbers[2]
             advance(core, waves, no_jumps, path, no_events, latest[n])
             if core[0]['events']:

@@ -25,8 +25,7 @@ from soft_throw_ros.core.rig import Layer, Ratios
 
 
 def by_closed_form(ratios, **options):
-    rigid = dict(zip(Ratios._fields[:4], ratios, strict=False))
-    return first_releases(**rigid, **options)
+    return first_releases(**ratios.rigid, **options)
 
 
 BY_CELLS = partial(cell_stepper.throw_batch, layer=Layer())
