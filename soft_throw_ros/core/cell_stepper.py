@@ -217,20 +217,13 @@ def throw_batch(
         require_count('cells', cells, low=8, high=MAX_CELLS)
     rows, _ = broadcast_ratios(**ratios._asdict())
     ratios = Ratios(*rows)
-    mu, kappa, _, _, _, crossing_ratio, strain_ratio, _ = rows
+    mu, kappa, crossing_ratio = ratios.mass_ratio, ratios.speed_ratio, ratios.crossing_ratio
     slowest = crossing_ratio.max(initial=0.0)
     if slowest > MAX_CROSSING_RATIO:
         raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
     results = np.full((7, mu.size), math.nan)
-    counts = np.full(mu.size, cells or _CELLS)
-    if cells is None:
-        finer = np.where(strain_ratio > 0.0, _NEO_HOOKEAN_CELLS, 1.0)
-        counts = (finer * counts).astype(np.int64)
-        needed = finer * np.maximum(_CELLS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
-        while (too_few := (counts < needed) & (counts < _MAX_BATCH_CELLS)).any():
-            counts[too_few] *= 2
     bodies, crossings = make_bodies(ratios, layer)
-    steps = crossings.sum(axis=1) / counts
+    steps = crossings.sum(axis=1) / (_choose_cells(ratios) if cells is None else cells)
     bodies['count'] = count_cells(crossings, steps[:, None])
     projectile_cells = np.maximum(MIN_PROJECTILE_CELLS, (crossing_ratio / steps).astype(np.int64))
     projectile_cells[crossing_ratio == 0.0] = 0
@@ -258,8 +251,8 @@ def throw_batch(
             if grid['events']:
                 omega = 2.0 * math.pi / kappa[n]
                 strain = max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max())
-                if strain_ratio[n] > 0.0:
-                    strain *= omega / strain_ratio[n]
+                if ratios.strain_ratio[n] > 0.0:
+                    strain *= omega / ratios.strain_ratio[n]
                 speed = grid['event_velocity'] / omega
                 results[:, n] = (
                     grid['event_time'] / kappa[n], speed, (speed / peak_speed[n]) ** 2,
@@ -269,6 +262,17 @@ def throw_batch(
 
     in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
     return results
+
+
+def _choose_cells(ratios: Ratios) -> NDArray[np.int64]:
+    """Choose the numbers of cells of the layers in `throw_batch`."""
+    mu, kappa = ratios.mass_ratio, ratios.speed_ratio
+    finer = np.where(ratios.strain_ratio > 0.0, _NEO_HOOKEAN_CELLS, 1.0)
+    counts = (finer * _CELLS).astype(np.int64)
+    needed = finer * np.maximum(_CELLS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
+    while (too_few := (counts < needed) & (counts < _MAX_BATCH_CELLS)).any():
+        counts[too_few] *= 2
+    return counts
 
 
 class CellStepper(Stepper):

@@ -485,10 +485,9 @@ def values_of(rig: Rig) -> dict[str, float]:
 
 class Ratios(NamedTuple):
     r"""
-    Ratios that decide first throws, as numbers or arrays that broadcast against each other.
+    Ratios that decide a first release: numbers, or arrays that broadcast against each other.
 
-    They leave the units of time, length and force open: :math:`1 / f`, :math:`A \omega / f` and
-    so on. Only the core computes with them; others name rigs in SI units.
+    The core alone computes with them; `throws.throw_many` takes rigs in SI units.
     """
 
     mass_ratio: Any
