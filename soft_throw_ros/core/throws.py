@@ -21,7 +21,7 @@ discontinuity could jump when its loads are computed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 import math
 from typing import Any, NamedTuple, TypeAlias
@@ -142,7 +142,8 @@ def throw_many(
     Raises
     ------
     ValueError
-        If there is no such model, or it has no method for many throws.
+        If there is no such model, or it has no method for many throws; if there is no rig, or
+        rigs differ in more than the values of `Changes`.
     SearchCancelledError
         If `cancelled` returns True.
 
@@ -152,6 +153,12 @@ def throw_many(
         raise ValueError(f'the model {model} has no method for many throws')
     changes = changes or {}
     if not isinstance(rig, Rig):
+        kinds = {_kind_of(single) for single in rig}
+        if len(kinds) != 1:
+            raise ValueError(
+                'rigs must differ in the values of `Changes` only, got '
+                f'{len(kinds)} kinds of layers, motions or projectiles'
+            )
         tables = [values_of(single) for single in rig]
         columns = {name: np.array([row[name] for row in tables]) for name in tables[0]}
         changes = {**columns, **changes}
@@ -179,6 +186,14 @@ def throw_many(
     for n, unit in enumerate(units_of(values)):
         rows[n] *= unit
     return Throws(*rows)
+
+
+def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
+    """Return the properties of a rig that are no values of `Changes`."""
+    layer, projectile = rig.layer, rig.projectile
+    sheets = len(layer.sheets) if isinstance(layer, Stack) else 0
+    laws = layer.stress_strain_law, layer.loss
+    return id(rig.engine.motion), sheets, *laws, projectile.length, projectile.youngs_modulus
 
 
 def units_of(values: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -126,6 +126,14 @@ def test_different_rigs_agree_with_changes_of_one_rig():
         assert together == pytest.approx(tuple(throw_many(rig, loads=True)), rel=1e-12)
 
 
+def test_rigs_that_differ_in_more_than_values_are_refused():
+    strained = Rig(layer=Layer(stress_strain_law='neo_hookean'))
+    with pytest.raises(ValueError, match='got 2 kinds'):
+        throw_many([Rig(), strained])
+    with pytest.raises(ValueError, match='got 0 kinds'):
+        throw_many([])
+
+
 def test_model_without_a_method_for_many_throws_is_refused(monkeypatch):
     monkeypatch.setitem(MODELS, 'mine', LayerModel(batch=None))
     with pytest.raises(ValueError, match='model mine has no method'):
