@@ -22,7 +22,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from reference.cases import log_uniform, make_paper_rig, STRAINS
+from reference.cases import log_uniform, make_paper_rig, order, STRAINS
+from reference.method_of_steps import follow
+from scipy.integrate import trapezoid
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
@@ -177,6 +179,26 @@ def test_measured_plate_throws_like_the_engine(make):
     [ours], [exact] = model.events(), engine.events()
     assert ours.time == pytest.approx(exact.time, rel=1e-5)
     assert ours.velocity == pytest.approx(exact.velocity, rel=1e-4)
+
+
+@pytest.mark.parametrize(('make', 'name'), [(WaveStepper, 'steps'), (CellStepper, 'cells')])
+def test_work_of_a_measured_plate_converges_with_the_square_of_the_step(make, name):
+    times = np.arange(0.0, 0.0105, 4e-4)
+    states, counts, errors = plate_states(times), np.array([32, 64, 128, 256]), []
+    history = follow(Rig(), SampledMotion(times, states), max_events=1)
+    moments = np.array([2.5 * Rig().crossing_time, history.events[0].time])
+    grids = np.linspace(0.0, moments, 200_001)  # so fine that the integral errs by 1e-9
+    power = -history.plate_force(grids) * history.motion.velocity(grids)
+    exact = trapezoid(power, grids, axis=0)
+    for count in counts:
+        model, works = make(Rig(), 'measured', **{name: int(count)}), []
+        model.append_plate_states(times, states)
+        for moment in (moments[0], times[-2]):  # the work ends with the release
+            model.advance_to(moment)
+            works.append(model.plate_work)
+        errors.append(works / exact - 1.0)
+    assert np.abs(errors[-1]).max() < 1e-4
+    assert (order(counts, errors) > 1.6).all()
 
 
 @steppers
