@@ -39,7 +39,7 @@ from soft_throw_ros.core.cell_stepper import (
     CellStepper,
     MAX_CELLS,
 )
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, LINEAR_STRAIN, Projectile, Rig, Stack
 from soft_throw_ros.core.stepper import (
     HorizonError,
@@ -614,20 +614,6 @@ def test_events_appear_at_their_time():
     assert stepper.state[PROJECTILE_FORCE] == 0.0
     assert stepper.state[PROJECTILE_VELOCITY] == pytest.approx(release.velocity, rel=1e-4)
     assert stepper.state[PROJECTILE_POSITION] == pytest.approx(release.position, rel=1e-6)
-
-
-@pytest.mark.parametrize('gravity', [0.0, 9.81])
-def test_falling_plate_releases_the_projectile(gravity):
-    rig = Rig(gravity=gravity)
-    times = np.arange(3e-4, 0.03, 2e-4)
-    motion = SampledMotion.from_positions(times, -Underdamped.of(rig.engine).position(times))
-    history = follow(rig, motion, until=0.02)
-    stepper = CellStepper(rig, motion, cells=400)
-    stepper.advance_to(0.02)
-    assert len(stepper.events()) == len(history.events) == 3
-    for computed, exact in zip(stepper.events(), history.events, strict=True):
-        assert computed.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=1e-3)
-        assert computed.velocity == pytest.approx(exact.velocity, abs=1e-3)
 
 
 def test_measured_plate_is_followed_to_the_last_whole_step():

@@ -22,7 +22,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from reference.cases import log_uniform, make_paper_rig, order, STRAINS
+from reference.cases import FREQUENCY, log_uniform, make_paper_rig, order, STRAINS
 from reference.method_of_steps import follow
 from scipy.integrate import trapezoid
 from soft_throw_ros.core.cell_stepper import CellStepper
@@ -199,6 +199,47 @@ def test_work_of_a_measured_plate_converges_with_the_square_of_the_step(make, na
         errors.append(works / exact - 1.0)
     assert np.abs(errors[-1]).max() < 1e-4
     assert (order(counts, errors) > 1.6).all()
+
+
+@pytest.mark.parametrize(
+    ('make', 'sign', 'gravity', 'end', 'until', 'error'),
+    [
+        (WaveStepper, 1.0, 9.81, 0.0151, 0.04, 5e-5),
+        (WaveStepper, 1.0, 9.81, 0.041, 0.04, 5e-5),
+        (partial(CellStepper, cells=400), -1.0, 0.0, 0.03, 0.02, 1e-3),  # the plate falls
+        (partial(CellStepper, cells=400), -1.0, 9.81, 0.03, 0.02, 1e-3),
+    ],
+)
+def test_sampled_plate_agrees_with_the_method_of_steps(make, sign, gravity, end, until, error):
+    rig = Rig(gravity=gravity)
+    times = np.arange(1.7e-4, end, 2.5e-4)
+    positions = sign * Underdamped.of(rig.engine).position(times)
+    motion = SampledMotion.from_positions(times + 7e-4, positions)
+    history, model = follow(rig, motion, until=until), make(rig, motion)
+    model.advance_to(until)
+    assert model.event_count == len(history.events) == (1 if sign > 0.0 else 3)
+    for computed, exact in zip(model.events(), history.events, strict=True):
+        assert computed.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=error)
+        assert computed.velocity == pytest.approx(exact.velocity, abs=error)
+
+
+@pytest.mark.parametrize('make', [WaveStepper, CellStepper])
+@pytest.mark.parametrize(('thickness', 'largest', 'at_contact'), STRAINS)
+def test_loads_are_exact_to_1e_4_and_end_with_the_first_release(
+    make, thickness, largest, at_contact
+):
+    rig = make_paper_rig(thickness)
+    model = make(rig)
+    model.advance_to(0.0085)
+    loads, work = model.loads, model.plate_work
+    assert loads.strain == loads.plate_strain == pytest.approx(largest, rel=1e-4)
+    assert loads.contact_strain == pytest.approx(at_contact, rel=1e-4)
+    stiffness = rig.layer.youngs_modulus * rig.layer.section
+    assert loads.plate_force == pytest.approx(largest * stiffness, rel=1e-4)
+    force = loads.acceleration * rig.projectile.mass
+    assert force == pytest.approx(at_contact * stiffness, rel=1e-4)
+    model.advance_to(0.5)
+    assert (model.loads, model.plate_work) == (loads, work)
 
 
 @steppers

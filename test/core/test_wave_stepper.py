@@ -30,7 +30,7 @@ from reference.cases import (
 from reference.method_of_steps import follow
 from scipy.integrate import trapezoid
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
-from soft_throw_ros.core.plate import peak_velocity_ratio, SampledMotion, Underdamped
+from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, Ratios, Rig
 from soft_throw_ros.core.stepper import (
     PLATE_FORCE,
@@ -208,21 +208,6 @@ def test_energy_is_conserved_over_twenty_bounces(ratios):
             break
         assert energy(model) == pytest.approx(conserved, rel=1e-3)  # the rule errs at jumps
     assert model.event_count > 20
-
-
-@pytest.mark.parametrize('end', [0.0151, 0.041])
-def test_sampled_plate_agrees_with_the_method_of_steps(end):
-    rig = Rig()
-    times = np.arange(1.7e-4, end, 2.5e-4)
-    values = Underdamped.of(rig.engine).position(times)
-    motion = SampledMotion.from_positions(times + 0.001, values)
-    history = follow(rig, motion, until=0.04)
-    model = WaveStepper(rig, motion)
-    model.advance_to(0.04)
-    assert model.event_count == len(history.events)
-    for computed, exact in zip(model.events(), history.events, strict=True):
-        assert computed.time * FREQUENCY == pytest.approx(exact.time * FREQUENCY, abs=5e-5)
-        assert computed.velocity == pytest.approx(exact.velocity, abs=5e-5)
 
 
 @pytest.mark.parametrize(
