@@ -18,7 +18,6 @@ import math
 from hypothesis import strategies as st
 import numpy as np
 from soft_throw_ros.core.closed_form import first_release
-from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 FREQUENCY = 63.2
