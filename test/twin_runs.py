@@ -151,6 +151,13 @@ class Run:
         self.session.close()
         return replay(self.journal, until=self.session.step, throw=throw)
 
+    def assert_repeated(self, throw: int = 0) -> None:
+        """Assert that the replay, from the start of a throw, has the same outputs bit by bit."""
+        begin = self.starts()[throw - 1] if throw else 0
+        again = list(self.repeat(throw))
+        assert len(again) == len(self.outputs) - begin
+        assert all(map(same, again, self.outputs[begin:]))
+
 
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 MEASUREMENT = MeasurementConfig(

@@ -157,6 +157,8 @@ def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     assert model.stored_energy() == pytest.approx(0.0, abs=1e-18)  # of 1e-3 J in a throw
     assert layer[0, -1] == pytest.approx(model.rest_position)
     assert layer[1] == pytest.approx(0.0)
+    assert (np.diff(layer[0]) > 0.0).all()
+    assert (layer[2] > 0.0).all()
 
 
 @all_steppers

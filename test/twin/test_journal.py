@@ -234,28 +234,27 @@ def test_invalid_line_is_refused_and_quoted(line, value) -> None:
         journal.decode(line)
 
 
-def test_entry_inconsistent_with_the_session_is_refused_and_quoted(eventful) -> None:
+def test_start_inconsistent_with_the_session_is_refused_and_quoted(eventful) -> None:
     begin = eventful.entries('throw')[0]
-    with pytest.raises(journal.JournalError, match='settings'):
-        Session.from_entry({'kind': 'throw', 'step': 3})
-    with pytest.raises(journal.JournalError, match="'input'"):
-        Session.from_entry({**begin, 'kind': 'input'})
-    with pytest.raises(journal.JournalError, match="'throw'"):
-        Session.from_entry({name: begin[name] for name in begin if name != 'throw'})
-    with pytest.raises(journal.JournalError, match='thick'):
-        Session.from_entry(
-            {**begin, 'settings': {**begin['settings'], 'layer.thickness': 'thick'}}
-        )
-    measured = {**begin['settings'], 'engine.motion': 'measured'}
-    with pytest.raises(journal.JournalError, match='None'):
-        Session.from_entry({**begin, 'settings': measured, 'onset': None})
+    settings = begin['settings']
+    for entry, value in (
+        ({'kind': 'throw', 'step': 3}, 'settings'),
+        ({**begin, 'kind': 'input'}, "'input'"),
+        ({name: begin[name] for name in begin if name != 'throw'}, "'throw'"),
+        ({**begin, 'settings': {**settings, 'layer.thickness': 'thick'}}, 'thick'),
+        ({**begin, 'settings': {**settings, 'engine.motion': 'measured'}, 'onset': None}, 'None'),
+    ):
+        with pytest.raises(journal.JournalError, match=value):
+            Session.from_entry(entry)
+
+
+def test_entry_inconsistent_with_the_session_is_refused_and_quoted() -> None:
     session = Session(TWIN.defaults())
     with pytest.raises(journal.JournalError, match='sing'):
         list(session.follow({'kind': 'input', 'step': 2, 'input': 'sing'}))
     with pytest.raises(journal.JournalError, match='before step 2'):
         list(session.follow({'kind': 'input', 'step': 1, 'input': 'throw'}))
-    with pytest.raises(journal.JournalError, match='no samples'):
-        journal.decode_samples({'kind': 'samples', 'step': 0, 'count': 1, 'data': '???'})
-    cut = {**journal.encode_samples([(0, [Sample(1, 0.5)])]), 'step': 0, 'count': 2}
-    with pytest.raises(journal.JournalError, match='no samples'):
-        journal.decode_samples(cut)
+    cut = journal.encode_samples([(0, [Sample(1, 0.5)])])
+    for samples in ({'count': 1, 'data': '???'}, {**cut, 'count': 2}):
+        with pytest.raises(journal.JournalError, match='no samples'):
+            journal.decode_samples({'kind': 'samples', 'step': 0, **samples})

@@ -42,7 +42,7 @@ from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
-from twin_runs import Run, same
+from twin_runs import Run
 
 ONSET = 0.0512345
 MEASURED = {'engine__motion': 'measured'}
@@ -277,31 +277,6 @@ def test_rate_slightly_below_the_minimum_is_accepted() -> None:
     assert not any(' Hz, which must be' in text for text in run.notices())
 
 
-def test_disturbed_samples_are_counted_and_have_little_effect() -> None:
-    run = Run(**MEASURED)
-    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=2e-6)
-    random = np.random.default_rng(6)
-    for index, sample in enumerate(samples):
-        arriving = [sample]
-        if index % 10 == 3:
-            arriving.append(sample)
-        elif index % 10 == 7:
-            arriving = [sample._replace(plate=math.nan)]
-        elif index % 50 == 5:
-            arriving.append(sample._replace(stamp_ns=sample.stamp_ns + SECOND))
-            arriving.append(sample._replace(stamp_ns=sample.stamp_ns - 2 * SECOND))
-        for item in arriving:
-            run.send([item], [sample.stamp_ns - item.stamp_ns + random.integers(1e5, 1.5e5)])
-    run.receive()
-    counts = run.session.sample_counts
-    assert counts.refused == {'doubled': 60, 'not finite': 60, 'future': 12, 'past': 12}
-    assert counts.taken == len(samples) - 60
-    (release,) = run.results('release')
-    assert release.first.ejection_speed == pytest.approx(
-        simulate(run.rig).ejection_speed, rel=0.01
-    )
-
-
 @pytest.mark.parametrize(('rate', 'engine_is_nominal'), [(2500.0, True), (5000.0, False)])
 def test_outliers_are_ignored(rate, engine_is_nominal) -> None:
     run = Run(**MEASURED)
@@ -357,26 +332,6 @@ def test_wrong_kind_of_heights_is_reported_with_a_remedy(change, advice) -> None
     (notice,) = [text for text in run.notices() if advice in text]
     assert notice
     assert not run.results('release')
-
-
-def test_inexact_stamps_only_increase_the_errors() -> None:
-    errors = []
-    for jitter in (0.0, 0.1):  # of the time from one sample to the next
-        run = Run(**MEASURED)
-        samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6)
-        late = np.random.default_rng(0).standard_normal(len(samples)) * jitter * SECOND / 5000.0
-        run.send(
-            item._replace(stamp_ns=item.stamp_ns + round(error))
-            for item, error in zip(samples, late.tolist(), strict=True)
-        )
-        run.receive()
-        (release,) = run.results('release')
-        exact = simulate(run.rig)
-        assert release.accuracy.basis == 'engine'
-        assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=5e-3)
-        assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=5e-3)
-        errors.append(release.accuracy.ejection_speed_error)
-    assert errors[1] > 1.3 * errors[0]
 
 
 JITTERS = {
@@ -640,7 +595,7 @@ def test_jump_applies_a_pending_motion() -> None:
     assert run.phases()[-1] is Phase.RETURNING
     run.go(200)
     assert run.phases()[-2:] == [Phase.RETURNING, Phase.REST]
-    assert all(map(same, run.repeat(), run.outputs))
+    run.assert_repeated()
 
 
 def test_plate_at_rest_is_shown_where_it_is_measured() -> None:
@@ -673,7 +628,7 @@ def test_measurement_can_be_switched_on_and_off() -> None:
     run.session.request_throw()
     run.go(20)
     assert len(run.results('release')) == 2
-    assert all(map(same, run.repeat(), run.outputs))
+    run.assert_repeated()
 
 
 # once more
@@ -696,10 +651,7 @@ def test_measured_run_is_replayed_bit_by_bit_from_any_throw(seed, throw, rate) -
         run.receive()
         run.session.reset()
     run.go(5)
-    again = list(run.repeat(throw if throw <= run.session.throws else 0))
-    assert again
-    begin = again[0].step
-    assert all(map(same, again, run.outputs[begin:]))
+    run.assert_repeated(throw if throw <= run.session.throws else 0)
 
 
 INVALID = {
@@ -746,7 +698,7 @@ def test_arbitrary_samples_are_followed_or_refused_and_replayed(
     counts = run.session.sample_counts
     assert counts.taken + sum(counts.refused.values()) == len(samples)
     assert all(math.isfinite(value) for outputs in run.outputs for value in outputs.state)
-    assert all(map(same, run.repeat(), run.outputs))
+    run.assert_repeated()
 
 
 def test_journal_of_samples_is_small_and_records_missing_samples() -> None:

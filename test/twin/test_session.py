@@ -34,7 +34,7 @@ from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.session import RequestRejected, Session
-from twin_runs import replay, Run, same
+from twin_runs import Run, same
 
 RETURN = round(1000 * RETURN_TIME)
 
@@ -444,10 +444,7 @@ def test_any_run_is_replayed_bit_by_bit_from_any_throw(inputs, data) -> None:
             run.session.change(kind)
     run.go(300)
     throw = data.draw(st.integers(0, run.session.throws))
-    begin = run.starts()[throw - 1] if throw else 0
-    again = list(run.repeat(throw))
-    assert len(again) == len(run.outputs) - begin
-    assert all(map(same, again, run.outputs[begin:]))
+    run.assert_repeated(throw)
 
 
 # motions from files
@@ -468,19 +465,21 @@ def write_motion(tmp_path):
     return write_motion
 
 
-def test_journal_replays_a_motion_file_without_the_file(write_motion) -> None:
+def test_journal_replays_motions_that_are_changed_without_their_files(write_motion) -> None:
     path, other = write_motion(), write_motion('other.csv')
     run = Run(engine__motion_file=str(path))
+    assert run.rig.engine.motion is not None
+    for steps, motion in ((50, 'underdamped'), (10, 'file'), (10, 'underdamped'), (1200, 'file')):
+        run.go(steps)
+        run.session.change({'engine.motion': motion})
     run.go(1400)
     run.session.change({'engine.motion_file': str(other), 'layer.thickness': 0.02})
     run.go(1600)
-    assert run.rig.engine.motion is not None
     first = simulate(run.rig).ejection_time
-    assert run.results('release')[0].first.ejection_time == pytest.approx(first, rel=1e-9)
+    assert run.results('release')[1].first.ejection_time == pytest.approx(first, rel=1e-9)
     path.unlink()
     other.unlink()
-    outputs = list(replay(run.journal, until=3000))
-    assert [output.state for output in outputs] == [output.state for output in run.outputs]
+    run.assert_repeated()
 
 
 @pytest.mark.parametrize(('period', 'lead'), [(0.0, 200), (1.0, 200), (0.4, 100)])
@@ -503,8 +502,7 @@ def test_motion_is_commanded_before_its_throw(write_motion, period, lead) -> Non
         assert start - outputs.step == lead
         assert outputs.command.start_ns == run.schedule.deadline(start)
         assert outputs.command.motion == run.rig.engine.motion
-    again = list(replay(run.journal, until=len(run.outputs)))
-    assert [output.state for output in again] == [output.state for output in run.outputs]
+    run.assert_repeated()
 
 
 def test_plate_in_slow_motion_or_of_an_engine_is_not_commanded(write_motion) -> None:
@@ -548,20 +546,6 @@ def test_journal_without_its_motion_opens_no_file(write_motion) -> None:
         list(session.follow(change))
 
 
-def test_motion_that_is_removed_and_set_again_is_replayed(write_motion) -> None:
-    run = Run(engine__motion_file=str(write_motion()))
-    run.go(50)
-    for motion in ('underdamped', 'file'):
-        run.session.change({'engine.motion': motion})
-        run.go(10)
-    run.session.change({'engine.motion': 'underdamped'})
-    run.go(1200)
-    run.session.change({'engine.motion': 'file'})
-    run.go(1200)
-    outputs = list(replay(run.journal, until=run.session.step))
-    assert [output.state for output in outputs] == [output.state for output in run.outputs]
-
-
 def test_change_builds_one_rig_and_ticks_build_none(monkeypatch, write_motion) -> None:
     calls = []
 
@@ -601,5 +585,4 @@ def test_library_may_change_or_disappear_while_its_stack_is_thrown(tmp_path) -> 
     run.go(1000)
     speeds = [result.rig.layer.sheets[0].wave_speed for result in run.results('release')]
     assert speeds == [9.0, 9.0]
-    outputs = list(replay(run.journal, until=run.session.step))
-    assert [output.state for output in outputs] == [output.state for output in run.outputs]
+    run.assert_repeated()
