@@ -36,7 +36,7 @@ class Command:
 
     def json(self, *args, code=0):
         """Run the command with `--json` and return the decoded object."""
-        return json.loads(self.run('--json', *args, code=code))
+        return json.loads(self.run(*args, '--json', code=code))
 
     def refused(self, *args):
         """Run the command with arguments that it refuses and return the error message."""

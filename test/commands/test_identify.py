@@ -15,10 +15,13 @@
 
 import contextlib
 import io
+import itertools
 import json
+import math
 from pathlib import Path
 import re
 
+import bags
 import numpy as np
 import pytest
 from reference.method_of_steps import follow
@@ -31,9 +34,8 @@ from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate
-from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.cdr import JointStateEncoder
-from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.recording.message import Message
 
 SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 COMMAND = (identify.main,)
@@ -194,28 +196,14 @@ def test_plate_alone_gives_the_engine(command, write, tmp_path):
     )
 
 
-class Bag:
-    """A writer of JointState messages into a bag."""
-
-    def __init__(self, folder):
-        self.writer = BagWriter(folder, distribution='jazzy')
-
-    def add(self, topic, times, plate, projectile, names=('plate', 'projectile')):
-        """Write positions, without those of bodies that are not seen."""
-        channel = Channel(topic=topic, type='sensor_msgs/msg/JointState', schema='float64 x')
-        for time, *both in zip(times, plate, projectile, strict=True):
-            stamp = 1_700_000_000_000_000_000 + round(1e9 * time)
-            seen = {
-                name: each for name, each in zip(names, both, strict=True) if not np.isnan(each)
-            }
-            encoder = JointStateEncoder('camera', tuple(seen), series=1)
-            data = encoder.encode(stamp, list(seen.values()))
-            self.writer.write(Message(channel, data, stamp, stamp))
-        return self
-
-    def close(self):
-        self.writer.close()
-        return self.writer.folder
+def joint_states(topic, times, heights, bodies=('plate', 'projectile')):
+    """Yield messages with the heights of bodies, without those that are not seen."""
+    channel = bags.channel(topic, 'sensor_msgs/msg/JointState')
+    for time, both in zip(times, np.transpose(heights).tolist(), strict=True):
+        seen = {body: z for body, z in zip(bodies, both, strict=True) if not math.isnan(z)}
+        stamp = bags.BEGIN + round(1e9 * time)
+        encoder = JointStateEncoder('camera', tuple(seen), series=1)
+        yield Message(channel, encoder.encode(stamp, list(seen.values())), stamp, stamp)
 
 
 def recorded(starts, noise=2e-5, rest=0.6):
@@ -233,9 +221,9 @@ def recorded(starts, noise=2e-5, rest=0.6):
 
 
 def test_bag_gives_its_throws(command, tmp_path):
-    time, (plate, projectile) = recorded(starts=(0.2, 0.6), rest=0.1)
-    projectile[projectile > 0.04] = np.nan  # above the field of view of the camera
-    folder = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile).close()
+    time, heights = recorded(starts=(0.2, 0.6), rest=0.1)
+    heights[1, heights[1] > 0.04] = np.nan  # above the field of view of the camera
+    folder = bags.write(tmp_path / 'bag', joint_states('/rig/joint_states', time, heights))
     result = command.json(folder, '--thickness', 12e-3)
     assert [each['name'] for each in result['throws']] == ['bag, throw 1', 'bag, throw 2']
     assert [each['start_time'] for each in result['throws']] == pytest.approx([0.2, 0.6], abs=1e-4)
@@ -247,33 +235,33 @@ def test_bag_gives_its_throws(command, tmp_path):
 
 
 def test_measured_rig_is_the_default_among_several(command, tmp_path):
-    time, (plate, projectile) = recorded(starts=(0.2,), rest=0.1)
-    bag = Bag(tmp_path / 'bag')
-    bag.add('/a/joint_states', time, plate, projectile)
-    bag.add('/b/joint_states', time, 0.5 * plate, projectile, names=('plate', 'other'))
-    bag.add('/c/joint_states', time, plate, projectile, names=('arm', 'hand'))
-    folder = bag.close()
+    time, heights = recorded(starts=(0.2,), rest=0.1)
+    topics = (
+        joint_states('/a/joint_states', time, heights),
+        joint_states('/b/joint_states', time, 0.5 * heights, bodies=('plate', 'other')),
+        joint_states('/c/joint_states', time, heights, bodies=('arm', 'hand')),
+    )
+    folder = bags.write(tmp_path / 'bag', itertools.chain(*topics))
     message = command.refused(folder)
     assert message.startswith(f'{folder}: ')
     assert '/a/joint_states, /b/joint_states (choose with --topic)' in message
     result = command.json(folder, '--topic', '/b/joint_states')
     assert value(result, 'engine.amplitude')[0] == pytest.approx(0.9e-3, rel=0.02)
     assert '/c/joint_states' in command.refused(folder, '--topic', '/c/joint_states')
-    bag = Bag(tmp_path / 'measured')
-    bag.add('/twin/joint_states', time, 2.0 * plate, projectile)
-    bag.add('/twin/measured_joint_states', time, plate, projectile, names=('plate', 'other'))
-    result = command.json(bag.close())
+    topics = (
+        joint_states('/twin/joint_states', time, 2.0 * heights),
+        joint_states('/twin/measured_joint_states', time, heights, bodies=('plate', 'other')),
+    )
+    result = command.json(bags.write(tmp_path / 'measured', itertools.chain(*topics)))
     assert value(result, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
 
 
 @pytest.mark.slow
 def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     # No noise and few samples per period: the flight is the smoothest phase
-    time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4), noise=0.0)
-    every = slice(None, None, 2)
-    folder = Bag(tmp_path / 'bag').add(
-        '/twin/joint_states', time[every], plate[every], projectile[every]
-    ).close()
+    time, heights = recorded(starts=(0.2, 0.8, 1.4), noise=0.0)
+    messages = joint_states('/twin/joint_states', time[::2], heights[:, ::2])
+    folder = bags.write(tmp_path / 'bag', messages)
     command.run(folder, '--thickness', 12e-3)
     assert command.err == ''
     last = command.json(next(folder.glob('*.mcap')), '--thickness', 12e-3, '--from', 1.2)
@@ -286,32 +274,27 @@ def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
 
 
 def test_unreadable_messages_of_a_bag_are_reported(command, tmp_path):
-    time, (plate, projectile) = recorded(starts=(0.2,), rest=0.1)
-    names = ('plate', 'other')
-    bag = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile, names=names)
-    channel = Channel(
-        topic='/rig/joint_states', type='sensor_msgs/msg/JointState', schema='float64 x'
-    )
-    for stamp in range(3):
-        bag.writer.write(Message(channel, b'\0\1\0\0' + bytes(range(40)), stamp, stamp))
-    (path,) = bag.close().glob('*.mcap')
-    left_out = (
-        f"identify: {path}: 3 messages on '/rig/joint_states' are no sensor_msgs/msg/JointState, "
-        'and left out\n'
-    )
+    time, heights = recorded(starts=(0.2,), rest=0.1)
+    messages = list(joint_states('/rig/joint_states', time, heights, bodies=('plate', 'other')))
+    unreadable = b'\0\1\0\0' + bytes(range(40))
+    messages += [messages[0]._replace(data=unreadable)] * 3
+    (path,) = bags.write(tmp_path / 'bag', messages).glob('*.mcap')
     result = command.json(path)
     assert value(result, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
-    assert command.err == left_out == ''.join(f'identify: {note}\n' for note in result['notes'])
+    (note,) = result['notes']
+    assert command.err == f'identify: {note}\n'
+    for part in (str(path), '3 messages', '/rig/joint_states', 'sensor_msgs/msg/JointState'):
+        assert part in note
     path.write_bytes(path.read_bytes()[:-300])
     assert 'soft-throw recover' in command.refused(path)
 
 
 @pytest.mark.slow
 def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
-    time, (plate, projectile) = recorded(starts=(0.2, 0.8, 1.4))
-    plate[(time > 0.8) & (time < 0.83)] = 1.5e-3
-    plate[(time > 0.83) & (time < 1.4)] = 0.0
-    folder = Bag(tmp_path / 'bag').add('/rig/joint_states', time, plate, projectile).close()
+    time, heights = recorded(starts=(0.2, 0.8, 1.4))
+    heights[0, (time > 0.8) & (time < 0.83)] = 1.5e-3
+    heights[0, (time > 0.83) & (time < 1.4)] = 0.0
+    folder = bags.write(tmp_path / 'bag', joint_states('/rig/joint_states', time, heights))
     result = command.json(folder, '--thickness', 12e-3)
     assert result['sources'] == ['bag, throw 1', 'bag, throw 3']
     assert command.err.startswith('identify: bag, throw 2 is left out: the plate goes down')
@@ -332,10 +315,7 @@ THICKNESS = 'layer.thickness'
         ((*OF_SAMPLE, '--from', '0.025'), f'{SAMPLE.name}: the plate does not move as a damped'),
         ((*OF_SAMPLE, '--mass', '0.0012+-0%'), 'argument --mass: projectile.mass must have an'),
         ((*OF_SAMPLE, '--from', '1'), f'{SAMPLE.name}: only 0 samples from 1 s to inf s'),
-        (
-            (*OF_SAMPLE, '--output', 'none/rig.yaml'),
-            'argument --output: none/rig.yaml: folder none not found',
-        ),
+        ((*OF_SAMPLE, '--output', 'none/rig.yaml'), 'argument --output: none/rig.yaml: '),
         ((*OF_SAMPLE, '--figure', 'a.gif'), 'argument --figure: must end with .png, .pdf, .svg'),
     ],
 )

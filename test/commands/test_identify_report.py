@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sentences of the report of a fit."""
+"""Names and numbers in the report of a fit."""
 
 import pytest
 from soft_throw_ros.commands.identify_report import remark_lines, warning_text
@@ -29,43 +29,22 @@ from soft_throw_ros.identification.unseen import SkippedEffect
 
 
 @pytest.mark.parametrize(
-    ('warning', 'text'),
+    ('warning', 'values'),
     [
-        (
-            Ambiguity('layer.wave_speed', 7.81234, 4.04),
-            'layer.wave_speed may as well be 7.8123 (chi squared is larger by 4.0 there); the '
-            'errors span both',
-        ),
-        (
-            InseparablePair(('size', 'rate'), -0.995),
-            'size and rate can hardly be told apart by these tracks (correlation -0.9950): the '
-            'error of each is 10 times larger than with the other known; hold one',
-        ),
+        (Ambiguity('layer.wave_speed', 7.81234, 4.04), ('layer.wave_speed', '7.8123', '4.0')),
+        (InseparablePair(('size', 'rate'), -0.995), ('size', 'rate', '-0.9950', '10 times')),
         (
             Contradiction('projectile.mass', 5.04, Estimate(0.7, 3e-3)),
-            'projectile.mass is found 5.0 errors from what is known of it, 0.7000 +- 0.0030: a '
-            'given value may be wrong',
+            ('projectile.mass', '5.0 errors', '0.7000 +- 0.0030'),
         ),
-        (
-            Mismatch(2.04, 'plate', 0.0123, 0.0456),
-            'the residuals are 2 times the noise: the model leaves out something that these '
-            'tracks show, most of plate from 0.0123 s to 0.0456 s; errors are larger by as much, '
-            'and may be too small',
-        ),
-        (
-            CorrelatedResiduals('plate', 0, 0.7, 4.0),
-            'the residuals of plate are no white noise (correlation of neighbours 0.70): errors '
-            'are up to 2 times larger',
-        ),
-        (
-            CorrelatedResiduals('plate', 2, 0.7, 0.5),
-            'the residuals of plate and 2 more are no white noise (correlation of neighbours '
-            '0.70): errors are up to 1 times larger',
-        ),
+        (Mismatch(2.04, 'plate', 0.0123, 0.0456), ('2 times', 'plate', '0.0123 s', '0.0456 s')),
+        (CorrelatedResiduals('plate', 0, 0.7, 4.0), ('of plate are', '0.70', '2 times')),
+        (CorrelatedResiduals('plate', 2, 0.7, 0.5), ('plate and 2 more', '0.70', '1 times')),
     ],
 )
-def test_warning_is_a_sentence_with_its_numbers(warning, text):
-    assert warning_text(warning) == text
+def test_warning_has_its_names_and_numbers(warning, values):
+    text = warning_text(warning)
+    assert [value for value in values if value not in text] == []
 
 
 def test_remarks_name_added_terms_and_omissions():
@@ -80,10 +59,8 @@ def test_remarks_name_added_terms_and_omissions():
         is_complete=False,
         skipped_effects=(SkippedEffect('plate.mode', 'too slow'),),
     )
-    assert list(remark_lines(result)) == [
-        'a plate that rings before the throw explains these throws (chi squared 1.00 per degree '
-        'of freedom); without it they are not explained (1.11). plate.ringing: '
-        '0.0157 +- 0.0020, -0.0013 +- 0.0033',
-        'the search for effects of the bench is incomplete: the fit takes too long',
-        'the errors do not include the effect of plate.mode: too slow',
-    ]
+    ringing, incomplete, skipped = remark_lines(result)  # the loss has its own line elsewhere
+    for value in ('1.00', '1.11', 'plate.ringing', '0.0157 +- 0.0020', '-0.0013 +- 0.0033'):
+        assert value in ringing
+    assert 'incomplete' in incomplete
+    assert 'plate.mode: too slow' in skipped

@@ -38,6 +38,7 @@ from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E40
 
 ROOT = Path(__file__).parents[2]
 
+COMMAND = (inspect_bag.main,)
 INSPECT = 'import sys; from soft_throw_ros.commands.inspect_bag import main; sys.exit(main())'
 
 
@@ -53,38 +54,28 @@ def bag(twin, tmp_path_factory) -> Path:
     return write(tmp_path_factory.mktemp('bags') / 'bag', messages, chunk=100)
 
 
-def run(capsys, *args: Any) -> tuple[int, list[str]]:
-    """Run the command; return its exit code and its output lines."""
-    try:
-        code: Any = inspect_bag.main([str(arg) for arg in args])
-    except SystemExit as end:
-        code = end.code
-    out, err = capsys.readouterr()
-    assert out == ''
-    return code, [line for line in err.splitlines() if 'compiles' not in line]
-
-
 def test_bag_is_drawn_in_the_requested_size(capsys, bag, tmp_path) -> None:
     image = pytest.importorskip('PIL.Image')
     path = tmp_path / 'scene.png'
-    code, lines = run(capsys, bag, '--screenshot', path, '--size', '800x600')
-    if lines and 'mesa-vulkan-drivers' in lines[0]:
-        pytest.skip(lines[0])
-    assert (code, lines) == (0, [])
+    code = inspect_bag.main([str(bag), '--screenshot', str(path), '--size', '800x600'])
+    printed = capsys.readouterr().err
+    if 'mesa-vulkan-drivers' in printed:
+        pytest.skip(printed)
+    assert code == 0, printed
     with image.open(path) as picture:
         assert picture.size == (800, 600)
 
 
-def test_throw_and_time_to_show_can_be_chosen(capsys, twin, bag, tmp_path) -> None:
+def test_throw_and_time_to_show_can_be_chosen(command, twin, bag, tmp_path) -> None:
     chosen = ['--throw=1', '--at=0.002']
     with viewer_at(free_port()) as viewer:
-        assert run(capsys, bag, '--port', viewer.port, *chosen) == (0, [])
+        assert command.run(bag, '--port', viewer.port, *chosen) == ''
         (shown,) = viewer.client().get_state().recordings
     assert shown.current_timeline == THROW_TIME
     assert (shown.current_time or 0) / 1e6 == pytest.approx(2.0, abs=0.01)
     path = tmp_path / 'scene.rrd'
     for options, start in (([], 400), (chosen, 200)):
-        assert run(capsys, bag, '--save', path, *options) == (0, [])
+        assert command.run(bag, '--save', path, *options) == ''
         entity = '/twin/position', 'Scalars:scalars'
         (stamps, _), (times, _) = (
             RrdFile(path).series(*entity, name) for name in (STAMP, THROW_TIME)
@@ -92,36 +83,30 @@ def test_throw_and_time_to_show_can_be_chosen(capsys, twin, bag, tmp_path) -> No
         assert abs(stamps - times - twin.schedule.deadline(start)).max() <= 1
 
 
-def test_bag_without_screen_and_viewer_names_a_remedy(capsys, bag, monkeypatch) -> None:
+def test_bag_without_screen_and_viewer_names_a_remedy(command, bag, monkeypatch) -> None:
     for name in ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET'):
         monkeypatch.delenv(name, raising=False)
     port = free_port()
-    code, (line,) = run(capsys, bag, '--port', port)
-    assert code == 1
-    assert 'no screen' in line
-    assert '--screenshot' in line
-    assert f'{find_viewer()} --bind 127.0.0.1 --port {port}' in line
+    command.run(bag, '--port', port, code=1)
+    start = f'{find_viewer()} --bind 127.0.0.1 --port {port}'
+    assert all(part in command.err for part in ('no screen', '--screenshot', start))
 
 
-def test_missing_rerun_names_its_installation(capsys, bag, monkeypatch) -> None:
+def test_missing_rerun_names_its_installation(command, bag, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, 'rerun', None)
-    code, (line,) = run(capsys, bag, '--save', 'scene.rrd')
-    assert code == 2
-    assert 'soft_throw_ros[rerun]' in line
+    assert 'soft_throw_ros[rerun]' in command.refused(bag, '--save', 'scene.rrd')
 
 
-def test_bag_without_a_twin_is_refused_in_one_line(capsys, tmp_path) -> None:
+def test_bag_without_a_twin_is_refused_in_one_line(command, tmp_path) -> None:
     (tmp_path / 'text').write_text('some text')
     channel = Channel(topic='/scan', type='sensor_msgs/msg/LaserScan', schema='float32 x')
     write(tmp_path / 'other', [Message(channel, b'\0\1\0\0\0\0\0\0', 5, 5)])
     for name, words in (('missing', 'missing'), ('text', 'text'), ('other', '/scan')):
-        code, (line,) = run(capsys, tmp_path / name, '--save', tmp_path / 'scene.rrd')
-        assert code == 2
-        assert words in line
+        assert words in command.refused(tmp_path / name, '--save', tmp_path / 'scene.rrd')
     assert not (tmp_path / 'scene.rrd').exists()
 
 
-def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(capsys, twin, tmp_path) -> None:
+def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(command, twin, tmp_path) -> None:
     messages = [
         message._replace(data=message.data[:7])
         if message.channel.topic.endswith('phase_change')
@@ -129,13 +114,11 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(capsys, twin, t
         for message in twin.messages
     ]
     path = write(tmp_path / 'bag', messages, chunk=100) / 'bag_0.mcap'
-    code, (lost,) = run(capsys, path, '--save', tmp_path / 'scene.rrd')
-    assert code == 0
-    assert 'messages are left out, /twin/phase_change' in lost
+    command.run(path, '--save', tmp_path / 'scene.rrd')
+    assert 'messages are left out, /twin/phase_change' in command.err
     assert RrdFile(tmp_path / 'scene.rrd').rows['/twin/position'] == 500
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    code, (cut,) = run(capsys, path, '--save', tmp_path / 'scene.rrd')
-    assert code == 2
+    cut = command.refused(path, '--save', tmp_path / 'scene.rrd')
     assert f'{path}: ' in cut
     assert 'soft-throw recover' in cut
 
@@ -150,21 +133,18 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(capsys, twin, t
         (['--throw', '7', '--save', 'a.rrd'], 'throw 7 not found'),
         (['--at', 'nan'], 'nan'),
         (['--at', '7', '--screenshot', 'a.png'], 'from -0.4 to 0.099 s'),
-        (['--save', '.'], 'error: .: '),
+        (['--save', '.'], ' .: '),
     ],
 )
-def test_arguments_are_refused_with_their_value(capsys, bag, args, words) -> None:
-    code, lines = run(capsys, bag, *args)
-    assert code == 2
-    assert words in lines[0]
+def test_arguments_are_refused_with_their_value(command, bag, args, words) -> None:
+    assert words in f' {command.refused(bag, *args)}'
 
 
-def test_occupied_port_is_named(capsys, bag) -> None:
+def test_occupied_port_is_named(command, bag) -> None:
     with socket.create_server(('127.0.0.1', 0)) as other:
         port = other.getsockname()[1]
-        code, (line,) = run(capsys, bag, '--sink', 'serve', '--port', port)
-    assert code == 2
-    assert f'port {port} of 127.0.0.1' in line
+        message = command.refused(bag, '--sink', 'serve', '--port', port)
+    assert f'port {port} of 127.0.0.1' in message
 
 
 def viewers_of(pid: int) -> list[int]:

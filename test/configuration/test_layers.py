@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 import re
 from typing import Any
@@ -43,6 +42,7 @@ foam:
   wave_speed: {value: 20.0, range: [18.0, 23.0]}
   loss_tangent: 0.1
 """
+SPEED, LOSS = 'wave_speed: {value: 20.0, range: [18.0, 23.0]}', 'loss_tangent: 0.1'
 
 
 def refused(path: Path) -> str:
@@ -147,8 +147,7 @@ def test_bad_stacks_are_refused_by_line(write: Any, line: str, complaint: str) -
 
 
 def test_modulus_and_its_range_become_wave_speeds(write: Any) -> None:
-    text = FOAM.replace('wave_speed: {value: 20.0, range: [18.0, 23.0]}',
-                        'youngs_modulus: {value: 4.8e4, range: [1.2e4, 1.2e5]}')
+    text = FOAM.replace(SPEED, 'youngs_modulus: {value: 4.8e4, range: [1.2e4, 1.2e5]}')
     speed = library(write(text)).materials['foam'].wave_speed
     expected = [math.sqrt(modulus / 120.0) for modulus in (1.2e4, 4.8e4, 1.2e5)]
     assert [speed.low, speed.value, speed.high] == pytest.approx(expected, rel=1e-15)
@@ -164,42 +163,26 @@ def test_material_makes_a_layer_of_each_thickness(write: Any) -> None:
     assert all(values['layer.diameter'] == 0.02 for values in mine.values())
 
 
-def test_changed_file_is_read_again(write: Any) -> None:
-    path = write(FOAM)
-    assert library(path).materials['foam'].density.value == 120.0
-    write(FOAM.replace('120.0', '150.0'))
-    os.utime(path, ns=(1, 1))
-    assert library(path).materials['foam'].density.value == 150.0
-
-
 @pytest.mark.parametrize(
     ('old', 'new', 'line', 'message'),
     [
         ('  density', '  densty', 4, "'densty'; did you mean density?"),
         ('120.0', '-120.0', 4, 'density must be a number .* got -120.0'),
         ('source: measured', 'source: [a, b]', 3, r"source must be a text, got \['a', 'b'\]"),
-        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  density: 5', 7, 'density is given twice'),
+        (LOSS, f'{LOSS}\n  density: 5', 7, 'density is given twice'),
         ('120.0', '[120.0]', 4, r'density must be a number .* got \[120.0\]'),
-        ('[18.0, 23.0]', '[21.0, 23.0]', 5,
-         r'the range of wave_speed must be two numbers around 20, got \[21.0, 23.0\]'),
+        ('[18.0, 23.0]', '[21.0, 23.0]', 5, r'range of wave_speed .* 20, got \[21.0, 23.0\]'),
         ('[18.0, 23.0]', '18.0', 5, 'must be two numbers around 20, got 18.0'),
         ('[18.0, 23.0]', '[18.0, 2300.0]', 5, 'wave_speed must be .* m/s, got 2300.0'),
-        ('{value: 20.0, range: [18.0, 23.0]}', '{value: 20.0}', 5,
-         'wave_speed must be a number or {value: ..., range: .*}, got value'),
-        ('{value: 20.0, range', '{value: 20.0, value', 5, 'value is given twice'),
-        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  youngs_modulus: 5e4', 2,
-         'foam must have either wave_speed or youngs_modulus, got both'),
-        ('wave_speed: {value: 20.0, range: [18.0, 23.0]}', 'thicknesses: [0.01]', 2,
-         'foam must have either wave_speed or youngs_modulus, got neither'),
-        ('wave_speed: {value: 20.0, range: [18.0, 23.0]}', 'youngs_modulus: 60.0', 5,
-         'wave_speed must be a number from 1 to 200 m/s, got 0.7'),
-        ('  loss_tangent: 0.1', '  diameter: 0.02', 2, 'foam has no loss_tangent'),
-        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  thicknesses: 0.01', 7,
-         'thicknesses must be a list .* got 0.01'),
-        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  thicknesses: [5.0]', 7,
-         r'thicknesses must be a list .* from 0.0005 to 0.1 m, got \[5.0\]'),
-        ('loss_tangent: 0.1', 'loss_tangent: 0.1\n  diameter: 12', 7,
-         'diameter must be a number from 0.001 to 0.2 m, got 12'),
+        (SPEED, 'wave_speed: {value: 20.0}', 5, 'wave_speed must be .*range: .*, got value'),
+        ('20.0, range', '20.0, value', 5, 'value is given twice'),
+        (LOSS, f'{LOSS}\n  youngs_modulus: 5e4', 2, 'wave_speed or youngs_modulus, got both'),
+        (SPEED, 'thicknesses: [0.01]', 2, 'wave_speed or youngs_modulus, got neither'),
+        (SPEED, 'youngs_modulus: 60.0', 5, 'wave_speed must be .* 1 to 200 m/s, got 0.7'),
+        (LOSS, 'diameter: 0.02', 2, 'foam has no loss_tangent'),
+        (LOSS, f'{LOSS}\n  thicknesses: 0.01', 7, 'thicknesses must be a list .* got 0.01'),
+        (LOSS, f'{LOSS}\n  thicknesses: [5.0]', 7, r'thicknesses .* 0.1 m, got \[5.0\]'),
+        (LOSS, f'{LOSS}\n  diameter: 12', 7, 'diameter .* from 0.001 to 0.2 m, got 12'),
         ('foam:', 'gelatin:', 2, 'there is a material named gelatin already'),
         ('foam:', 'custom:', 2, f"and not {CUSTOM!r}, got 'custom'"),
         ('foam:', 'my foam:', 2, "letters, digits, .* got 'my foam'"),

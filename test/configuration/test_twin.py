@@ -22,6 +22,7 @@ import pytest
 from soft_throw_ros.configuration import LAYERS, ParameterError, rig_of, rig_values, TWIN
 from soft_throw_ros.configuration import twin as twin_module
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Rig
 
@@ -192,14 +193,6 @@ def test_named_stack_replaces_another_stack(mine: Path) -> None:
     assert rig_of(settings).layer.sheets[0].wave_speed == 20.0
 
 
-def test_damping_does_not_depend_on_earlier_harmonic_motion() -> None:
-    for way in ('underdamped', 'measured underdamped', 'measured harmonic measured'):
-        settings = dict(HARMONIC)
-        for motion in way.split():
-            settings |= TWIN.change(settings, {'engine.motion': motion})
-        assert settings['engine.damping_ratio'] == DEFAULTS['engine.damping_ratio']
-
-
 @pytest.mark.parametrize('change', [{'layer.thickness': 0.02}, {'layer.name': 'gelatin_5.6mm'}])
 def test_another_layer_replaces_a_stack(change: Any) -> None:
     settings = {**DEFAULTS, **TWIN.change(DEFAULTS, {'layer.stack': STACK})}
@@ -238,3 +231,11 @@ def test_row_of_a_motion_makes_its_engine(monkeypatch) -> None:
     row = {**twin_module.MOTIONS, 'lift': lambda _settings, _motion_of: Engine(motion=lift)}
     monkeypatch.setattr(twin_module, 'MOTIONS', row)
     assert rig_of({**TWIN.defaults(), 'engine.motion': 'lift'}).engine.motion is lift
+
+
+def test_bounds_become_standard_deviations_of_uniform_errors() -> None:
+    bounds = {'uncertainty.frequency': 0.7, 'uncertainty.damping_ratio': 0.02}
+    measurement = TwinConfig.from_settings({**TWIN.defaults(), **bounds}).measurement
+    within = np.linspace(-1.0, 1.0, 100_001)
+    assert measurement.frequency_error == pytest.approx(np.std(0.7 * within), rel=1e-4)
+    assert measurement.damping_error == pytest.approx(np.std(0.02 * within), rel=1e-4)

@@ -71,23 +71,6 @@ def couple(links):
     return matrix
 
 
-@LAYERS
-@FORMS
-@pytest.mark.parametrize('count', [2, 33, 200])
-def test_mass_and_stiffness_of_the_layer_are_complete(layer, form, count):
-    rig = Rig(layer=layer)
-    grid = Cut(rig, cells=count, **form)
-    assert grid.nodes[ROW.mass].sum() == pytest.approx(layer.mass + rig.projectile.mass)
-    springs = grid.nodes[ROW.stiffness, grid.first:grid.first + grid.count]
-    assert (1.0 / springs).sum() == pytest.approx(1.0 / layer.stiffness)
-    bar = grid.nodes[ROW.stiffness, grid.count + 1:-1]
-    spring = rig.projectile.youngs_modulus * layer.section / rig.projectile.length
-    assert form.get('is_elastic', False) is (bar.size > 0)
-    assert not bar.size or (1.0 / bar).sum() == pytest.approx(1.0 / spring)
-    assert grid.nodes[ROW.stiffness, grid.link] == 0.0
-    assert grid.heights[-1] == pytest.approx(layer.thickness)
-
-
 @nb.njit
 def solve(core, nodes, known, case):
     """Compute mean velocities at an even step."""

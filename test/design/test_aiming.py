@@ -50,29 +50,26 @@ def rise(throw):
     return throw.apex_height - rig.rest_height
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_amplitude_for_a_height_reaches_it_when_simulated(seed):
-    random = np.random.default_rng(seed)
-    rig, height = some_rig(random), random.uniform(0.02, 0.15)
-    aimed = aim(rig, Target(height=height), max_amplitude=1.0)
-    assert aimed.is_reached
-    throw = simulate(rig_with(rig, {'amplitude': aimed.amplitude}))
-    assert aimed.rig == throw.rig
-    assert rise(throw) == pytest.approx(height, rel=EXACT)
-    assert aimed.height == pytest.approx(height, rel=1e-6)
-    assert aimed.speed == pytest.approx(throw.last_release.velocity, rel=EXACT)
-
-
-@pytest.mark.parametrize('gravity', [0.0, 9.81])
-@pytest.mark.parametrize('seed', range(2))
-def test_amplitude_for_a_speed_reaches_it_when_simulated(seed, gravity):
-    random = np.random.default_rng(seed)
-    rig, speed = replace(some_rig(random), gravity=gravity), random.uniform(0.5, 1.5)
-    aimed = aim(rig, Target(speed=speed), max_amplitude=1.0)
-    assert aimed.is_reached
-    throw = simulate(aimed.rig)
-    assert throw.last_release.velocity == pytest.approx(speed, rel=EXACT)
-    assert aimed.height == (math.inf if gravity == 0.0 else pytest.approx(rise(throw), rel=EXACT))
+@pytest.mark.parametrize(
+    ('goal', 'between', 'gravity', 'seeds'),
+    [
+        ('height', (0.02, 0.15), 9.81, 4),
+        ('speed', (0.5, 1.5), 9.81, 2),
+        ('speed', (0.5, 1.5), 0.0, 2),
+    ],
+)
+def test_amplitude_for_a_target_reaches_it_when_simulated(goal, between, gravity, seeds):
+    for seed in range(seeds):
+        random = np.random.default_rng(seed)
+        rig, value = replace(some_rig(random), gravity=gravity), random.uniform(*between)
+        aimed = aim(rig, Target(**{goal: value}), max_amplitude=1.0)
+        throw = simulate(rig_with(rig, {'amplitude': aimed.amplitude}))
+        height = math.inf if gravity == 0.0 else pytest.approx(rise(throw), rel=EXACT)
+        assert aimed.is_reached
+        assert aimed.rig == throw.rig
+        assert getattr(aimed, goal) == pytest.approx(value, rel=1e-6)
+        assert aimed.height == height
+        assert aimed.speed == pytest.approx(throw.last_release.velocity, rel=EXACT)
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])

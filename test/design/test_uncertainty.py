@@ -113,13 +113,10 @@ def test_share_held_by_gravity_is_counted():
 @pytest.mark.parametrize(
     ('values', 'message'),
     [
-        (
-            {'thickness': -1e-3},
-            r'uncertainty\.thickness must be finite and not negative, got -0\.001',
-        ),
-        ({'mass': 1.0}, r'uncertainty\.mass must be .*1.*, got 1\.0'),
-        ({'frequency': float('inf')}, r'uncertainty\.frequency must be finite, got inf'),
-        ({'wave_speed': 7.8}, r'uncertainty\.wave_speed must be below the wave speed .* got 7\.8'),
+        ({'thickness': -1e-3}, r'uncertainty\.thickness .* got -0\.001'),
+        ({'mass': 1.0}, r'uncertainty\.mass .* got 1\.0'),
+        ({'frequency': float('inf')}, r'uncertainty\.frequency .* got inf'),
+        ({'wave_speed': 7.8}, r'uncertainty\.wave_speed .* got 7\.8'),
     ],
 )
 def test_bad_uncertainties_are_refused_with_the_value(values, message):

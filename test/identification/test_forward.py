@@ -19,8 +19,6 @@ import numpy as np
 import pytest
 from reference import method_of_steps
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.core.stepper import PROJECTILE_POSITION, PROJECTILE_VELOCITY
-from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
 
@@ -37,17 +35,6 @@ def test_trajectory_agrees_with_the_exact_model_at_times_in_any_order(rig):
     assert [event.kind == 'release' for event in path.events] == [
         event.kind == 'release' for event in exact.events
     ]
-
-
-def test_flights_are_the_states_of_the_stepper():
-    time = np.linspace(0.0, 0.4, 200)  # until after the landing
-    path = ThrowSimulator().follow(Rig(), time)
-    assert {event.kind for event in path.events} >= {'release', 'landing'}
-    stepper = make_stepper(Rig())
-    for moment, position, velocity in zip(time, path.position, path.velocity, strict=True):
-        stepper.advance_to(moment)
-        state = stepper.state[[PROJECTILE_POSITION, PROJECTILE_VELOCITY]]
-        assert (position, velocity) == pytest.approx(state, abs=1e-12)
 
 
 def test_landing_is_the_first_one_on_the_way_down():

@@ -48,10 +48,6 @@ def test_shared_values_come_first_and_names_have_the_number_of_the_throw():
     assert 'layer.thickness' not in layout
 
 
-def test_one_throw_needs_no_numbers():
-    assert layout_of('a', heights='absolute').names[-2:] == ('engine.amplitude', 'start_time')
-
-
 def test_throws_with_another_layer_have_their_own_wave_speed():
     layout = layout_of('a', 'b', 'c', throws={'b': ThrowConditions({}, {'layer': 'old'})})
     speeds = layout.indices['layer.wave_speed']

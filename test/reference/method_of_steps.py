@@ -35,7 +35,6 @@ the plate's speed, without a step size.
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
 import heapq
 from itertools import pairwise
 import math
@@ -46,40 +45,22 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Event
 
 Floats = NDArray[np.float64]
 
 _SIZE = 24  # coefficients of a piece
 _TOLERANCE = 1e-13  # of the plate's speed, for the last coefficients
 _MAX_PIECES = 100_000
-
-
-def _transform() -> tuple[Floats, Floats]:
-    """Chebyshev points of the first kind (never at an end), and values -> coefficients."""
-    nodes: Floats = np.cos(np.pi * (np.arange(_SIZE) + 0.5) / _SIZE)
-    return nodes, np.asarray(np.linalg.inv(chebyshev.chebvander(nodes, _SIZE - 1)), np.float64)
-
-
-def _integration() -> Floats:
-    """Coefficients of a function -> those of its integral from -1, cut off at the same size."""
-    columns = [chebyshev.chebint(row, lbnd=-1)[:_SIZE] for row in np.eye(_SIZE)]
-    return np.stack(columns, axis=1)
-
-
-_NODES, _TO_COEFFICIENTS = _transform()
-_INTEGRAL = _integration()
+# Chebyshev points of the first kind (never at an end), and the matrices that give coefficients
+# from the values there, and those of the integral from -1, cut off at the same size
+_NODES: Floats = np.cos(np.pi * (np.arange(_SIZE) + 0.5) / _SIZE)
+_TO_COEFFICIENTS: Floats = np.linalg.inv(chebyshev.chebvander(_NODES, _SIZE - 1))
+_INTEGRAL: Floats = np.stack(
+    [chebyshev.chebint(row, lbnd=-1)[:_SIZE] for row in np.eye(_SIZE)], axis=1
+)
 _IDENTITY = np.eye(_SIZE)
 _AT_END = np.ones(_SIZE)
-
-
-@dataclass(frozen=True)
-class Event:
-    """The projectile leaves the layer, or touches it again; in s, m/s and m."""
-
-    kind: Literal['release', 'landing']
-    time: float
-    velocity: float
-    position: float
 
 
 class _Series:
@@ -348,7 +329,7 @@ class _Follower:
         """Change between contact and flight."""
         kind: Literal['release', 'landing'] = 'landing' if self.flying else 'release'
         height = self.history._rest_height() + self.rise
-        self.events.append(Event(kind, time, self.velocity, height))
+        self.events.append(Event(kind, time, height, self.velocity))
         self.flying = not self.flying
         self.rise = self.top
         heapq.heappush(self.kinks, time + 2.0 * self.crossing)

@@ -1,0 +1,239 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The commands `design recommend` and `design aim`."""
+
+import re
+
+import pytest
+from soft_throw_ros.commands import design, design_search
+from soft_throw_ros.commands.design_texts import remarks_of, uncertainty_text
+from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.rig import Engine, Projectile, Rig
+from soft_throw_ros.core.throws import last_release
+from soft_throw_ros.design.aiming import aim, Target
+from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.objectives.robust import Robust
+from soft_throw_ros.design.objectives.versatile import Versatile
+from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+
+COMMAND = (design.main,)
+
+MINE = """\
+jelly:
+  description: Firm jelly
+  source: measured
+  density: 1050.0
+  wave_speed: {value: 18.0, range: [17.0, 19.0]}
+  loss_tangent: 0.01
+  thicknesses: [10e-3, 20e-3, 40e-3]
+"""
+
+
+@pytest.mark.parametrize(('law', 'is_warned'), [('linear', True), ('neo_hookean', False)])
+def test_table_warns_beyond_the_linear_range_of_the_law_only(command, law, is_warned):
+    args = ('--vary', 'thickness', '--stress-strain-law', law, '--amplitude', 3e-3)
+    printed = command.run('recommend', *args)
+    assert ('leaves the linear range' in printed) is is_warned
+
+
+def test_table_compares_the_recommended_and_the_present_layer(command):
+    printed = command.run('recommend', '--vary', 'thickness')
+    best, now = recommend(Rig(), vary='thickness'), predict(Rig())
+    summary = command.json('recommend', '--vary', 'thickness')['recommendation']['summary']
+    assert printed.startswith(f'{summary}\n\n')
+    assert printed.endswith(f'\n\n{remarks_of(best)}\n')
+    for title, name, scale in (
+        ('thickness L_s', 'thickness', 1e3),
+        ('wave speed c_s', 'wave_speed', 1.0),
+        ('energy transfer alpha', 'energy_transfer', 1.0),
+        ('peak strain', 'peak_strain', 1e2),
+        ('work of the plate', 'plate_work', 1e3),
+    ):
+        expected = [getattr(each, name) for each in (now, best, best.by_wave_speed)]
+        shown = list(map(float, command.row(printed, title)))
+        assert shown == pytest.approx([scale * value for value in expected], rel=1e-5)
+    assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
+    _, table = printed.split('around the recommended layer')
+    for item, scale in zip(best.sensitivities, (1e3, 1.0, 1e3), strict=False):
+        (line,) = re.findall(rf'^{item.name.replace("_", " ")} .*', table, re.MULTILINE)
+        value, within, more = map(float, re.findall(r'[-+]?\d+\.?\d*', line))
+        expected = [scale * item.value, scale * item.tolerance]
+        assert [value, within] == pytest.approx(expected, rel=0.05)
+        assert more == pytest.approx(item.sensitivity, abs=0.006)
+
+
+def test_json_has_everything_to_the_last_digit(command):
+    printed = command.json('recommend', '--mass', 2e-3, '--vary', 'wave_speed')
+    rig = Rig(projectile=Projectile(mass=2e-3))
+    best = recommend(rig, vary='wave_speed')
+    result = printed['recommendation']
+    assert result['wave_speed'] == best.wave_speed
+    assert result['now']['energy_transfer'] == predict(rig).energy_transfer
+    assert result['by_thickness']['thickness'] == best.by_thickness.thickness
+    assert [item['tolerance'] for item in result['sensitivities']] == [
+        item.tolerance for item in best.sensitivities
+    ]
+    assert printed['parameters']['recommendation.vary'] == 'wave_speed'
+    assert printed['uncertainty'] == prediction_uncertainty(best.rig).values()
+
+
+def test_layer_without_a_throw_is_null_in_json(command):
+    request = ('--mass', 0.3, '--vary', 'thickness')
+    result = command.json('recommend', *request)['recommendation']
+    assert (result['now'], result['now_score']) == (None, 0.0)
+    assert command.row(command.run('recommend', *request), 'energy transfer alpha')[0] == '-'
+
+
+def test_options_define_the_request(command):
+    options = {
+        'objective': 'robust', 'quantile': 0.05, 'vary': 'thickness', 'thickness-max': 0.012,
+        'uncertain-wave-speed': 0.6, 'uncertain-mass': 0.05,
+    }
+    args = [text for name, value in options.items() for text in (f'--{name}', value)]
+    best = recommend(
+        Rig(),
+        vary='thickness',
+        objective=Robust(uncertainties=Uncertainties(wave_speed=0.6, mass=0.05), quantile=0.05),
+        limits=Limits(thickness_max=0.012),
+    )
+    result = command.json('recommend', *args)['recommendation']
+    assert (result['thickness'], result['score']) == (best.thickness, best.score)
+    args = ('--objective', 'versatile', '--masses', 1e-3, 3e-3, 6e-3, '--frequencies', 50, 70)
+    objective = Versatile(masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
+    result = command.json('recommend', *args)['recommendation']
+    assert result['score'] == recommend(Rig(), objective=objective).score
+
+
+def test_layer_is_chosen_from_a_user_library(command, write):
+    mine = write(MINE)
+    result = command.json('recommend', '--vary', 'library', '--library', mine)['recommendation']
+    ranks = {item['layer']: item['score'] for item in result['candidates']}
+    assert result['layer'] == 'jelly_40.0mm' == max(ranks, key=ranks.get)
+    layers = library(mine).layers
+    for name in ('jelly_20.0mm', 'jelly_40.0mm'):
+        settings = {**TWIN.defaults(), 'layer.library': str(mine), **layers[name]}
+        expected = predict(rig_of(settings)).energy_transfer
+        assert ranks[name] == pytest.approx(expected, rel=1e-6)
+    assert list(ranks.values()) == sorted(ranks.values(), reverse=True)
+    printed = command.run('recommend', '--vary', 'library', '--library', mine)
+    _, table = printed.split('from the library')
+    assert re.search(rf'^jelly_40.0mm +40.0 +{result["score"]:.3f}$', table, re.MULTILINE)
+
+
+def test_options_replace_the_request_of_a_twin_file(command, write):
+    path = write(
+        'twin: {ros__parameters: {engine.motion: measured, engine.frequency: 58.0,\n'
+        '  recommendation: {vary: thickness, thickness_max: 0.03, max_strain: 0.12}}}\n'
+    )
+    result = command.json('recommend', '--config', path, '--max-strain', 0.11)['recommendation']
+    best = recommend(
+        Rig(engine=Engine(frequency=58.0)),
+        vary='thickness',
+        limits=Limits(thickness_max=0.03, max_strain=0.11),
+    )
+    assert result['thickness'] == best.thickness
+    assert result['peak_strain'] <= 0.11 * (1.0 + 1e-9)
+
+
+def test_file_with_an_aim_is_refused_with_its_task(command, write):
+    path = write('twin: {ros__parameters: {recommendation.objective: aim}}', 'aim.yaml')
+    assert 'design aim' in command.refused('recommend', '--config', path)
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        ('--objective best', "argument --objective: .*'best'"),
+        ('--objective aim', "argument --objective: .*'aim'"),
+        ('--vary amplitude', "argument --vary: .*'amplitude'"),
+        ('--max-strain -1', r'argument --max-strain: .* or 0, got -1\.0'),
+        ('--quantile 0.6', r'argument --quantile: .* from 0 to 0.5, got 0\.6'),
+        ('--masses 0.001 heavy', r"argument --masses: .* got \[0.001, 'heavy'\]"),
+        ('--objective versatile --masses' + 17 * ' 0.001', 'masses must be .* 16'),
+        ('--frequencies 0', r'argument --frequencies: .* from 1 to 1000 Hz, got \[0.0\]'),
+        ('--thickness-min 0.03 --thickness-max 0.02', '--thickness-min: .* got 0.03 and 0.02'),
+        ('--objective robust --uncertain-wave-speed 10', 'wave_speed .* 7.8, got 10'),
+        ('--max-strain 0.001', 'strain of at most 0.001 '),
+        ('--gravity 30 --amplitude 1e-5', 'gravity .19 of the largest'),
+    ],
+)
+def test_refused_arguments_are_quoted(command, args, message):
+    assert re.search(message, command.refused('recommend', *args.split()))
+
+
+# aim
+
+
+def test_table_has_the_present_throw_the_aim_and_the_aim_with_this_layer(command):
+    printed = command.run('aim', '--target-height', 0.15)
+    best, this = (aim(Rig(), Target(height=0.15), vary=vary) for vary in ('both', 'amplitude'))
+    summary = command.json('aim', '--target-height', 0.15)['aim']['summary']
+    assert printed.startswith(f'{summary}\n\n')
+    columns = {
+        'amplitude A': [2.0, 1e3 * best.amplitude, 1e3 * this.amplitude],
+        'rise above the layer': [1e3 * last_release(Rig()).height, 150.0, 150.0],
+        'peak strain': [1e2 * each.peak_strain for each in (predict(Rig()), best, this)],
+    }
+    for title, expected in columns.items():
+        shown = list(map(float, command.row(printed, title)))
+        assert shown == pytest.approx(expected, rel=1e-5)
+    assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
+    alone = command.run('aim', '--target-height', 0.15, '--vary', 'amplitude')
+    assert len(command.row(alone, 'amplitude A')) == 2
+
+
+def test_target_speed_replaces_the_default_height(command):
+    printed = command.json('aim', '--target-speed', 1.5, '--gravity', 0)
+    assert (printed['aim']['target_height'], printed['aim']['target_speed']) == (None, 1.5)
+    assert printed['aim']['speed'] == pytest.approx(1.5, rel=1e-9)
+    assert printed['aim']['height'] is None  # infinite: JSON has no number for this
+    assert printed['parameters']['recommendation.objective'] == 'aim'
+
+
+def test_target_out_of_reach_names_its_limit_and_ends_with_1(command):
+    args = ('--target-height', 0.2, '--vary', 'amplitude', '--max-strain', 0.12)
+    first = command.run('aim', *args, code=design_search.NOT_REACHED).splitlines()[0]
+    result = command.json('aim', *args, code=design_search.NOT_REACHED)['aim']
+    assert result['is_reached'] is False
+    assert result['peak_strain'] == pytest.approx(0.12, rel=1e-4)
+    assert result['summary'] == first
+    assert result['limited_by'] == 'max_strain'
+
+
+def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
+    rig = 'twin: {ros__parameters: {gravity: 5.0'
+    aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
+    assert command.json('aim', '--config', aims)['aim']['target_speed'] == 1.5
+    assert 'no target: give' in command.refused('aim', '--config', write(rig + '}}', 'other.yaml'))
+
+
+@pytest.mark.parametrize(
+    ('args', 'message'),
+    [
+        ('', '--target-height M or --target-speed M/S'),
+        ('--target-height 0', 'target_height .*target_speed .* got 0 for both'),
+        ('--target-height -1', r'argument --target-height: .*, got -1\.0'),
+        ('--target-height 0.1 --target-speed 2', 'argument --target-height: .*, got 0.1 and 2'),
+        ('--target-height 0.1 --gravity 0', 'gravity, got gravity 0'),
+        ('--target-height 1 --max-amplitude 1', r'--max-amplitude: .* to 0.1 m, got 1\.0'),
+        ('--target-height 1 --vary colour', "argument --vary: .*'colour'"),
+        ('--objective peak', 'unrecognized arguments: --objective peak'),
+        ('--frequency 3 --max-amplitude 1e-5 --target-speed 1', 'no throw is possible .* 1 m/s'),
+        ('--target-height 1 --library no.yaml', 'argument --library: no.yaml'),
+    ],
+)
+def test_refused_arguments_of_an_aim_are_quoted(command, args, message):
+    assert re.search(message, command.refused('aim', *args.split()))
