@@ -15,10 +15,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import PLATE_POSITION, PROJECTILE_POSITION
 from soft_throw_ros.core.wave_stepper import WaveStepper
@@ -27,6 +29,15 @@ from soft_throw_ros.twin.tick_schedule import SECOND
 
 PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
 """Readings of the sensors at height 0. [m]"""
+
+
+def states_at(rig: Rig, times: Iterable[float]) -> NDArray[np.float64]:
+    """Return the states of a throw at increasing times since its start, before which it rests."""
+    model, states = WaveStepper(rig), []
+    for time in times:
+        model.advance_to(max(time, 0.0))
+        states.append(model.state.copy())
+    return np.array(states)
 
 
 def measured_throw(
@@ -45,11 +56,8 @@ def measured_throw(
     count = round(duration * rate)
     since = (np.arange(count) + jitter * random.uniform(-1.0, 1.0, count)) / rate
     stamps = begin_ns + np.round(since * SECOND).astype(np.int64)
-    model = WaveStepper(rig)
-    rows = np.zeros((count, 2))
-    for row, stamp in zip(rows, stamps.tolist(), strict=True):
-        model.advance_to(max((stamp - begin_ns) / SECOND - onset, 0.0))
-        row[:] = model.state[[PLATE_POSITION, PROJECTILE_POSITION]]
+    states = states_at(rig, ((stamps - begin_ns) / SECOND - onset).tolist())
+    rows = states[:, [PLATE_POSITION, PROJECTILE_POSITION]]
     rows += [PLATE_ZERO, PROJECTILE_ZERO]
     rows += noise * random.standard_normal(rows.shape)
     return [

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 import itertools
 import math
 from typing import Any
@@ -115,10 +115,15 @@ class Run:
         while self._waiting:
             self.go(1)
 
-    def measure(self, rig: Rig | None = None, **kwargs: Any) -> None:
-        """Measure a throw of a rig of its own, and go on to the end of the samples."""
+    def measure(
+        self,
+        rig: Rig | None = None,
+        change: Callable[[list[Sample]], Iterable[Sample]] = list,
+        **kwargs: Any,
+    ) -> None:
+        """Measure a throw of a rig of its own by changed samples, and go on to their end."""
         kwargs.setdefault('begin_ns', self.schedule.deadline(self.session.step))
-        self.send(rigs.measured_throw(rig or self.rig, **kwargs))
+        self.send(change(rigs.measured_throw(rig or self.rig, **kwargs)))
         self.receive()
 
     def results(self, stage: str) -> list[ThrowResult]:

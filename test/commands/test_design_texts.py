@@ -14,10 +14,18 @@
 
 import pytest
 from soft_throw_ros.commands.design_texts import remarks_of, summary_of
-from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.requests import solve_request
+from twin_runs import complete_settings
+
+
+def summary_for(**request):
+    """Return the summary of the result of a request."""
+    named = {f'recommendation__{name}': value for name, value in request.items()}
+    settings = complete_settings(**named)
+    return summary_of(solve_request(settings), rig_of(settings), settings)
 
 
 @pytest.mark.parametrize(
@@ -29,12 +37,7 @@ from soft_throw_ros.design.requests import solve_request
     ],
 )
 def test_summary_has_changes_and_gain(vary, changes, parts):
-    settings = {
-        **TWIN.defaults(), 'recommendation.vary': vary,
-        **{f'recommendation.{name}': value for name, value in changes.items()},
-    }
-    summary = summary_of(solve_request(settings), Rig(), settings)
-    assert [part for part in parts if part not in summary] == []
+    assert [part for part in parts if part not in summary_for(vary=vary, **changes)] == []
 
 
 def test_remarks_have_the_best_ratios_and_warn_of_large_strain():
@@ -53,17 +56,11 @@ def test_remarks_warn_of_strong_gravity():
 @pytest.mark.parametrize(
     ('request_', 'parts'),
     [
-        ({'target_height': 0.15, 'vary': 'amplitude'}, ['0.15 m', '2.453 mm']),
-        ({'target_height': 0.5, 'vary': 'amplitude', 'max_amplitude': 2e-3},
-         ['0.5 m', 'not reached', 'amplitude 2 mm']),
-        ({'target_speed': 25.0, 'target_height': 0.0, 'vary': 'amplitude'},
-         ['25 m/s', 'not reached', 'strain 50 %']),
+        ({'target_height': 0.15}, ['0.15 m', '2.453 mm']),
+        ({'target_height': 0.5, 'max_amplitude': 2e-3}, ['0.5 m', 'not reached', ' 2 mm']),
+        ({'target_speed': 25.0, 'target_height': 0.0}, ['25 m/s', 'not reached', '50 %']),
     ],
 )
 def test_summary_of_an_aim_has_the_height_and_its_limit(request_, parts):
-    settings = {
-        **TWIN.defaults(), 'recommendation.objective': 'aim',
-        **{f'recommendation.{name}': value for name, value in request_.items()},
-    }
-    summary = summary_of(solve_request(settings), rig_of(settings), settings)
+    summary = summary_for(objective='aim', vary='amplitude', **request_)
     assert [part for part in parts if part not in summary] == []

@@ -32,13 +32,7 @@ from soft_throw_ros.design.objectives.versatile import Versatile
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.requests import limits_of, objective_of, solve_request
 from soft_throw_ros.design.uncertainty import Uncertainties, Variants
-
-
-def changed(**changes):
-    """Return the default settings with changes; `__` in a name stands for a dot."""
-    request = {name.replace('__', '.'): value for name, value in changes.items()}
-    settings = TWIN.defaults()
-    return {**settings, **TWIN.change(settings, request)}
+from twin_runs import complete_settings
 
 
 def test_defaults_request_the_peak_without_limits():
@@ -61,7 +55,7 @@ def test_defaults_request_the_peak_without_limits():
     ],
 )
 def test_every_objective_can_be_requested(changes, objective):
-    settings = changed(**changes, recommendation__vary='thickness')
+    settings = complete_settings(**changes, recommendation__vary='thickness')
     assert objective_of(settings) == objective
     assert solve_request(settings) == recommend(Rig(), vary='thickness', objective=objective)
 
@@ -75,7 +69,7 @@ def test_every_objective_can_be_requested(changes, objective):
 )
 @pytest.mark.parametrize('vary', ['amplitude', 'both'])
 def test_aim_can_be_requested(changes, target, vary):
-    settings = changed(
+    settings = complete_settings(
         **changes, recommendation__objective='aim', recommendation__vary=vary,
         recommendation__max_amplitude=2.5e-3,
     )
@@ -88,7 +82,7 @@ def test_layer_is_chosen_from_the_set_library(tmp_path):
         'jelly:\n  description: kitchen leftovers\n  source: the kitchen\n'
         '  density: 1000\n  wave_speed: 8\n  loss_tangent: 0\n'
     )
-    settings = changed(
+    settings = complete_settings(
         layer__library=str(path), recommendation__vary='library',
         recommendation__max_loss_tangent=0.001,
     )
@@ -110,7 +104,7 @@ def test_layer_is_chosen_from_the_set_library(tmp_path):
 def test_impossible_requests_are_refused(changes, message):
     request = {f'recommendation__{name}': value for name, value in changes.items()}
     with pytest.raises(ValueError, match=message):
-        solve_request(changed(**request))
+        solve_request(complete_settings(**request))
 
 
 @pytest.mark.parametrize('objective', ['peak', 'robust', 'versatile', 'aim'])
@@ -123,7 +117,7 @@ def test_search_ends_when_cancelled_between_batches(objective, batches):
         return len(calls) > batches
 
     with pytest.raises(SearchCancelledError):
-        solve_request(changed(recommendation__objective=objective), cancelled=cancelled)
+        solve_request(complete_settings(recommendation__objective=objective), cancelled=cancelled)
     assert len(calls) == batches + 1
 
 
@@ -132,9 +126,10 @@ def test_every_limit_counts():
         'thickness_min': 0.002, 'wave_speed_max': 30.0, 'max_strain': 0.1,
         'max_acceleration': 500.0, 'max_loss_tangent': 0.2,
     }
-    settings = changed(**{f'recommendation__{name}': value for name, value in limits.items()})
+    named = {f'recommendation__{name}': value for name, value in limits.items()}
+    settings = complete_settings(**named)
     assert limits_of(settings) == Limits(**limits)
-    assert limits_of(changed(recommendation__max_strain=0.0)).max_strain == math.inf
+    assert limits_of(complete_settings(recommendation__max_strain=0.0)).max_strain == math.inf
 
 
 class Heavy(Objective):
@@ -154,7 +149,7 @@ class Heavy(Objective):
 def test_objective_is_added_by_one_file(monkeypatch):
     name = 'soft_throw_ros.design.objectives.heavy'
     monkeypatch.setitem(sys.modules, name, types.SimpleNamespace(Heavy=Heavy))
-    settings = changed(recommendation__vary='thickness')
+    settings = complete_settings(recommendation__vary='thickness')
     best = solve_request({**settings, 'recommendation.objective': 'heavy'})
     rig = replace(Rig(), projectile=replace(Rig().projectile, mass=2.0 * Rig().projectile.mass))
     assert best.score == pytest.approx(recommend(rig, vary='thickness').score, rel=1e-6)
@@ -162,4 +157,4 @@ def test_objective_is_added_by_one_file(monkeypatch):
 
 @pytest.mark.parametrize('name', OBJECTIVES)
 def test_every_objective_in_the_table_has_its_file(name):
-    assert objective_of(changed(recommendation__objective=name)).name == name
+    assert objective_of(complete_settings(recommendation__objective=name)).name == name

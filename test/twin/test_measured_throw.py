@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 import math
 from typing import Any
 
@@ -35,7 +36,6 @@ from soft_throw_ros.core.stepper import (
     TIME,
 )
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
 from soft_throw_ros.twin import prepared_rig
 from soft_throw_ros.twin.results import Phase
@@ -64,14 +64,9 @@ def deviations(result: Any, truth: Any, start_ns: float) -> list[float]:
     ]
 
 
-def follow(rig: Any, times: Sequence[float]) -> np.ndarray:
+def follow(rig: Rig, times: Sequence[float]) -> np.ndarray:
     """Return position and velocity of the projectile by an independent simulation."""
-    stepper = WaveStepper(rig)
-    rows = []
-    for time in times:
-        stepper.advance_to(max(time, 0.0))
-        rows.append(stepper.state[[PROJECTILE_POSITION, PROJECTILE_VELOCITY]].copy())
-    return np.array(rows)
+    return rigs.states_at(rig, times)[:, [PROJECTILE_POSITION, PROJECTILE_VELOCITY]]
 
 
 @pytest.fixture(scope='module')
@@ -194,9 +189,7 @@ def test_other_models_predict_their_simulated_release(model, loss, is_ahead) -> 
 
 def test_without_a_projectile_there_is_no_residual() -> None:
     run = Run(**MEASURED)
-    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns)
-    run.send(sample._replace(projectile=math.nan) for sample in samples)
-    run.receive()
+    run.measure(change=lambda samples: [item._replace(projectile=math.nan) for item in samples])
     assert not any(outputs.residual for outputs in run.outputs)
     assert run.results('release')[0].comparison is None
 
@@ -234,10 +227,8 @@ def test_deviations_of_an_aged_layer_exceed_the_threshold(factor, noise) -> None
 @pytest.mark.parametrize(('gap', 'is_valid'), [(2.4e6, False), (1.6e6, True)])
 def test_gap_longer_than_a_crossing_makes_the_throw_invalid(gap, is_valid) -> None:
     run = Run(**MEASURED)
-    onset = run.begin_ns + SECOND // 20
-    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns)
-    run.send(item for item in samples if not 4.0e6 <= item.stamp_ns - onset < 4.0e6 + gap)
-    run.receive()
+    first = run.begin_ns + SECOND // 20 + 4.0e6
+    run.measure(change=lambda samples: [s for s in samples if not 0.0 <= s.stamp_ns - first < gap])
     if is_valid:
         (release,) = run.results('release')
         exact = simulate(run.rig)
@@ -253,11 +244,6 @@ def test_gap_longer_than_a_crossing_makes_the_throw_invalid(gap, is_valid) -> No
     ('rate', 'request_', 'reason'),
     [
         (1200.0, {'measured__smoothing_window': 3e-3}, 'crossing'),
-        (
-            1700.0,
-            {'layer__thickness': 0.05, 'measured__smoothing_window': 2e-3},
-            'measured.smoothing_window',
-        ),
         (1000.0, {}, 'no throw is followed'),  # too low to see the rest before
     ],
 )
@@ -318,19 +304,15 @@ def test_throw_with_many_outliers_is_marked() -> None:
 @pytest.mark.parametrize(
     ('change', 'advice'),
     [
-        (lambda item: (1e3 * (item.plate - 0.3), math.nan), 'divide them by 1000'),
-        (lambda item: (-item.plate, -item.projectile), 'change their sign'),
-        (lambda item: (item.projectile, item.plate), 'swap them'),
+        (lambda item: Sample(item[0], 1e3 * (item.plate - 0.3)), 'divide them by 1000'),
+        (lambda item: Sample(item[0], -item.plate, math.nan, -item.projectile), 'their sign'),
+        (lambda item: Sample(item[0], item.projectile, math.nan, item.plate), 'swap them'),
     ],
 )
 def test_wrong_kind_of_heights_is_reported_with_a_remedy(change, advice) -> None:
     run = Run(**MEASURED)
-    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6, duration=0.1)
-    changed = [(item, *change(item)) for item in samples]
-    run.send(item._replace(plate=plate, projectile=top) for item, plate, top in changed)
-    run.receive()
-    (notice,) = [text for text in run.notices() if advice in text]
-    assert notice
+    run.measure(noise=5e-6, duration=0.1, change=partial(map, change))
+    assert sum(advice in text for text in run.notices()) == 1
     assert not run.results('release')
 
 
@@ -346,22 +328,15 @@ def throw_with_jitter(kind, seed, *, engine_is_nominal=True, **request) -> Any:
     if not engine_is_nominal:  # the last throw was of another engine
         run.measure(with_frequency(run.rig, 61.0), noise=5e-6, duration=0.12)
         run.session.reset()
-    samples = rigs.measured_throw(
-        run.rig,
-        begin_ns=run.schedule.deadline(run.session.step),
-        onset=0.03,
-        duration=0.065,
-        rate=2500.0,
-        noise=5e-6,
-        seed=seed,
-    )
-    random = np.random.default_rng(seed)
-    late = JITTERS[kind](random, len(samples))
-    run.send(
-        sample._replace(stamp_ns=sample.stamp_ns + round(error * SECOND))
-        for sample, error in zip(samples, late.tolist(), strict=True)
-    )
-    run.receive()
+
+    def jitter(samples):
+        late = JITTERS[kind](np.random.default_rng(seed), len(samples)).tolist()
+        return [
+            sample._replace(stamp_ns=sample.stamp_ns + round(error * SECOND))
+            for sample, error in zip(samples, late, strict=True)
+        ]
+
+    run.measure(onset=0.03, duration=0.065, rate=2500.0, noise=5e-6, seed=seed, change=jitter)
     return run
 
 

@@ -144,6 +144,20 @@ def test_other_models_predict_the_first_release() -> None:
     assert weak['cells_elastic'] is weak['cells_glued'] is None
 
 
+STIFF = {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0, 'layer__loss_tangent': 0.1}
+WIDE = {'layer__diameter': 0.2, 'layer__wave_speed': 20.0, 'projectile__mass': 1e-5}
+
+
+@pytest.mark.parametrize(
+    ('request_', 'value'), [(STIFF, '200'), ({**WIDE, 'model': 'spring_mass'}, 'Hz')]
+)
+def test_rig_beyond_real_time_is_refused_with_the_number(request_, value) -> None:
+    values = complete_settings(**request_)
+    for function in (check_settings, prepare):
+        with pytest.raises(ValueError, match=value):
+            function(values)
+
+
 def test_window_too_long_for_the_plate_is_refused_with_both_values() -> None:
     values = complete_settings(engine__motion='measured', measured__smoothing_window=4e-3)
     with pytest.raises(ValueError, match=r'0\.003165.* 0\.004'):

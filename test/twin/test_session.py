@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import motions, rig_of, TWIN, twin_config
-from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.throw_texts import throw_text
@@ -451,16 +451,14 @@ def test_any_run_is_replayed_bit_by_bit_from_any_throw(inputs, data) -> None:
 
 
 @pytest.fixture
-def write_motion(tmp_path):
-    """Write a motion of the plate with some amplitude into a file, and return its path."""
+def write_motion(write):
+    """Return a function that writes a motion of the plate into a file."""
 
     def write_motion(name='plate.csv', amplitude=1e-3):
         plate = Underdamped(frequency=50.0, amplitude=amplitude, damping_ratio=0.1)
         times = np.arange(0.0, 0.2, 2e-4)
-        rows = zip(times.tolist(), plate.position(times).tolist(), strict=True)
-        path = tmp_path / name
-        path.write_text('\n'.join(f'{time},{height}' for time, height in rows))
-        return path
+        motion = SampledMotion.from_positions(times, plate.position(times))
+        return write(motions.to_csv(motion), name)
 
     return write_motion
 
