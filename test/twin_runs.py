@@ -27,6 +27,7 @@ from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
+from soft_throw_ros.nodes.sensor_texts import sensor_text
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -84,7 +85,7 @@ class Run:
             del self._waiting[:count]
             self.on_step(self.session.advance())
             if self.session.step % round(self.session.rate) == 0:
-                self._notices += self.session.diagnose_sensors()
+                self._notices += map(sensor_text, self.session.diagnose_sensors())
         return self.outputs[first:]
 
     def on_entry(self, line: str) -> None:
@@ -140,7 +141,7 @@ class Run:
         return [change for outputs in self.outputs for change in outputs.phases]
 
     def notices(self) -> list[str]:
-        self._notices += self.session.diagnose_sensors()
+        self._notices += map(sensor_text, self.session.diagnose_sensors())
         return self._notices
 
     def entries(self, kind: str) -> list[dict[str, Any]]:

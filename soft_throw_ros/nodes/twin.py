@@ -52,6 +52,7 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
+from soft_throw_ros.nodes.sensor_texts import sensor_text
 from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
@@ -368,8 +369,8 @@ class Twin(RealTimeNode):
         """Publish the diagnostics."""
         super().on_second()
         self._run_some_jobs()  # in case a wake-up was lost
-        for report in self.session.diagnose_sensors():
-            self.get_logger().warning(report)
+        for fault in self.session.diagnose_sensors():
+            self.get_logger().warning(sensor_text(fault))
         self._check_duplicate_nodes()
         statuses = self._diagnostics.statuses(
             self._last_result, duplicate_nodes=self._duplicate_nodes

@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 import math
 from typing import Any, NamedTuple
 
@@ -93,6 +94,14 @@ class PlateStates(NamedTuple):
     misfits: Floats = np.empty((0, 2))
 
 
+class SampledSpan(Enum):
+    """Time spans in which a minimum number of samples is needed."""
+
+    CROSSING = 'crossing of the wave'
+    PERIOD = 'period of the plate'
+    WINDOW = 'smoothing window'
+
+
 @dataclass
 class SampleCounts:
     """Numbers of accepted samples, late and outlying ones included, and refusals by reason."""
@@ -112,13 +121,15 @@ def state_spacing_ns(config: MeasurementConfig) -> int:
     return config.smoothing_window_ns // STATES_PER_WINDOW
 
 
-def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, str]:
-    """Return the lowest sufficient rate of samples [Hz], and the rule that requires it."""
-    return max(
-        (PER_CROSSING / crossing_time, f'{PER_CROSSING} in a crossing of the wave'),
-        (PER_PERIOD * config.plate.frequency, f'{PER_PERIOD} in a period of the plate'),
-        (FEWEST / config.smoothing_window, f'{FEWEST} in measured.smoothing_window'),
-    )
+def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, SampledSpan]:
+    """Return the lowest sufficient rate of samples [Hz], and the time span that requires it."""
+    rates = {
+        SampledSpan.CROSSING: PER_CROSSING / crossing_time,
+        SampledSpan.PERIOD: PER_PERIOD * config.plate.frequency,
+        SampledSpan.WINDOW: FEWEST / config.smoothing_window,
+    }
+    span = max(rates, key=rates.__getitem__)
+    return rates[span], span
 
 
 def scatter(values: NDArray[Any]) -> float:

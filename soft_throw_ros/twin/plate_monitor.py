@@ -34,7 +34,7 @@ from soft_throw_ros.twin.plate_estimator import (
 from soft_throw_ros.twin.plate_source import find_start
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.sample_buffer import to_samples
-from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.sensor_checks import SensorChecks, SwappedBodies
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 RISE = 0.125
@@ -156,11 +156,7 @@ class PlateMonitor:
             return motion, None
         self._jump.cancel()
         if self._has_swapped(onset):
-            self._checks.report(
-                'names',
-                'the projectile has moved before the plate: if the names of the two joints are '
-                'swapped in ~/measured_joint_states, swap them; no throw is followed',
-            )
+            self._checks.report(SwappedBodies())
             return motion, None
         return motion, replace(
             onset, engine_is_nominal=self.engine_is_nominal, stamp_error=self.stamp_error

@@ -16,10 +16,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator, scatter
+from soft_throw_ros.twin.plate_estimator import (
+    least_rate,
+    PlateEstimator,
+    SampledSpan,
+    scatter,
+)
 
 MAX_NOISE = 1.5
 """Noise of the samples over `measured.position_noise`, above which it is reported. [-]"""
@@ -40,16 +46,51 @@ _FALL = 0.5
 """Downward speed over the peak speed of the plate that no return to rest reaches. [-]"""
 
 
+class LowRate(NamedTuple):
+    """The plate is measured too rarely to follow a throw."""
+
+    rate: float  # [Hz]
+    least_rate: float  # [Hz]
+    span: SampledSpan  # the one that requires the least rate
+
+
+class HighNoise(NamedTuple):
+    """Noise hides the rest of the plate."""
+
+    noise: float  # standard deviation of the heights at rest [m]
+    expected: float  # `measured.position_noise` [m]
+
+
+class WrongUnit(NamedTuple):
+    """The plate moves too far for heights in metres."""
+
+    rise: float  # range of the heights [m]
+    amplitude: float  # `engine.amplitude` [m]
+
+
+class WrongDirection(NamedTuple):
+    """The plate jumps down, as if heights counted downwards."""
+
+    speed: float  # downward, shortly after a rest [m/s]
+
+
+class SwappedBodies(NamedTuple):
+    """The projectile moves before the plate."""
+
+
+SensorFault: TypeAlias = LowRate | HighNoise | WrongUnit | WrongDirection | SwappedBodies
+
+
 class SensorChecks:
     """
-    Reports on the sensors, each once per throw, for `diagnose` to collect about once a second.
+    Faults of the sensors, each once per throw, for `diagnose` to collect about once a second.
 
     The monitor of the plate adds observations in every tick, which costs a few comparisons.
     """
 
     def __init__(self) -> None:
-        self._reports: list[str] = []  # not collected yet
-        self._reported: set[str] = set()  # kinds of reports in this throw
+        self._faults: list[SensorFault] = []  # not collected yet
+        self._reported: set[type] = set()  # kinds of faults in this throw
         self._newest_ns = -math.inf  # stamp of the newest sample at the last diagnosis
         self._forget_motion()
 
@@ -63,11 +104,11 @@ class SensorChecks:
         self._reported.clear()
         self._forget_motion()
 
-    def report(self, kind: str, text: str) -> None:
-        """Add a report, unless there has been one of this kind in this throw."""
-        if kind not in self._reported:
-            self._reported.add(kind)
-            self._reports.append(text)
+    def report(self, fault: SensorFault) -> None:
+        """Add a fault, unless there has been one of this kind in this throw."""
+        if type(fault) not in self._reported:
+            self._reported.add(type(fault))
+            self._faults.append(fault)
 
     def observe(self, height: float, speed: float, *, was_at_rest: bool) -> None:
         """Observe the smoothed motion of the plate, which may have been at rest shortly before."""
@@ -77,8 +118,8 @@ class SensorChecks:
 
     def diagnose(
         self, estimator: PlateEstimator, crossing_time: float, *, is_armed: bool
-    ) -> tuple[str, ...]:
-        """Return the reports since the last call, after a check of rate, noise and motion."""
+    ) -> tuple[SensorFault, ...]:
+        """Return the faults since the last call, after a check of rate, noise and motion."""
         self._check_motion(estimator.config)
         if estimator.newest_ns > self._newest_ns:  # else the sensor is silent
             self._newest_ns = estimator.newest_ns
@@ -86,20 +127,16 @@ class SensorChecks:
             self.has_rate(estimator, crossing_time if is_armed else math.inf)
             if not is_armed:
                 self._check_noise(estimator)
-        reports, self._reports = tuple(self._reports), []
-        return reports
+        faults, self._faults = tuple(self._faults), []
+        return faults
 
     def has_rate(self, estimator: PlateEstimator, crossing_time: float) -> bool:
         """Return whether the rate of samples suffices to follow a throw; report if not."""
         rate = estimator.rate()
-        least, reason = least_rate(estimator.config, crossing_time)
+        least, span = least_rate(estimator.config, crossing_time)
         suffices = rate >= (1.0 - _RATE_ERROR) * least
         if rate > 0.0 and not suffices:
-            self.report(
-                'rate',
-                f'the plate is measured at {rate:.0f} Hz, which must be at least {least:.0f} Hz, '
-                f'{reason}: no throw is followed',
-            )
+            self.report(LowRate(rate, least, span))
         return suffices
 
     def _check_noise(self, estimator: PlateEstimator) -> None:
@@ -109,25 +146,12 @@ class SensorChecks:
             return
         noise, expected = scatter(heights), estimator.config.position_noise
         if noise > MAX_NOISE * expected and np.ptp(heights) < _NOISE_RANGE * noise:
-            self.report(
-                'noise',
-                f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / expected:.1f} '
-                f'times measured.position_noise {1e6 * expected:.3g} um: set it, without which '
-                'the plate may never seem at rest and no throw is followed',
-            )
+            self.report(HighNoise(noise, expected))
 
     def _check_motion(self, config: MeasurementConfig) -> None:
         """Report heights that are in millimetres, or count downwards."""
         rise, amplitude = self._highest - self._lowest, config.plate.amplitude
         if rise > MAX_RISE * amplitude:
-            self.report(
-                'units',
-                f'the plate moves by {rise:.3g} m, {rise / amplitude:.0f} times '
-                'engine.amplitude: if heights are in millimetres, divide them by 1000',
-            )
+            self.report(WrongUnit(rise, amplitude))
         if self._fall > _FALL * config.plate.peak_velocity:
-            self.report(
-                'direction',
-                f'the plate has jumped down, at {self._fall:.3g} m/s: if heights count '
-                'downwards, change their sign; no throw is followed',
-            )
+            self.report(WrongDirection(self._fall))

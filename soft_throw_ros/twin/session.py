@@ -33,6 +33,7 @@ from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.plate_estimator import SampleCounts
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sensor_checks import SensorFault
 from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throw_cycle import ThrowCycle
 from soft_throw_ros.twin.tick_schedule import TickSchedule
@@ -238,8 +239,8 @@ class Session:
             if added:
                 self._journal.keep_samples(self.step, added)
 
-    def diagnose_sensors(self) -> tuple[str, ...]:
-        """Return new reports on the sensors of a measured plate; call it about once a second."""
+    def diagnose_sensors(self) -> tuple[SensorFault, ...]:
+        """Return new faults of the sensors of a measured plate; call it about once a second."""
         with self._lock:
             return self._cycle.diagnose_sensors()
 

@@ -40,7 +40,7 @@ from soft_throw_ros.twin.results import (
     ThrowResult,
 )
 from soft_throw_ros.twin.sample_buffer import Sample
-from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.sensor_checks import SensorChecks, SensorFault
 from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throws import (
     OngoingThrow,
@@ -242,8 +242,8 @@ class ThrowCycle:
             return []
         return self.monitor.estimator.add_samples(samples, self.schedule.deadline(step))
 
-    def diagnose_sensors(self) -> tuple[str, ...]:
-        """Return new reports on the sensors of a measured plate."""
+    def diagnose_sensors(self) -> tuple[SensorFault, ...]:
+        """Return new faults of the sensors of a measured plate."""
         if self.monitor is None:
             return ()
         return self.sensor_checks.diagnose(

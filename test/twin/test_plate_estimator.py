@@ -30,6 +30,7 @@ from soft_throw_ros.twin.plate_estimator import (
     PAST,
     PlateEstimator,
     PlateStates,
+    SampledSpan,
 )
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import SECOND
@@ -189,15 +190,14 @@ def test_measured_velocities_are_used() -> None:
 
 
 @pytest.mark.parametrize(
-    ('frequency', 'crossing_time', 'rate', 'reason'),
+    ('frequency', 'crossing_time', 'rate', 'span'),
     [
-        (63.2, 1e-4, 30_000.0, 'crossing'),
-        (63.2, 1e-2, 2000.0, 'measured.smoothing_window'),
-        (200.0, 1e-2, 4000.0, 'period'),
+        (63.2, 1e-4, 30_000.0, SampledSpan.CROSSING),
+        (63.2, 1e-2, 2000.0, SampledSpan.WINDOW),
+        (200.0, 1e-2, 4000.0, SampledSpan.PERIOD),
     ],
 )
-def test_minimum_rate_has_a_reason(frequency, crossing_time, rate, reason) -> None:
+def test_minimum_rate_has_a_reason(frequency, crossing_time, rate, span) -> None:
     plate = replace(MEASUREMENT.plate, frequency=frequency)
-    least, why = least_rate(replace(MEASUREMENT, plate=plate), crossing_time)
-    assert least == pytest.approx(rate)
-    assert reason in why
+    measurement = replace(MEASUREMENT, plate=plate)
+    assert least_rate(measurement, crossing_time) == (pytest.approx(rate), span)

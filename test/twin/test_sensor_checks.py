@@ -11,13 +11,21 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reports on the sensors of a measured plate."""
+"""Faults of the sensors of a measured plate."""
+
+import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.plate_estimator import PlateEstimator
+from soft_throw_ros.twin.plate_estimator import PlateEstimator, SampledSpan
 from soft_throw_ros.twin.sample_buffer import Sample
-from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.sensor_checks import (
+    HighNoise,
+    LowRate,
+    SensorChecks,
+    WrongDirection,
+    WrongUnit,
+)
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import MEASUREMENT
 
@@ -48,12 +56,25 @@ def test_good_sensor_is_not_reported(estimate) -> None:
 def test_noise_and_rate_are_reported_once_per_throw(estimate) -> None:
     checks, noisy = SensorChecks(), estimate(rate=500.0, noise=4.0 * MEASUREMENT.position_noise)
     rate, noise = checks.diagnose(noisy, 2e-3, is_armed=False)
-    assert '500 Hz' in rate
-    assert 'measured.position_noise' in noise
+    assert isinstance(rate, LowRate)
+    assert rate.rate == pytest.approx(500.0)
+    assert isinstance(noise, HighNoise)
+    assert noise.noise == pytest.approx(4.0 * noise.expected, rel=0.3)
+    assert noise.expected == MEASUREMENT.position_noise
     assert checks.diagnose(noisy, 2e-3, is_armed=False) == ()
     checks.begin(MEASUREMENT)
     again = estimate(rate=499.0, noise=4.0 * MEASUREMENT.position_noise)
     assert len(checks.diagnose(again, 2e-3, is_armed=False)) == 2
+
+
+def test_rate_must_suffice_for_the_layer_once_the_plate_is_at_rest(estimate) -> None:
+    checks = SensorChecks()
+    assert checks.has_rate(estimate(), math.inf)
+    assert not checks.has_rate(estimate(), 1e-4)
+    (fault,) = checks.diagnose(estimate(), 1e-4, is_armed=True)
+    assert isinstance(fault, LowRate)
+    assert fault.least_rate == pytest.approx(30_000.0)
+    assert fault.span is SampledSpan.CROSSING
 
 
 def test_motion_is_reported_if_a_throw_begins_before_the_diagnosis(estimate) -> None:
@@ -61,6 +82,7 @@ def test_motion_is_reported_if_a_throw_begins_before_the_diagnosis(estimate) -> 
     checks.observe(0.0, 0.0, was_at_rest=False)
     checks.observe(200.0 * plate.amplitude, -0.9 * plate.peak_velocity, was_at_rest=True)
     checks.begin(MEASUREMENT)
-    units, direction = checks.diagnose(estimate(), 2e-3, is_armed=True)
-    assert 'divide them by 1000' in units
-    assert 'change their sign' in direction
+    assert checks.diagnose(estimate(), 2e-3, is_armed=True) == (
+        WrongUnit(200.0 * plate.amplitude, plate.amplitude),
+        WrongDirection(0.9 * plate.peak_velocity),
+    )
