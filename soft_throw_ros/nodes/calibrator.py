@@ -27,9 +27,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-import math
 import threading
-from typing import Any, NamedTuple
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
@@ -49,8 +48,7 @@ from soft_throw_ros.configuration.interface import (
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
-from soft_throw_ros.identification.flight import flight_speed, motion_delay
-from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.flight import motion_delay
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import (
@@ -60,6 +58,7 @@ from soft_throw_ros.nodes.conversions import (
     status_to_msg,
 )
 from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
+from soft_throw_ros.nodes.motion_gain import describe_gain, flight_duration, MeasuredThrow
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
@@ -80,8 +79,6 @@ _ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
-_RELEASE_TIME_ERROR = 1e-4  # standard error of the release, by delays of the sensors [s]
-_MIN_SPEED_RATIO = 0.5  # smallest measured speed of a throw that was played, by the predicted one
 _STOP_TIMEOUT = 0.3  # longest wait for the thread to end [s]
 # The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
 # linear layer.
@@ -96,14 +93,6 @@ _MOTION: Settings = {'recommendation.vary': 'motion', 'engine.command': True}
 
 class _RequestFailed(Exception):
     """Another node rejected a request or did not answer; the message names node and reason."""
-
-
-class _MeasuredThrow(NamedTuple):
-    """A throw whose projectile was measured in flight."""
-
-    speed: float  # at the release [m/s]
-    speed_error: float  # common error of the speeds of such throws [m/s]
-    peak_plate_speed: float  # [m/s]
 
 
 class Calibrator(RunnableNode):
@@ -136,9 +125,9 @@ class Calibrator(RunnableNode):
         self.create_steady_timer(1.0, self._publish_status)
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_throws: Rig | None = None  # of the collected throws
-        self._predicted: list[_MeasuredThrow] = []  # in a row that the twin predicted well
-        self._before: list[_MeasuredThrow] = []  # those before the motion was commanded
-        self._commanded: list[_MeasuredThrow] | None = None  # None before it was commanded
+        self._predicted: list[MeasuredThrow] = []  # in a row that the twin predicted well
+        self._before: list[MeasuredThrow] = []  # those before the motion was commanded
+        self._commanded: list[MeasuredThrow] | None = None  # None before it was commanded
         self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
         self._is_busy = False
         self._closing = threading.Event()
@@ -165,10 +154,13 @@ class Calibrator(RunnableNode):
             result = msg_to_throw_result(status)
             if result.stage == 'final' and result.is_valid and not self._is_busy:
                 self._measured.read_messages()
-                if self._commanded is None:
-                    self._on_measured_throw(result)
-                elif result.accuracy is None:
-                    self._on_commanded_throw(result, msg_to_time(msg.header.stamp))
+                try:
+                    if self._commanded is None:
+                        self._on_measured_throw(result)
+                    elif result.accuracy is None:
+                        self._on_commanded_throw(result, msg_to_time(msg.header.stamp))
+                except TrackError as error:
+                    self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
 
     def _on_measured_throw(self, result: ThrowResult) -> None:
         """Collect a throw that the twin predicted wrongly, or count one that it predicted well."""
@@ -186,11 +178,7 @@ class Calibrator(RunnableNode):
         period_ns = 1e9 / result.rig.engine.frequency
         begin_ns = accuracy.release_ns - round(1e9 * release.ejection_time + _BEFORE * period_ns)
         end_ns = accuracy.release_ns + round(_AFTER * period_ns)
-        try:
-            tracks = self._measured.between(begin_ns, end_ns, name=f'throw {result.throw}')
-        except TrackError as error:
-            self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
-            return
+        tracks = self._measured.between(begin_ns, end_ns, name=f'throw {result.throw}')
         self._mispredicted.append(tracks)
         if len(self._mispredicted) >= self.parameters.settings['throws']:
             self.get_logger().info(
@@ -204,7 +192,7 @@ class Calibrator(RunnableNode):
         """Measure a throw; command the best motion after enough of them."""
         required = self.parameters.settings['motion_after']
         if required:
-            self._add_measured(self._predicted, result, release_ns)
+            self._predicted.append(self._measure_flight(result, release_ns))
             if len(self._predicted) >= required:
                 self.get_logger().info(
                     f'the last {required} throws followed the prediction; designing the motion '
@@ -220,54 +208,21 @@ class Calibrator(RunnableNode):
             return
         start_ns = msg_to_time(commands[-1].header.stamp)
         release_ns = start_ns + round(1e9 * result.first.ejection_time)
-        try:
-            tracks = self._measured.between(start_ns, release_ns, name='')
-        except TrackError as error:
-            self.get_logger().warning(f'throw {result.throw} cannot be measured: {error}')
-            return
+        tracks = self._measured.between(start_ns, release_ns, name='')
         delay_ns = round(1e9 * motion_delay(tracks.plate, msg_to_motion(commands[-1])))
-        self._add_measured(self._commanded, result, release_ns + delay_ns)
+        self._commanded.append(self._measure_flight(result, release_ns + delay_ns))
         if len(self._commanded) == self.parameters.settings['throws']:
-            self._report_gain(self._commanded)
+            message, values = describe_gain(self._before, self._commanded)
+            self.get_logger().info(message)
+            self._set_status(message, values)
             self._commanded = None
 
-    def _add_measured(
-        self, throws: list[_MeasuredThrow], result: ThrowResult, release_ns: int
-    ) -> None:
-        """Measure the ejection speed of a throw, until the apex or one plate period later."""
-        rig, release = result.rig, result.first
-        assert release is not None
-        duration = 1.0 / rig.engine.frequency
-        if rig.gravity:
-            duration = min(duration, release.ejection_speed / rig.gravity)
-        end_ns = release_ns + round(1e9 * duration)
-        try:
-            tracks = self._measured.between(release_ns, end_ns, name=f'throw {result.throw}')
-        except TrackError as error:
-            self.get_logger().warning(f'throw {result.throw} cannot be measured: {error}')
-            return
+    def _measure_flight(self, result: ThrowResult, release_ns: int) -> MeasuredThrow:
+        """Measure the ejection speed of a throw, or raise TrackError."""
+        end_ns = release_ns + round(1e9 * flight_duration(result))
+        tracks = self._measured.between(release_ns, end_ns, name=f'throw {result.throw}')
         assert tracks.projectile is not None
-        speed = flight_speed(tracks.projectile, gravity=rig.gravity)
-        if speed < _MIN_SPEED_RATIO * release.ejection_speed:
-            self.get_logger().warning(
-                f'throw {result.throw} is not counted: the projectile moved at {speed:.3g} m/s '
-                f'instead of {release.ejection_speed:.3g} m/s; the rig was not ready'
-            )
-            return
-        speed_error = rig.gravity * _RELEASE_TIME_ERROR
-        throws.append(_MeasuredThrow(speed, speed_error, result.peak_plate_speed))
-
-    def _report_gain(self, commanded: list[_MeasuredThrow]) -> None:
-        """Log and publish the gain of the commanded motion."""
-        values = _means('engine', self._before) | _means('commanded', commanded)
-        message = (
-            f'measured gain by the commanded motion: ejection speed '
-            f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
-            f'energy transfer {values["engine.energy_transfer"]} -> '
-            f'{values["commanded.energy_transfer"]}'
-        )
-        self.get_logger().info(message)
-        self._set_status(message, values)
+        return MeasuredThrow.from_track(result, tracks.projectile)
 
     def _submit(self, task: Callable[[], None]) -> None:
         self._is_busy = True
@@ -426,23 +381,6 @@ class _Measured:
     def close(self) -> None:
         """Unsubscribe."""
         self._subscription.close()
-
-
-def _means(prefix: str, throws: Sequence[_MeasuredThrow]) -> dict[str, str]:
-    """Return the mean results of throws, with standard errors by scatter and release time."""
-    speeds = np.array([throw.speed for throw in throws])
-    plate_speed = float(np.mean([throw.peak_plate_speed for throw in throws]))
-    speed = float(speeds.mean())
-    scatter = float(speeds.std(ddof=1)) if speeds.size > 1 else 0.0
-    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].speed_error)
-    energy_transfer = (speed / plate_speed) ** 2
-    return {
-        f'{prefix}.ejection_speed': str(Estimate(speed, error)),
-        f'{prefix}.energy_transfer': str(
-            Estimate(energy_transfer, 2.0 * energy_transfer * error / speed)
-        ),
-        f'{prefix}.throws': str(speeds.size),
-    }
 
 
 main = partial(run, 'calibrator', Calibrator)

@@ -1,0 +1,89 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The gain in ejection speed by a commanded motion of the plate, from tracks of the projectile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+from soft_throw_ros.identification.flight import flight_speed
+from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.tracks import Track, TrackError
+from soft_throw_ros.twin.results import ThrowResult
+
+_RELEASE_TIME_ERROR = 1e-4  # standard error of the release, by delays of the sensors [s]
+_MIN_SPEED_RATIO = 0.5  # smallest measured speed of a throw that was played, by the predicted one
+
+
+class MeasuredThrow(NamedTuple):
+    """A throw whose projectile was measured in flight."""
+
+    speed: float  # at the release [m/s]
+    speed_error: float  # common error of the speeds of such throws [m/s]
+    peak_plate_speed: float  # [m/s]
+
+    @classmethod
+    def from_track(cls, result: ThrowResult, projectile: Track) -> MeasuredThrow:
+        """Measure a throw by the track of its flight; raise TrackError if it was not played."""
+        rig, release = result.rig, result.first
+        assert release is not None
+        speed = flight_speed(projectile, gravity=rig.gravity)
+        if speed < _MIN_SPEED_RATIO * release.ejection_speed:
+            raise TrackError(
+                f'the projectile moved at {speed:.3g} m/s instead of '
+                f'{release.ejection_speed:.3g} m/s; the rig was not ready'
+            )
+        return cls(speed, rig.gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)
+
+
+def flight_duration(result: ThrowResult) -> float:
+    """Return the time from the release to the apex, at most one plate period [s]."""
+    rig, release = result.rig, result.first
+    assert release is not None
+    duration = 1.0 / rig.engine.frequency
+    return min(duration, release.ejection_speed / rig.gravity) if rig.gravity else duration
+
+
+def describe_gain(
+    by_engine: Sequence[MeasuredThrow], commanded: Sequence[MeasuredThrow]
+) -> tuple[str, dict[str, str]]:
+    """Return the gain of the commanded motion as a sentence, and its values."""
+    values = _means('engine', by_engine) | _means('commanded', commanded)
+    message = (
+        f'measured gain by the commanded motion: ejection speed '
+        f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
+        f'energy transfer {values["engine.energy_transfer"]} -> '
+        f'{values["commanded.energy_transfer"]}'
+    )
+    return message, values
+
+
+def _means(prefix: str, throws: Sequence[MeasuredThrow]) -> dict[str, str]:
+    """Return the mean results of throws, with standard errors by scatter and release time."""
+    speeds = np.array([throw.speed for throw in throws])
+    plate_speed = float(np.mean([throw.peak_plate_speed for throw in throws]))
+    speed = float(speeds.mean())
+    scatter = float(speeds.std(ddof=1)) if speeds.size > 1 else 0.0
+    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].speed_error)
+    energy_transfer = (speed / plate_speed) ** 2
+    return {
+        f'{prefix}.ejection_speed': str(Estimate(speed, error)),
+        f'{prefix}.energy_transfer': str(
+            Estimate(energy_transfer, 2.0 * energy_transfer * error / speed)
+        ),
+        f'{prefix}.throws': str(speeds.size),
+    }
