@@ -25,10 +25,10 @@ from typing import Any
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader, NonSeekingReader
 from mcap.writer import IndexType, Writer
-from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
+from soft_throw_ros.storage.bag_metadata import dump_yaml
+from soft_throw_ros.storage.message import Channel, Message
 
 BEGIN = 1_700_000_000_000_000_000
 """Time of the first message. [ns]"""

@@ -40,9 +40,9 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.recommendations import other_models_values, recommend_for
 from soft_throw_ros.nodes.throw_texts import throw_text
-from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
-from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema
+from soft_throw_ros.storage.cdr import encode_array, JointStateEncoder
+from soft_throw_ros.storage.message import Channel, Message
 from soft_throw_ros.twin.results import Outputs, Phase
 from soft_throw_ros.twin.sample_buffer import Sample
 from std_msgs.msg import Float64, String

@@ -20,7 +20,6 @@ The options of `add_track_options` choose the bodies, columns and units.
 from __future__ import annotations
 
 import argparse
-from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 import io
@@ -31,7 +30,6 @@ import numpy as np
 from soft_throw_ros.commands.options import any_number, positive
 from soft_throw_ros.commands.output import CommandParser, report_io_errors
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TWIN_TOPICS
-from soft_throw_ros.configuration.regular_file import read_regular_file
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.track_csv import read_csv, UNITS
@@ -45,8 +43,9 @@ from soft_throw_ros.identification.tracks import (
     TrackError,
 )
 from soft_throw_ros.identification.video import is_video
-from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.cdr import JointStateReader, MessageError
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.recorded_positions import read_positions
+from soft_throw_ros.storage.regular_file import read_regular_file
 
 _MAX_BYTES = 1 << 26
 """Size of a CSV file [byte]: minutes of two tracks at 10 kHz."""
@@ -160,34 +159,21 @@ def _is_one_motion(record: ThrowTracks) -> bool:
 
 def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track]:
     """Read plate and projectile from the requested topic, or from the preferred one of a bag."""
-    heights: dict[str, dict[int, list[float]]] = defaultdict(dict)  # by topic and stamp [ns]
-    readers: dict[str, JointStateReader] = defaultdict(JointStateReader)
-    unreadable: Counter[str] = Counter()
     with BagReader(path) as reader:
         names = {channel.topic for channel in reader.channels if channel.type == JOINT_STATE}
-        for message in reader.messages(names):
-            name = message.channel.topic
-            try:
-                values = readers[name].read(message.data)
-            except MessageError:
-                unreadable[name] += 1
-                continue
-            # A message may lack a joint, or all positions
-            positions = dict(zip(values.names, values.position))  # noqa: B905
-            row = [positions.get(body, math.nan) for body in JOINTS]
-            heights[name].setdefault(values.stamp_ns, row)
+        recorded = read_positions(reader, names, JOINTS)
         damage = reader.damage
     if damage:
         notes.append(f'{damage}; the readable messages are used')
     with_plate = [
         name
-        for name, rows in heights.items()
-        if any(math.isfinite(plate) for plate, _ in rows.values())
+        for name, item in recorded.items()
+        if any(math.isfinite(plate) for plate, _ in item.rows.values())
     ]
     best = _choose_topic(path, sorted(with_plate), topic)
-    if count := unreadable[best]:
+    if count := recorded[best].unreadable:
         notes.append(f'{path}: {count} messages on {best!r} are no {JOINT_STATE}, and left out')
-    stamps, table = zip(*sorted(heights[best].items()), strict=True)
+    stamps, table = zip(*sorted(recorded[best].rows.items()), strict=True)
     time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
     tracks = {}
     for body, position in zip(JOINTS, np.transpose(table), strict=True):

@@ -39,8 +39,8 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer as viewer
-from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.timeseries import find_throws, has_throws, ThrowStart
+from soft_throw_ros.storage.bag_reader import BagReader
 
 if TYPE_CHECKING:
     import rerun as rr

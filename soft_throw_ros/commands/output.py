@@ -31,8 +31,8 @@ import threading
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
+from soft_throw_ros.storage.atomic_file import atomic_file
 
 _WIDTH = 12  # width of a column of numbers [characters]
 

@@ -49,7 +49,6 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
 from soft_throw_ros.configuration.csv_rows import read_rows
-from soft_throw_ros.configuration.regular_file import read_regular_file
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
@@ -58,6 +57,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.storage.regular_file import read_regular_file
 
 ModelResult = Mapping[str, float]
 """Predictions of a model by name, in SI units; predictions that it cannot make are absent."""

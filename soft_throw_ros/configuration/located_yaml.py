@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from soft_throw_ros.configuration.regular_file import read_regular_file
 from soft_throw_ros.configuration.table import number_of, ParameterError
+from soft_throw_ros.storage.regular_file import read_regular_file
 import yaml
 
 _MAX_BYTES = 1 << 18

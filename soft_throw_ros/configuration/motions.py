@@ -23,6 +23,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable
 from functools import lru_cache
+import math
 from pathlib import Path
 from typing import Any, TypeAlias
 import zlib
@@ -30,10 +31,12 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.csv_rows import Column, read_columns
+from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS
 from soft_throw_ros.configuration.recorded_motion import MAX_END_SPEED, motion_from_record
-from soft_throw_ros.configuration.regular_file import open_regular_file, read_regular_file
 from soft_throw_ros.configuration.table import ParameterError, quote
 from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.storage.message import BagError, SECOND
+from soft_throw_ros.storage.regular_file import open_regular_file, read_regular_file
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +53,7 @@ _COLUMNS = {
     'acceleration': Column(('acceleration',), {'m/s2': 1.0}, 'm/s2', needs_label=True),
 }
 _STATES = ('height', 'velocity', 'acceleration')
-_JOINT = 'plate'
+_JOINT = JOINTS[0]
 _BAGS = ('.mcap', '.zstd')
 _STILL = 0.05
 """Duration of the rest that ends a throw in a bag. [s]"""
@@ -171,30 +174,26 @@ def _require_rest(states: Floats) -> None:
 
 def _read_bag(path: Path) -> tuple[Floats, Floats]:
     """Return times and heights of the plate from the best topic of a bag."""
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-    from mcap_ros2.decoder import DecoderFactory
+    from soft_throw_ros.storage.bag_reader import BagReader
+    from soft_throw_ros.storage.recorded_positions import read_positions
 
-    files = sorted(path.glob('*.mcap')) if path.is_dir() else [path]
-    series: dict[str, tuple[list[float], list[float]]] = {}
+    for file in path.glob('*.mcap') if path.is_dir() else [path]:
+        open_regular_file(file, max_bytes=_MAX_BAG_BYTES).close()
     try:
-        for file in files:
-            with open_regular_file(file, max_bytes=_MAX_BAG_BYTES) as stream:
-                reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-                for schema, channel, _, message in reader.iter_decoded_messages():
-                    is_state = schema is not None and schema.name == 'sensor_msgs/msg/JointState'
-                    if is_state and _JOINT in message.name:
-                        times, heights = series.setdefault(channel.topic, ([], []))
-                        time = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-                        if not times or time > times[-1]:
-                            times.append(time)
-                            heights.append(message.position[list(message.name).index(_JOINT)])
-    except (McapError, ValueError) as error:
-        raise ParameterError(f'{path}: is no bag that can be read, {error}', PARAMETER) from None
-    if not series:
+        with BagReader(path) as reader:
+            topics = {channel.topic for channel in reader.channels if channel.type == JOINT_STATE}
+            recorded = read_positions(reader, topics, [_JOINT])
+    except BagError as error:
+        raise ParameterError(str(error), PARAMETER) from None
+    series = {
+        topic: [(stamp, height) for stamp, (height,) in item.rows.items() if math.isfinite(height)]
+        for topic, item in recorded.items()
+    }
+    best = max(series, key=lambda topic: ('measured' in topic, len(series[topic])), default='')
+    if not series.get(best):
         raise ParameterError(f'{path}: no JointState has a joint {_JOINT!r}', PARAMETER)
-    best = max(series, key=lambda topic: ('measured' in topic, len(series[topic][0])))
-    return np.array(series[best][0]), np.array(series[best][1])
+    stamps, heights = map(np.array, zip(*sorted(series[best]), strict=True))
+    return stamps // SECOND + 1e-9 * (stamps % SECOND), heights
 
 
 def _first_throw(t: Floats, z: Floats) -> tuple[Floats, Floats]:

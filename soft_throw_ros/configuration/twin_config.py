@@ -27,8 +27,7 @@ from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import rig_of, RIG_PARAMETERS
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import model_for, Rig
-
-_SECOND = 1_000_000_000  # [ns]
+from soft_throw_ros.storage.message import SECOND
 
 _BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
@@ -73,7 +72,7 @@ class MeasurementConfig:
     @property
     def smoothing_window(self) -> float:
         """Length of the smoothing window [s]."""
-        return self.smoothing_window_ns / _SECOND
+        return self.smoothing_window_ns / SECOND
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +151,8 @@ class TwinConfig:
             model=model_for(rig, settings['model']),
             motion=motion,
             measurement=MeasurementConfig(
-                smoothing_window_ns=round(settings['measured.smoothing_window'] * _SECOND),
-                latency_ns=round(settings['measured.latency'] * _SECOND),
+                smoothing_window_ns=round(settings['measured.smoothing_window'] * SECOND),
+                latency_ns=round(settings['measured.latency'] * SECOND),
                 position_noise=settings['measured.position_noise'],
                 velocity_noise=settings['measured.velocity_noise'],
                 # relative to the plate's

@@ -50,13 +50,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.io import netcdf_file
 import soft_throw_ros
 from soft_throw_ros.configuration import rig_values, TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.models import model_of, MODELS
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import last_release, rig_with, throw_many
+from soft_throw_ros.storage.atomic_file import atomic_file
 
 Floats = NDArray[np.float64]
 

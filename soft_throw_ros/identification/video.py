@@ -34,10 +34,10 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from soft_throw_ros.configuration.regular_file import open_regular_file
 from soft_throw_ros.core import checks
 from soft_throw_ros.identification.spots import Picture
 from soft_throw_ros.identification.tracks import Track, TrackError
+from soft_throw_ros.storage.regular_file import open_regular_file
 
 Floats = NDArray[np.float64]
 

@@ -64,7 +64,7 @@ from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
-from soft_throw_ros.recording.cdr import JointStateReader, MessageError
+from soft_throw_ros.storage.cdr import JointStateReader, MessageError
 from soft_throw_ros.twin.results import ThrowResult
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Conversion between values and messages; `recording.cdr` encodes the messages of every tick."""
+"""Conversion between values and messages; `storage.cdr` encodes the messages of every tick."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.nodes.throw_texts import throw_text
-from soft_throw_ros.recording.bag_metadata import load_profiles
-from soft_throw_ros.recording.message import LATEST
+from soft_throw_ros.storage.bag_metadata import load_profiles
+from soft_throw_ros.storage.message import LATEST, SECOND
 from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -61,7 +61,6 @@ _PLATE = JOINTS[0]
 _STATE = 3  # position, velocity and acceleration
 _STAMP = struct.Struct('<iI')  # seconds and nanoseconds
 _HEADER_SIZE = 4  # of a serialized message, before its first field [byte]
-_SECOND = 1_000_000_000  # [ns]
 
 UNKNOWN_DEPTH = 1000
 """Queue depth of a publisher if the bag does not contain it; few middlewares report it."""
@@ -106,7 +105,7 @@ def text_to_profiles(text: str) -> list[QoSProfile]:
 
 
 def _time_to_dict(time: Duration) -> dict[str, int]:
-    return dict(zip(('sec', 'nsec'), divmod(time.nanoseconds, 10**9), strict=True))
+    return dict(zip(('sec', 'nsec'), divmod(time.nanoseconds, SECOND), strict=True))
 
 
 def _dict_to_profile(item: Mapping[str, Any]) -> QoSProfile:
@@ -118,7 +117,7 @@ def _dict_to_profile(item: Mapping[str, Any]) -> QoSProfile:
                 values[name] = known
     for name in _TIMES:
         if name in item:
-            time = int(item[name]['sec']) * 10**9 + int(item[name]['nsec'])
+            time = int(item[name]['sec']) * SECOND + int(item[name]['nsec'])
             values[name] = Duration(nanoseconds=min(time, LATEST))
     return QoSProfile(**values)
 
@@ -220,7 +219,7 @@ def encode_command(start_ns: int, motion: SampledMotion) -> bytes:
     A motion is serialized once, which takes 10 us per state; then only the stamp changes.
     """
     data = bytearray(_serialize_motion(motion))
-    _STAMP.pack_into(data, _HEADER_SIZE, *divmod(start_ns, _SECOND))
+    _STAMP.pack_into(data, _HEADER_SIZE, *divmod(start_ns, SECOND))
     return bytes(data)
 
 

@@ -28,7 +28,7 @@ from rclpy.node import Node
 from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
-from soft_throw_ros.recording.cdr import JointStateReader, JointValues, MessageError
+from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
 from soft_throw_ros.twin.plate_estimator import FARTHEST
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session

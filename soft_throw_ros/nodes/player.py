@@ -35,10 +35,10 @@ from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg, UNKN
 from soft_throw_ros.nodes.process import POLL, RunnableNode
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, wake_on_time
 from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
-from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.message import BagError, Channel, Message
 from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
 

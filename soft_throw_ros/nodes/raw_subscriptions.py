@@ -39,10 +39,10 @@ from soft_throw_ros.nodes.rclpy_internals import (
     take_messages,
 )
 from soft_throw_ros.nodes.topics import load_type, qos_profile
-from soft_throw_ros.recording.bag_metadata import dump_yaml
 from soft_throw_ros.recording.loss_counter import LossCounter
-from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
+from soft_throw_ros.storage.bag_metadata import dump_yaml
+from soft_throw_ros.storage.message import Channel, Message
 
 DEPTH = 10_000
 """Largest number of waiting messages of a topic: one second of the fastest sensor."""

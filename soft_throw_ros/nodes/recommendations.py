@@ -25,7 +25,6 @@ import zlib
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.commands.design_texts import remarks_of, summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
-from soft_throw_ros.configuration.atomic_file import atomic_file
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
@@ -37,6 +36,7 @@ from soft_throw_ros.design.recommendation import Recommendation
 from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
+from soft_throw_ros.storage.atomic_file import atomic_file
 from soft_throw_ros.twin.other_models import predict_by_other_models
 
 _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)

@@ -37,10 +37,10 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, R
 from soft_throw_ros.nodes.topics import full_name
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.cdr import decode, MessageError
 from soft_throw_ros.recording.child_process import RestartedProcess
-from soft_throw_ros.recording.message import LOSSES, Message, MISSED_BEFORE_JOIN
 from soft_throw_ros.recording.writer_thread import WriterThread
+from soft_throw_ros.storage.cdr import decode, MessageError
+from soft_throw_ros.storage.message import LOSSES, Message, MISSED_BEFORE_JOIN
 from soft_throw_ros.twin import journal
 
 DRAIN_TIME = 0.01

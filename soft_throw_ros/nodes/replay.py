@@ -26,9 +26,9 @@ from typing import Any
 
 from soft_throw_ros.commands.options import not_negative, positive
 from soft_throw_ros.commands.output import CommandParser
-from soft_throw_ros.recording.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.recording.check import check_bag, CheckError
-from soft_throw_ros.recording.message import BagError
+from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
+from soft_throw_ros.storage.message import BagError
 
 CLOCK_RATE = 40.0
 """Default rate of `/clock`. [Hz]"""

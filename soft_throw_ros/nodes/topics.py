@@ -37,7 +37,7 @@ from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import encode_command, statuses_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import close_event, open_event, take_event
-from soft_throw_ros.recording.cdr import encode_array, JointStateEncoder
+from soft_throw_ros.storage.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 

@@ -23,7 +23,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 import contextlib
 import errno
-import fcntl
 from functools import partial
 import math
 import os
@@ -37,14 +36,15 @@ from mcap.records import Chunk
 from mcap.records import Schema as SchemaRecord
 from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
-from soft_throw_ros.recording.bag_metadata import (
+from soft_throw_ros.storage.bag_lock import lock_folder
+from soft_throw_ros.storage.bag_metadata import (
     dump_yaml,
     METADATA_FILE,
     profiles_of,
     VERSION,
     write_metadata,
 )
-from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 
 CHUNK_SIZE = 256 * 2**10
 """A chunk that has grown beyond this is compressed and written. [bytes]"""
@@ -126,7 +126,7 @@ class BagWriter:
         except OSError as error:
             raise BagError(f'{folder}: {error.strerror}') from None
         # The folder is new: if somebody has it, then `is_being_written`, and only for a moment
-        self._lock = _lock(self.folder, fcntl.LOCK_EX)
+        self._lock = lock_folder(self.folder)
         self._begin_file()
         try:
             self.flush()
@@ -483,29 +483,3 @@ class _File:
             'duration': {'nanoseconds': max(self.last - self.first, 0)},
             'message_count': self.count,
         }
-
-
-def is_being_written(path: str | Path) -> bool:
-    """Return whether a `BagWriter`, in this or another process, writes the bag at a path."""
-    folder = Path(path)
-    try:
-        folder = folder if folder.is_dir() else folder.parent
-        os.close(_lock(folder, fcntl.LOCK_SH | fcntl.LOCK_NB))
-    except BlockingIOError:
-        return True
-    except OSError:
-        pass  # missing or unreadable; reading the bag raises a better error
-    return False
-
-
-def _lock(folder: Path, mode: int) -> int:
-    """Lock a folder; return the descriptor that holds the lock, where there are locks at all."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(descriptor, mode)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise
-    except OSError:
-        pass  # a file system without locks
-    return descriptor

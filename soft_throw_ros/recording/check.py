@@ -31,9 +31,6 @@ from typing import Any
 
 import numpy as np
 from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT, THROW_TOPICS, TWIN_TOPICS
-from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.cdr import decode, MessageError
-from soft_throw_ros.recording.message import BagError, LOSSES, Message, MISSED_BEFORE_JOIN
 from soft_throw_ros.recording.recorded_outputs import (
     count_missing,
     count_skipped,
@@ -41,6 +38,9 @@ from soft_throw_ros.recording.recorded_outputs import (
     RecordedStates,
     Step,
 )
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.cdr import decode, MessageError
+from soft_throw_ros.storage.message import BagError, LOSSES, Message, MISSED_BEFORE_JOIN
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session

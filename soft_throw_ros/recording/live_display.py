@@ -30,8 +30,8 @@ import time
 import rerun as rr
 from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer
-from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.rerun_view import Scene
+from soft_throw_ros.storage.message import Message
 
 LIVE_PERIOD = 1.0 / 30.0
 """Time between two updates of a viewer. [s]"""

@@ -32,7 +32,7 @@ import zlib
 from mcap import records as mcap
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording.mcap_records import (
+from soft_throw_ros.storage.mcap_records import (
     DamageError,
     Definitions,
     HEAD,
@@ -41,7 +41,7 @@ from soft_throw_ros.recording.mcap_records import (
     size_of,
     unpack,
 )
-from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import BagError, Channel, Message
 
 MAX_SEARCH = 4 * 2**30
 """Largest size of everything unpacked in search of the next whole chunk after damage. [bytes]"""

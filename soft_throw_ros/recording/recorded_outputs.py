@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.interface import JOINTS
-from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.cdr import JointStateReader, MessageError
-from soft_throw_ros.recording.message import BagError, Message
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.cdr import JointStateReader, MessageError
+from soft_throw_ros.storage.message import BagError, Message
 from soft_throw_ros.twin.journal import STATE
 from soft_throw_ros.twin.results import State
 

@@ -23,11 +23,12 @@ from pathlib import Path
 import shutil
 import zlib
 
-from soft_throw_ros.recording.bag_reader import BagFolder, unrepeated_metadata
-from soft_throw_ros.recording.bag_writer import BagWriter, is_being_written
-from soft_throw_ros.recording.mcap_records import Shared
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
-from soft_throw_ros.recording.message import BagError
+from soft_throw_ros.storage.bag_lock import is_being_written
+from soft_throw_ros.storage.bag_reader import BagFolder, unrepeated_metadata
+from soft_throw_ros.storage.mcap_records import Shared
+from soft_throw_ros.storage.message import BagError
 
 _BUFFER_SIZE = 2**20
 """Size of the unsaved messages above which they are saved. [bytes]"""

@@ -29,10 +29,10 @@ from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording import timeseries as series
-from soft_throw_ros.recording.cdr import decode
-from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.panels import RecommendationPanel, RigPicture, StrainPicture
 from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart
+from soft_throw_ros.storage.cdr import decode
+from soft_throw_ros.storage.message import Message
 
 _MILLI, _MICRO = 1e3, 1e6
 

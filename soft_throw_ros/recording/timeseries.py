@@ -35,8 +35,8 @@ from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import ENERGIES, find_topic, JOINTS, Topic, TWIN_TOPICS
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.cdr import decode, JointStateReader, JointStates, MessageError
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.storage.cdr import decode, JointStateReader, JointStates, MessageError
+from soft_throw_ros.storage.message import Message
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Floats, Phase
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule

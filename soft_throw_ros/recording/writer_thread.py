@@ -21,7 +21,7 @@ import threading
 import time
 
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import BagError, Channel, Message
 
 FLUSH_PERIOD = 0.5
 """Period of flushes, and of retries after an error of the disk. [s]"""

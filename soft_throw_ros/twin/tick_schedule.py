@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-SECOND = 1_000_000_000  # [ns]
+from soft_throw_ros.storage.message import SECOND
 
 
 @dataclass

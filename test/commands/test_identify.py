@@ -34,8 +34,8 @@ from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate
-from soft_throw_ros.recording.cdr import JointStateEncoder
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.storage.cdr import JointStateEncoder
+from soft_throw_ros.storage.message import Message
 
 SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 COMMAND = (identify.main,)

@@ -26,8 +26,8 @@ from typing import Any
 from bags import write
 import pytest
 from soft_throw_ros.commands import inspect_bag
-from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.rerun_viewer import find_viewer, free_port
+from soft_throw_ros.storage.message import Channel, Message
 from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')

@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 import pytest
 from soft_throw_ros.commands import recover
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.storage.message import Channel, Message
 
 COMMAND = (recover.main,)
 CHANNELS = [

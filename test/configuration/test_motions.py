@@ -21,8 +21,8 @@ from soft_throw_ros.configuration import motions, ParameterError, rig_of, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.cdr import JointStateEncoder
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.storage.cdr import JointStateEncoder
+from soft_throw_ros.storage.message import Message
 
 PLATE = Underdamped.of(Rig().engine)
 TIMES = np.arange(0.0, 0.1, 2e-4)
@@ -120,6 +120,18 @@ def test_bag_holds_the_motion_of_its_first_throw(tmp_path):
         stamp = BEGIN + round(1e9 * time)
         data = encoder.encode(stamp, (height, 0.02, 0.0, 0.0, 0.0, 0.0))
         messages.append(Message(topic, data, stamp, stamp))
-    motion = motions.read(write_bag(tmp_path / 'bag', messages))
+    folder = write_bag(tmp_path / 'bag', messages)
+    motion = motions.read(folder)
     assert motion.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-3)
     assert motion.end_time < 0.9
+
+
+def test_bag_without_an_end_is_refused_with_the_remedy(tmp_path):
+    topic = channel('/twin/measured_joint_states', 'sensor_msgs/msg/JointState')
+    data = JointStateEncoder('rig', ('plate',), series=1).encode(BEGIN, (0.0,))
+    folder = write_bag(tmp_path / 'bag', [Message(topic, data, BEGIN, BEGIN)])
+    (path,) = folder.glob('*.mcap')
+    path.write_bytes(path.read_bytes()[:-20])
+    for name in (folder, path):
+        with pytest.raises(ParameterError, match='bag_0.mcap: .*soft-throw recover'):
+            motions.read(name)

@@ -32,9 +32,9 @@ from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import identify, recover
 from soft_throw_ros.configuration.interface import FRAME, JOINTS
 from soft_throw_ros.nodes import replay
-from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.cdr import JointStateEncoder, JointStateReader, MessageError
-from soft_throw_ros.recording.message import BagError
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader, MessageError
+from soft_throw_ros.storage.message import BagError
 from twin_messages import TwinMessages
 
 COMPRESSIONS = ('none', 'lz4', 'zstd')

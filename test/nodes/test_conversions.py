@@ -34,7 +34,7 @@ from soft_throw_ros.nodes.conversions import (
     throw_result_to_msg,
 )
 from soft_throw_ros.nodes.topics import qos_profile
-from soft_throw_ros.recording.bag_metadata import dump_yaml
+from soft_throw_ros.storage.bag_metadata import dump_yaml
 from soft_throw_ros.twin.results import Comparison, Release, ThrowResult
 
 RESULT = ThrowResult(

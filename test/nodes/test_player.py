@@ -31,9 +31,9 @@ from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_SERVICES, resolve
 from soft_throw_ros.nodes.conversions import msg_to_time
 from soft_throw_ros.nodes.player import Player
-from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.message import Channel, Message
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.message import Channel, Message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 

@@ -33,7 +33,7 @@ from soft_throw_ros.nodes.raw_subscriptions import (
     RawSubscriptions,
 )
 from soft_throw_ros.nodes.topics import load_type, qos_profile
-from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.storage.message import Channel, Message
 from std_msgs.msg import String
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

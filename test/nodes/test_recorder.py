@@ -38,7 +38,7 @@ from soft_throw_ros.nodes.recorder import Recorder, viewer_hint
 from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording import child_process, writer_thread
-from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.storage.bag_reader import BagReader
 from std_msgs.msg import String
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)

@@ -31,7 +31,7 @@ from bags import saved
 import pytest
 from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
-from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.storage.bag_reader import BagReader
 from stopping import stop
 
 PUBLISHER = """

@@ -27,7 +27,7 @@ import pytest
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 from soft_throw_ros.nodes.replay import main
-from soft_throw_ros.recording.message import Message
+from soft_throw_ros.storage.message import Message
 from std_srvs.srv import Trigger
 from stopping import stop
 from twin_messages import TwinMessages

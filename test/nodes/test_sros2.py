@@ -32,7 +32,7 @@ from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.player import Player
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.viewer import Viewer
-from soft_throw_ros.recording.bag_reader import BagReader
+from soft_throw_ros.storage.bag_reader import BagReader
 
 etree = pytest.importorskip('lxml.etree')  # supports XInclude, like sros2
 

@@ -31,8 +31,8 @@ from soft_throw_ros.configuration.interface import find_topic, VIEWER_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.topics import load_type, qos_profile
 from soft_throw_ros.nodes.viewer import Viewer
-from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.rerun_viewer import free_port, url_of
+from soft_throw_ros.storage.message import Message
 from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')

@@ -29,10 +29,10 @@ from typing import Any
 from bags import attachments, BEGIN, channel, text
 import pytest
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.cdr import JointStateEncoder
-from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.cdr import JointStateEncoder
+from soft_throw_ros.storage.message import Channel, Message
 
 TIMEOUT = 60.0  # reached only when something is wrong [s]
 TYPES = get_typestore(Stores.ROS2_JAZZY)

@@ -28,10 +28,10 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import parse_qos
-from soft_throw_ros.recording.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
-from soft_throw_ros.recording.message import BagError, Channel, Message
 from soft_throw_ros.recording.recovery import recover
+from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
+from soft_throw_ros.storage.message import BagError, Channel, Message
 
 
 @settings(max_examples=50)

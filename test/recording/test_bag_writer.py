@@ -26,10 +26,11 @@ import pytest
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader as RosbagsReader
 from rosbags.rosbag2.metadata import parse_qos
-from soft_throw_ros.recording.bag_reader import BagReader
-from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE, is_being_written
-from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
+from soft_throw_ros.storage.bag_lock import is_being_written
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 import yaml
 
 

@@ -32,11 +32,11 @@ from soft_throw_ros.configuration.interface import JOINTS, THROW_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import check as recording_check
 from soft_throw_ros.recording import recorded_outputs
-from soft_throw_ros.recording.bag_reader import BagReader
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.cdr import JointStateEncoder
 from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult, Count
-from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.storage.bag_reader import BagReader
+from soft_throw_ros.storage.cdr import JointStateEncoder
+from soft_throw_ros.storage.message import BagError, Channel, Message
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule

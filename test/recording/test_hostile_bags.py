@@ -32,19 +32,19 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 import pytest
 from soft_throw_ros.nodes.conversions import text_to_profiles
-from soft_throw_ros.recording import mcap_records
-from soft_throw_ros.recording.bag_metadata import (
+from soft_throw_ros.recording.recovery import recover
+from soft_throw_ros.storage import mcap_records
+from soft_throw_ros.storage.bag_metadata import (
     load_profiles,
     MAX_FILE_SIZE,
     MAX_PROFILES_SIZE,
     profiles_of,
 )
-from soft_throw_ros.recording.bag_reader import BagReader, UnfinishedError
-from soft_throw_ros.recording.cdr import decode, MAX_SCHEMA, MessageError
-from soft_throw_ros.recording.mcap_records import MAX_RECORD
-from soft_throw_ros.recording.message import BagError, Message
-from soft_throw_ros.recording.message import Channel as Topic
-from soft_throw_ros.recording.recovery import recover
+from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
+from soft_throw_ros.storage.cdr import decode, MAX_SCHEMA, MessageError
+from soft_throw_ros.storage.mcap_records import MAX_RECORD
+from soft_throw_ros.storage.message import BagError, Message
+from soft_throw_ros.storage.message import Channel as Topic
 import zstandard
 
 PEAK = 200_000_000
@@ -180,7 +180,7 @@ def test_bag_needs_no_more_memory_than_the_limit(tmp_path, monkeypatch) -> None:
 
 
 def test_chunks_of_equal_time_need_no_more_memory_than_the_limit(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr('soft_throw_ros.recording.bag_reader.MAX_KEPT', 100_000)
+    monkeypatch.setattr('soft_throw_ros.storage.bag_reader.MAX_KEPT', 100_000)
     talk = channel('/talk')
     messages = [Message(talk, text('x' * 1000), time % 2, 0) for time in range(400)]
     path = write(tmp_path / 'bag', messages, chunk=10)

@@ -27,10 +27,10 @@ from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
 import pytest
 from rosbags.rosbag2 import Reader as RosbagsReader
-from soft_throw_ros.recording.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import BagError
 from soft_throw_ros.recording.recovery import recover
+from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
+from soft_throw_ros.storage.message import BagError
 
 ROOT = Path(__file__).parents[2]
 
@@ -64,7 +64,7 @@ KILLED = """
 import mmap, os, random, signal, sys, time
 from pathlib import Path
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.storage.message import Channel, Message
 
 texts = Channel(topic='/text', type='std_msgs/msg/String', schema='string data')
 text = b'\\0\\1\\0\\0' + (1000).to_bytes(4, 'little') + b'x' * 999 + b'\\0'

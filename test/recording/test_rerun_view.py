@@ -26,10 +26,10 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.cdr import JointStateEncoder
-from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.rerun_viewer import free_port
 from soft_throw_ros.recording.timeseries import find_throws
+from soft_throw_ros.storage.cdr import JointStateEncoder
+from soft_throw_ros.storage.message import Message
 from twin_messages import TwinMessages
 
 rr = pytest.importorskip('rerun')

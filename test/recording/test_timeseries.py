@@ -25,7 +25,6 @@ import pytest
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.timeseries import (
     DECODING_ERRORS,
     find_throws,
@@ -35,6 +34,7 @@ from soft_throw_ros.recording.timeseries import (
     StrainField,
     TwinReader,
 )
+from soft_throw_ros.storage.message import Message
 from twin_messages import TwinMessages
 
 

@@ -23,8 +23,8 @@ from typing import Any
 from bags import saved
 from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.message import Message
 from soft_throw_ros.recording.writer_thread import WriterThread
+from soft_throw_ros.storage.message import Message
 
 
 def thread(path: Path, bag: Any = BagWriter, capacity: int = 10**7) -> WriterThread:

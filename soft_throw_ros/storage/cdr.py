@@ -33,9 +33,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.recording.message import Message
-from soft_throw_ros.twin.results import Floats
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.storage.message import Message, SECOND
+
+Floats = NDArray[np.float64]
 
 _HEADER = b'\x00\x01\x00\x00'
 """CDR, little endian, no options."""

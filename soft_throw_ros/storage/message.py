@@ -18,6 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+SECOND = 1_000_000_000  # [ns]
+
 LATEST = 2**63 - 1
 """The latest time that ROS knows. [ns]"""
 

@@ -20,14 +20,14 @@ import math
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.recording.cdr import (
+from soft_throw_ros.storage.cdr import (
     decode,
     encode_array,
     JointStateEncoder,
     JointStateReader,
     MessageError,
 )
-from soft_throw_ros.recording.message import Channel, Message
+from soft_throw_ros.storage.message import Channel, Message
 from soft_throw_ros.twin.results import State
 
 STATE = State(1e-3, 0.0168, -0.25, 1.25, -math.pi, math.pi)

@@ -20,10 +20,10 @@ import pytest
 from soft_throw_ros.commands.identify_input import _read_csv
 from soft_throw_ros.configuration import files, motions, ParameterError
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.regular_file import open_regular_file, read_regular_file
 from soft_throw_ros.identification.fit_description import FitDescription
 from soft_throw_ros.identification.video import read_pictures
-from soft_throw_ros.recording.bag_metadata import read_metadata
+from soft_throw_ros.storage.bag_metadata import read_metadata
+from soft_throw_ros.storage.regular_file import open_regular_file, read_regular_file
 
 READERS = {
     'library': library,

@@ -21,8 +21,8 @@ from pathlib import Path
 import re
 from typing import Any
 
-from soft_throw_ros.configuration.atomic_file import atomic_file
-from soft_throw_ros.configuration.regular_file import read_regular_file
+from soft_throw_ros.storage.atomic_file import atomic_file
+from soft_throw_ros.storage.regular_file import read_regular_file
 import yaml
 
 METADATA_FILE = 'metadata.yaml'

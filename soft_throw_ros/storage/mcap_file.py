@@ -29,7 +29,7 @@ import zlib
 from mcap import records as mcap
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording.mcap_records import (
+from soft_throw_ros.storage.mcap_records import (
     DamageError,
     Definitions,
     LIBRARY_ERRORS,
@@ -39,7 +39,7 @@ from soft_throw_ros.recording.mcap_records import (
     size_of,
     unpack,
 )
-from soft_throw_ros.recording.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import BagError, Channel, Message
 
 MAX_INDEX = 15 * 2**20
 """Largest size of the index at the end of a file [bytes]: a day of a twin."""

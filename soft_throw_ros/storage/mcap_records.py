@@ -34,7 +34,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.recording.message import BagError, Channel, LATEST, Message, OVERHEAD
+from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message, OVERHEAD
 import zstandard
 
 MAX_RECORD = 64 * 2**20
