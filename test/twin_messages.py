@@ -78,7 +78,8 @@ class TwinMessages(Run):
         ).encode
         self._encode_layer = JointStateEncoder(FRAME, LAYER_JOINTS).encode_arrays
         super().__init__(**request)
-        self._advise(self.settings)
+        self._wanted = self.settings
+        self._advise(self._wanted)
 
     def go(self, steps: int) -> TwinMessages:
         """Advance a number of steps."""
@@ -109,8 +110,10 @@ class TwinMessages(Run):
 
     def change(self, **request: Any) -> None:
         """Change settings."""
-        self.session.change(named(request))
-        self._advise(self.session.wanted)
+        changes = named(request)
+        self.session.change(changes)
+        self._wanted = {**self._wanted, **changes}
+        self._advise(self._wanted)
 
     def _channel(self, name: str, kind: str) -> Channel:
         schema = find_schema(kind, [sys.prefix])

@@ -77,25 +77,6 @@ RIG = Table(
 )
 """The parameters of the rig; parameters shared with the twin have the same meaning."""
 
-_OF_SENSORS = (
-    'outlier_rate', 'outlier_size', 'missing_rate', 'stamp_error', 'rounding', 'drift',
-    'projectile_scale', 'projectile_delay',
-)
-_OF_RIG = ('ringing', 'second_mode', 'second_mode_frequency', 'stiffening', 'sticking')
-
-
-def sensor_faults_of(settings: Settings) -> dict[str, float]:
-    """Return the faults of the sensors as arguments of `SensorFaults`."""
-    return {name: settings[name] for name in ('noise', 'jitter')} | {
-        name: settings[f'faults.{name}'] for name in _OF_SENSORS
-    }
-
-
-def imperfections_of(settings: Settings) -> dict[str, float]:
-    """Return the effects outside of the models as arguments of `Imperfections`."""
-    return {name: settings[f'faults.{name}'] for name in _OF_RIG}
-
-
 CALIBRATOR = Table(
     node='calibrator',
     entries=(

@@ -22,6 +22,7 @@ import math
 from typing import Any
 
 from soft_throw_ros.configuration import motions
+from soft_throw_ros.configuration.interface_numbers import RECOMMENDED_NUMBERS
 from soft_throw_ros.configuration.layers import (
     BOUNDS,
     CUSTOM,
@@ -107,6 +108,13 @@ MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
     'measured': _engine,
 }
 """Motions of the plate, each with the function that makes the engine of complete settings."""
+
+_RECOMMENDED = (
+    'thickness', 'wave_speed', 'density', 'youngs_modulus', 'loss_tangent', 'mass_ratio',
+    'speed_ratio', 'ejection_time', 'ejection_speed', 'energy_transfer', 'peak_strain',
+    'peak_acceleration', 'peak_plate_force', 'plate_work', 'score', 'amplitude',
+)
+"""Numbers of a recommendation that are parameters, too."""
 
 _ENTRIES = (
     row('engine.motion', 'underdamped',
@@ -271,25 +279,11 @@ _ENTRIES = (
         'How fast the projectile is to leave when aiming; 0 aims at a height',
         unit='m/s', low=1e-3, high=200.0, or_zero=True),
     row('recommended.layer', '', 'Layer to pick from the library'),
-    row('recommended.thickness', math.nan, 'Best thickness', unit='m'),
-    row('recommended.wave_speed', math.nan, 'Best wave speed', unit='m/s'),
-    row('recommended.density', math.nan, 'Density of the best layer', unit='kg/m3'),
-    row('recommended.youngs_modulus', math.nan, 'Modulus of the best layer', unit='Pa'),
-    row('recommended.loss_tangent', math.nan, 'Loss tangent of the best layer'),
-    row('recommended.amplitude', math.nan, 'Amplitude that reaches the target', unit='m'),
-    row('recommended.mass_ratio', math.nan, 'Projectile over layer mass, mu, of the best layer'),
-    row('recommended.speed_ratio', math.nan, 'c_s / (L_s f), kappa, of the best layer'),
-    row('recommended.energy_transfer', math.nan, 'Energy transfer factor alpha it gives'),
-    row('recommended.score', math.nan, 'Energy transfer factor that counts for the objective'),
-    row('recommended.ejection_time', math.nan, 'Ejection time t_e it gives', unit='s'),
-    row('recommended.ejection_speed', math.nan, 'Ejection speed V_e it gives', unit='m/s'),
-    row('recommended.peak_strain', math.nan,
-        'Largest strain of the layer up to the first release'),
-    row('recommended.peak_acceleration', math.nan,
-        'Largest acceleration of the projectile up to the first release', unit='m/s2'),
-    row('recommended.peak_plate_force', math.nan,
-        'Largest force on the plate up to the first release', unit='N'),
-    row('recommended.plate_work', math.nan, 'Work of the plate up to the first release', unit='J'),
+    *(
+        row(f'recommended.{number.name}', math.nan, number.meaning, unit=number.unit)
+        for number in RECOMMENDED_NUMBERS
+        if number.name in _RECOMMENDED
+    ),
 )
 
 

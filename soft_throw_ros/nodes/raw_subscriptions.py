@@ -169,11 +169,6 @@ class RawSubscriptions:
     is_accepted : callable, optional
         Returns for the name and type of a requested topic whether to subscribe.
 
-    Attributes
-    ----------
-    refused : dict of str to str
-        Topics that cannot be had, and why.
-
     """
 
     def __init__(
@@ -183,7 +178,7 @@ class RawSubscriptions:
         *,
         is_accepted: Callable[[str, str], bool] = lambda _topic, _type: True,
     ) -> None:
-        self.refused: dict[str, str] = {}
+        self._refused: set[str] = set()
         self._is_accepted = is_accepted
         self._node = node
         self._wanted = wanted
@@ -192,11 +187,11 @@ class RawSubscriptions:
     def __iter__(self) -> Iterator[RawSubscription]:
         return iter(list(self._subscriptions.values()))
 
-    def discover(self) -> list[str]:
-        """Subscribe to all requested topics that exist; return the newly refused topics."""
-        refused = []
+    def discover(self) -> dict[str, str]:
+        """Subscribe to all requested topics that exist; return newly refused ones with reasons."""
+        refused = {}
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self.refused or not is_wanted(topic, self._wanted):
+            if topic in self._refused or not is_wanted(topic, self._wanted):
                 continue
             if not any(self._is_accepted(topic, type_name) for type_name in types):
                 continue
@@ -206,8 +201,8 @@ class RawSubscriptions:
                 try:
                     self._subscriptions[topic] = self._subscribe(topic, types, publishers)
                 except (ImportError, SchemaError, ValueError) as error:
-                    self.refused[topic] = str(error)
-                    refused.append(topic)
+                    refused[topic] = str(error)
+        self._refused |= refused.keys()
         return refused
 
     def drain(self) -> list[Message]:

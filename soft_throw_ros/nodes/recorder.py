@@ -153,8 +153,7 @@ class Recorder(RunnableNode):
     def _on_discovery(self) -> None:
         recording = self.recording
         if recording is not None:
-            for topic in recording.subscriptions.discover():
-                reason = recording.subscriptions.refused[topic]
+            for topic, reason in recording.subscriptions.discover().items():
                 self.get_logger().warning(f'{topic} is not recorded: {reason}')
             if recording.viewer is not None:
                 recording.viewer.check()

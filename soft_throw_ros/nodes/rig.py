@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -23,7 +24,7 @@ import numpy as np
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
-from soft_throw_ros.configuration.rig import imperfections_of, RIG, sensor_faults_of, to_twin
+from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
@@ -78,7 +79,7 @@ class SimulatedRig(RealTimeNode):
         settings = self.parameters.settings
         self._played = self.parameters.checked.settings
         self.load_kernels(self._played)
-        self._faults = SensorFaults(**sensor_faults_of(settings))
+        self._faults = _faults_of(SensorFaults, settings)
         self._deviations = self._next_deviations = self._find_deviations()
         self.attach_session(Session(self._played))
         create_subscription(self, RIG_TOPICS.plate_trajectory, self._on_trajectory)
@@ -143,7 +144,7 @@ class SimulatedRig(RealTimeNode):
     def _on_changed(self, _changes: Settings) -> None:
         settings = self.parameters.settings
         before, self._played = self._played, self.parameters.checked.settings
-        self._faults = SensorFaults(**sensor_faults_of(settings))
+        self._faults = _faults_of(SensorFaults, settings)
         deviations = self._find_deviations()
         changes = {name: value for name, value in self._played.items() if value != before[name]}
         if self._motion is None:
@@ -182,10 +183,16 @@ class SimulatedRig(RealTimeNode):
 
     def _find_deviations(self) -> Deviations | None:
         """Return the effect of the imperfections, computed in about 0.1 s; None without any."""
-        imperfections = Imperfections(**imperfections_of(self.parameters.settings))
+        imperfections = _faults_of(Imperfections, self.parameters.settings)
         if not imperfections.are_present:
             return None
         return Deviations(self.parameters.checked.rig, imperfections)
+
+
+def _faults_of(kind: Any, settings: Settings) -> Any:
+    """Make faults of a kind by the parameters with the names of its fields."""
+    values = {name.removeprefix('faults.'): value for name, value in settings.items()}
+    return kind(**{item.name: values[item.name] for item in fields(kind) if item.name in values})
 
 
 def _are_equal(motion: SampledMotion, other: SampledMotion | None) -> bool:

@@ -105,8 +105,7 @@ class Viewer(RunnableNode):
         self.get_logger().info(text)
 
     def _discover(self) -> None:
-        for topic in self.raw_subscriptions.discover():
-            reason = self.raw_subscriptions.refused[topic]
+        for topic, reason in self.raw_subscriptions.discover().items():
             self.get_logger().warning(f'{topic} is not shown: {reason}')
 
     def _drain(self) -> None:

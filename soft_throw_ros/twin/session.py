@@ -154,11 +154,6 @@ class Session:
         return self._staged.pending
 
     @property
-    def wanted(self) -> Settings:
-        """All settings, including pending changes."""
-        return self._staged.wanted.settings
-
-    @property
     def is_measured(self) -> bool:
         """Whether the plate is measured."""
         return self._cycle.monitor is not None

@@ -133,5 +133,5 @@ def test_bag_without_an_end_is_refused_with_the_remedy(tmp_path):
     (path,) = folder.glob('*.mcap')
     path.write_bytes(path.read_bytes()[:-20])
     for name in (folder, path):
-        with pytest.raises(ParameterError, match='bag_0.mcap: .*soft-throw recover'):
+        with pytest.raises(ParameterError, match=r'bag_0\.mcap: .*soft-throw recover'):
             motions.read(name)
