@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
-from importlib import resources
 from itertools import pairwise
 import math
 from pathlib import Path
@@ -53,11 +52,6 @@ class Source(NamedTuple):
     value: Any = None
     """The value in a file; None for an argument, which ROS parses."""
     in_file: bool = True
-
-
-def default_file(table: Table = TWIN) -> Path:
-    """Return the path of the file with a table's defaults, installed with the package."""
-    return Path(str(resources.files('soft_throw_ros') / 'config' / f'{table.node}.yaml'))
 
 
 def print_warning(text: str) -> None:

@@ -46,8 +46,8 @@ _RELEASE = {
 }
 """Meaning and unit of the numbers of a release."""
 
-_MODELS = ('spring_mass', 'travelling_wave', 'cells_elastic', 'cells_glued')
-"""Models that predict the same throw, except the model of the twin."""
+OTHER_MODELS = ('spring_mass', 'travelling_wave', 'cells_elastic', 'cells_glued')
+"""Models that predict the same throw, except the model of the twin, in the order of results."""
 
 _OTHER_THROWS = {
     'now': 'the present layer and motion',
@@ -92,7 +92,7 @@ THROW_NUMBERS = (
            'uncertainties', is_repeatable=False),
     *(
         Number(f'{model}.{name}', f'{meaning}, by the model {model}', unit, is_repeatable=False)
-        for model in _MODELS
+        for model in OTHER_MODELS
         for name, (meaning, unit) in _RELEASE.items()
     ),
     Number('last_ejection_time', 'Time from the start of the throw to the last release before the '

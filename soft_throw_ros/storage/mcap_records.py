@@ -25,6 +25,7 @@ from io import BytesIO
 import os
 from pathlib import Path
 import struct
+import sys
 from typing import Any, BinaryIO
 import zlib
 
@@ -35,6 +36,7 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message, OVERHEAD
+from soft_throw_ros.storage.regular_file import open_regular_file
 import zstandard
 
 MAX_RECORD = 64 * 2**20
@@ -256,10 +258,8 @@ def _check_record_count(data: bytes) -> None:
 
 def _open(path: Path, *, is_lenient: bool) -> BinaryIO:
     """Open an MCAP file; raise BagError for files of other formats."""
-    if path.exists() and not path.is_file():
-        raise BagError(f'{path} is no file')
     try:
-        stream = path.open('rb')
+        stream = open_regular_file(path, max_bytes=sys.maxsize)
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
     begin = stream.read(16)

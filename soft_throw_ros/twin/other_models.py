@@ -17,15 +17,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from soft_throw_ros.configuration.interface_numbers import OTHER_MODELS
 from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.rig import model_for, Rig
 from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.twin.results import Release
-
-_COMPARED = (
-    'spring_mass', 'travelling_wave', 'cells_elastic', 'cells_glued'
-)
-"""Names of the models that predict, in the order of the results."""
 
 _CELLS = 64
 """Number of cells of the models with cells."""
@@ -39,7 +35,7 @@ def predict_by_other_models(rig: Rig, model: str) -> dict[str, Release | None]:
     """Predict the release by the other applicable models; None without a release."""
     return {
         name: _first_release(rig, name)
-        for name in _COMPARED
+        for name in OTHER_MODELS
         if name != model
         and name == model_for(rig, name)
         and (MODELS[name].batch != 'cells' or rig.speed_ratio <= _MAX_SPEED_RATIO)

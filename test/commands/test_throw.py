@@ -21,7 +21,8 @@ import sys
 
 import pytest
 from soft_throw_ros.commands import throw
-from soft_throw_ros.configuration import files, LAYERS
+from soft_throw_ros.configuration import LAYERS
+from soft_throw_ros.configuration.layers import default_file
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Layer, Rig
@@ -123,7 +124,8 @@ def test_options_replace_values_of_the_file(command, write):
     assert printed['layer.thickness'] == LAYERS['gelatin_2.0mm']['layer.thickness']
     printed = command.json('--config', path, '--thickness', 0.01, *EXACT)['parameters']
     assert (printed['layer.name'], printed['layer.thickness']) == ('custom', 0.01)
-    assert command.run('--config', files.default_file(), *EXACT) == command.run(*EXACT)
+    defaults = default_file().with_name('twin.yaml')
+    assert command.run('--config', defaults, *EXACT) == command.run(*EXACT)
 
 
 @pytest.mark.parametrize(

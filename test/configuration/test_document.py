@@ -14,7 +14,8 @@
 from pathlib import Path
 
 import pytest
-from soft_throw_ros.configuration import document, files
+from soft_throw_ros.configuration import document
+from soft_throw_ros.configuration.layers import default_file
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,5 +28,5 @@ def test_document_is_current(path: str, text: str) -> None:
 
 @pytest.mark.parametrize('name', ['twin', 'recorder', 'layers'])
 def test_installed_file_is_the_one_in_config(name) -> None:
-    installed = files.default_file().with_name(f'{name}.yaml')
+    installed = default_file().with_name(f'{name}.yaml')
     assert installed.read_bytes() == (ROOT / f'config/{name}.yaml').read_bytes()

@@ -18,7 +18,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import files, LAYERS, ParameterError, RECORDER, TWIN
+from soft_throw_ros.configuration import files, LAYERS, layers, ParameterError, RECORDER, TWIN
 import yaml
 
 
@@ -38,7 +38,7 @@ def start(arguments: list[str]) -> dict[str, Any]:
 
 @pytest.mark.parametrize('table', [TWIN, RECORDER], ids=lambda table: table.node)
 def test_installed_file_gives_the_defaults(table: Any) -> None:
-    path = files.default_file(table)
+    path = layers.default_file().with_name(f'{table.node}.yaml')
     assert files.read(path, node=f'/rig1/{table.node}', table=table) == table.defaults()
 
 
@@ -156,7 +156,7 @@ def test_texts_are_written_so_that_they_are_read_back(tmp_path: Path, text: str)
 
 
 def test_arguments_are_one_request_after_the_file(write: Any) -> None:
-    path = str(files.default_file())
+    path = str(layers.default_file().with_name('twin.yaml'))
     named = start(['twin', '--ros-args', '--params-file', path, '-p', 'layer.name:=gelatin_2.0mm'])
     assert named == {**TWIN.defaults(), 'layer.name': 'gelatin_2.0mm', **LAYERS['gelatin_2.0mm']}
     thick = start(['--ros-args', '--params-file', path, '--param', 'twin:layer.thickness:=1e-2'])

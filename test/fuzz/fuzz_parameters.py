@@ -32,7 +32,8 @@ from soft_throw_ros.configuration.table import ParameterError, quote
 from soft_throw_ros.twin.session import Session
 
 TABLES = (TWIN, RECORDER, VIEWER, RIG, CALIBRATOR)
-FILES = (files.default_file(TWIN), *sorted(files.default_file().parent.glob('*.yaml')))
+DEFAULTS = layers.default_file().with_name('twin.yaml')
+FILES = (DEFAULTS, *sorted(DEFAULTS.parent.glob('*.yaml')))
 
 
 def assert_valid(table: Table, settings: Settings) -> None:

@@ -23,6 +23,7 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import files, ParameterError, RECORDER, Table, TWIN
+from soft_throw_ros.configuration.layers import default_file
 from soft_throw_ros.nodes.parameters import MAX_REQUEST, NodeParameters, shown
 from soft_throw_ros.nodes.process import RunnableNode
 import yaml
@@ -225,7 +226,7 @@ def test_texts_lists_and_switches_are_parameters_too(ros) -> None:
 
 
 def test_start_prefers_arguments_to_a_file(start) -> None:
-    path = str(files.default_file())
+    path = str(default_file().with_name('twin.yaml'))
     twin = start(
         '--params-file', path, '-p', 'gravity:=0', '-p', 'layer.thickness:=0.01',
         '-p', 'use_sim_time:=true', '-p', 'qos_overrides./twin/text.publisher.depth:=7',
