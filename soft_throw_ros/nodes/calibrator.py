@@ -159,7 +159,7 @@ class Calibrator(RunnableNode):
                         self._on_measured_throw(result)
                     elif result.accuracy is None:
                         self._on_commanded_throw(result, msg_to_time(msg.header.stamp))
-                except TrackError as error:
+                except ValueError as error:  # of the tracks, or of a command
                     self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
 
     def _on_measured_throw(self, result: ThrowResult) -> None:

@@ -193,10 +193,11 @@ def _value(text: str) -> Scalar:
     return text if number is None else number
 
 
-def motion_to_msg(start_ns: int, motion: SampledMotion) -> JointTrajectory:
-    """Return a motion of the plate that starts at a time [ns]."""
-    return JointTrajectory(
-        header=Header(stamp=time_to_msg(start_ns), frame_id=FRAME),
+@lru_cache(maxsize=4)
+def _serialize_motion(motion: SampledMotion) -> bytes:
+    """Return the serialized message of a motion of the plate that starts at time 0."""
+    message = JointTrajectory(
+        header=Header(frame_id=FRAME),
         joint_names=[_PLATE],
         points=[
             JointTrajectoryPoint(
@@ -205,11 +206,7 @@ def motion_to_msg(start_ns: int, motion: SampledMotion) -> JointTrajectory:
             for point in trajectory_points(motion)
         ],
     )
-
-
-@lru_cache(maxsize=4)
-def _serialize_motion(motion: SampledMotion) -> bytes:
-    return bytes(serialize_message(motion_to_msg(0, motion)))
+    return bytes(serialize_message(message))
 
 
 def encode_command(start_ns: int, motion: SampledMotion) -> bytes:
