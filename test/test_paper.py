@@ -170,7 +170,7 @@ TABLE = {
 
 def test_table_has_the_numbers_of_the_paper_and_ours():
     rows = {row.quantity: row for row in comparison.published()}
-    assert {name: row.paper.text for name, row in rows.items()} == {
+    assert {name: row.paper for name, row in rows.items()} == {
         name: paper for name, (paper, _, _) in TABLE.items()
     }
     for name, (_, ours, tolerance) in TABLE.items():

@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 import functools
 import math
-from typing import NamedTuple
 
 from fits import SLOPE
 import limits
@@ -56,21 +55,6 @@ _NEARLY_LIGHT = 0.02
 """The same for cells, whose time step decreases with the mass of the projectile. [-]"""
 
 
-class Published(NamedTuple):
-    """A printed text, the range of values that it allows, and its number if it is one."""
-
-    text: str
-    low: float
-    high: float
-    value: float | None = None
-
-
-def printed(digits: str) -> Published:
-    """Return a printed number, exact to half a unit of its last digit."""
-    value, half = float(digits), 0.5 * 10.0 ** -len(digits.partition('.')[2])
-    return Published(digits, value - half, value + half, value)
-
-
 @dataclass(frozen=True)
 class Row:
     """A quantity of the paper."""
@@ -78,25 +62,39 @@ class Row:
     quantity: str
     where: str
     """Section or figure of the paper."""
-    paper: Published
+    paper: str
+    """Text of the paper: a number, exact to half a unit of its last digit, or another text."""
     ours: float | tuple[float, float]
     """Computed value, or smallest and largest computed value."""
     digits: int
     """Number of decimals of `ours` in the table."""
     why: str = ''
     """Reason of a difference, or a remark."""
+    allowed: float | tuple[float, float] | None = None
+    """Result of a formula, or smallest and largest value that another text allows."""
 
     @property
     def agrees(self) -> bool:
         """Whether all computed values are in the range of the paper."""
-        return bool(self.paper.low <= np.min(self.ours) and np.max(self.ours) <= self.paper.high)
+        if isinstance(self.allowed, tuple):
+            low, high = self.allowed
+        else:
+            digits = self.digits if self.allowed else len(self.paper.partition('.')[2])
+            value = self.allowed or float(self.paper)
+            low, high = value - 0.5 * 10.0**-digits, value + 0.5 * 10.0**-digits
+        return bool(low <= np.min(self.ours) and np.max(self.ours) <= high)
 
     @property
-    def difference(self) -> float | None:
-        """Computed minus printed value, if both are one number."""
-        if isinstance(self.ours, tuple) or self.paper.value is None:
-            return None
-        return self.ours - self.paper.value
+    def cells(self) -> tuple[str, ...]:
+        """Texts of the row of the table: quantity, section, paper, ours, difference and reason."""
+        values = self.ours if isinstance(self.ours, tuple) else (self.ours,)
+        ours = ' to '.join(f'{value:.{self.digits}f}' for value in values)
+        difference = 'within' if self.agrees else 'beyond'
+        if not isinstance(self.allowed, tuple):
+            number = round(values[0] - (self.allowed or float(self.paper)), self.digits)
+            difference = f'{number:+.{self.digits}f}' if number else '0'
+        why = '; '.join(filter(None, ('as printed' if self.agrees else '', self.why)))
+        return self.quantity, self.where, self.paper, ours, difference, why
 
 
 @functools.lru_cache(maxsize=1)
@@ -115,16 +113,16 @@ def _optimum() -> tuple[Row, ...]:
     mixed = '8.4 = 6.7/0.8 is of equal densities, 0.32 = 1.3 x 0.25 of a ratio of 1.3'
     crossings = best.ejection_phase * best.speed_ratio
     return (
-        Row('best x = L_s/(L_s + L_r)', 'Sec. III, Figs. 3, 4', printed('0.8'), x, 4,
+        Row('best x = L_s/(L_s + L_r)', 'Sec. III, Figs. 3, 4', '0.8', x, 4,
             f'equal densities; {x_rig:.4f} for the 1.3 of the rig'),
-        Row('best C = c_s/(L_s + L_r)f', 'Sec. III, Figs. 3, 4', printed('6.7'),
+        Row('best C = c_s/(L_s + L_r)f', 'Sec. III, Figs. 3, 4', '6.7',
             x * best.speed_ratio, 3,
             f'equal densities; {x_rig * best.speed_ratio:.3f} for the 1.3 of the rig'),
-        Row('largest alpha', 'Sec. III, Figs. 3, 4', printed('4.12'), best.energy_transfer, 4),
-        Row('its t_e/t_s', 'Sec. IV B', Published('between 3 and 5', 3.0, 5.0), crossings, 4),
-        Row('its m/(rho_s S L_s)', 'Sec. III', printed('0.32'), best.mass_ratio, 4, mixed),
-        Row('its c_s/(L_s f)', 'Sec. III', printed('8.4'), best.speed_ratio, 4, mixed),
-        Row('alpha at these two, (0.32, 8.4)', 'Sec. III', printed('4.12'),
+        Row('largest alpha', 'Sec. III, Figs. 3, 4', '4.12', best.energy_transfer, 4),
+        Row('its t_e/t_s', 'Sec. IV B', 'between 3 and 5', crossings, 4, allowed=(3.0, 5.0)),
+        Row('its m/(rho_s S L_s)', 'Sec. III', '0.32', best.mass_ratio, 4, mixed),
+        Row('its c_s/(L_s f)', 'Sec. III', '8.4', best.speed_ratio, 4, mixed),
+        Row('alpha at these two, (0.32, 8.4)', 'Sec. III', '4.12',
             float(quoted.energy_transfer), 4,
             'as they do not belong together, they are not quite the optimum'),
     )
@@ -141,19 +139,19 @@ def _thin_and_thick() -> tuple[Row, ...]:
     bare = float((harmonic.velocity(release) / harmonic.peak_velocity) ** 2)
     remark = 'of the last release; the first one tends to 0'
     return (
-        Row('alpha of a thick soft layer, x = 1', 'Secs. III, IV A', printed('4'),
+        Row('alpha of a thick soft layer, x = 1', 'Secs. III, IV A', '4',
             float(plateau), 4),
-        Row('largest C for that', 'Sec. III', printed('7.9'), edge, 3,
+        Row('largest C for that', 'Sec. III', '7.9', edge, 3,
             f'exactly 8 at x = 1; {near:.2f} at x = 0.99'),
-        Row('the same by the analysis', 'Sec. IV A', printed('8'), edge, 3),
-        Row('ridge for small x: C/sqrt(x)', 'Fig. 4', printed('10.2'), factor, 2,
+        Row('the same by the analysis', 'Sec. IV A', '8', edge, 3),
+        Row('ridge for small x: C/sqrt(x)', 'Fig. 4', '10.2', factor, 2,
             f'equal densities; {math.sqrt(1.3) * factor:.2f} for the 1.3 of the rig'),
-        Row('alpha on it', 'Fig. 4', printed('3.13'), ridge, 4),
-        Row('alpha on the axes, C = 0 or x = 0', 'Fig. 3', printed('0'), _alpha_at_axes(), 4,
+        Row('alpha on it', 'Fig. 4', '3.13', ridge, 4),
+        Row('alpha on the axes, C = 0 or x = 0', 'Fig. 3', '0', _alpha_at_axes(), 4,
             'of the first release; the last one tends to 1 for x = 0'),
-        Row('t_e f without a layer', 'Fig. 5', printed('0.25'), release * Engine().frequency, 4,
+        Row('t_e f without a layer', 'Fig. 5', '0.25', release * Engine().frequency, 4,
             remark),
-        Row('alpha without a layer', 'Fig. 5', printed('1'), bare, 4, remark),
+        Row('alpha without a layer', 'Fig. 5', '1', bare, 4, remark),
     )
 
 
@@ -167,26 +165,26 @@ def _limits() -> tuple[Row, ...]:
     heavy = 100.0
     late = float(limits.heavy_projectile(heavy).angle)
     return (
-        Row('best f0/f of a massless spring', 'App. A, Fig. 7', printed('1.62'), ratio, 4),
-        Row('its alpha', 'App. A, Fig. 7', printed('3.13'), float(spring.energy_transfer), 4),
-        Row('period of a free layer, T_0 c_s/L_s', 'App. B', printed('2'),
+        Row('best f0/f of a massless spring', 'App. A, Fig. 7', '1.62', ratio, 4),
+        Row('its alpha', 'App. A, Fig. 7', '3.13', float(spring.energy_transfer), 4),
+        Row('period of a free layer, T_0 c_s/L_s', 'App. B', '2',
             period_of_free_layer(1000), 4,
             'free at both ends; a layer that is glued to the plate rings with twice that'),
-        Row('a = T_0/L_s (s/m)', 'App. B, Fig. 9', printed(f'{SLOPE:g}'),
+        Row('a = T_0/L_s (s/m)', 'App. B, Fig. 9', f'{SLOPE:g}',
             2.0 / Layer().wave_speed, 3,
             f'its unit can only be s/m: c_s = 2/a = {2.0 / SLOPE:.2f} m/s'),
-        Row('(4 - alpha)/(omega tau)^2 for small omega tau', 'App. C(i)', printed('2'),
+        Row('(4 - alpha)/(omega tau)^2 for small omega tau', 'App. C(i)', '2',
             float((4.0 - lighter) / small**2), 3,
             'misprint: alpha -> 4 - 4 (omega tau - e^(-1 - pi/(2 omega tau)))^2'),
-        Row('factor of e^(-pi/(2 omega tau)) in omega (t_e - t_s)', 'App. C(i)', printed('1'),
+        Row('factor of e^(-pi/(2 omega tau)) in omega (t_e - t_s)', 'App. C(i)', '1',
             float(remainder * math.exp(math.pi / (2.0 * medium))), 3,
             'misprint: it is -1/e, as omega (t_e - t_s) -> pi/2 + omega tau '
             '- e^(-1 - pi/(2 omega tau))'),
-        Row('alpha (omega tau)^2 for large omega tau', 'App. C(ii)', printed('16'),
+        Row('alpha (omega tau)^2 for large omega tau', 'App. C(ii)', '16',
             float(limits.exact(large).energy_transfer * large**2), 2),
         Row(f'omega (t_e - t_s) for omega tau = {heavy:g}', 'App. C(ii)',
-            Published('pi - 2/(omega tau) + pi/(omega tau)^2', late - 1e-4, late + 1e-4, late),
-            float(limits.exact(heavy).angle), 4, f'the formula gives {late:.4f}'),
+            'pi - 2/(omega tau) + pi/(omega tau)^2', float(limits.exact(heavy).angle), 4,
+            f'the formula gives {late:.4f}', allowed=late),
     )
 
 
@@ -201,32 +199,32 @@ def _rig() -> tuple[Row, ...]:
     return (
         *(
             Row(f'largest strain at {frequency:g} Hz (%)', 'text',
-                Published('below 10', 0.0, 10.0), _strains_at(frequency), 1,
-                'with A = 2 mm and without damping; proportional to A')
+                'below 10', _strains_at(frequency), 1,
+                'with A = 2 mm and without damping; proportional to A', allowed=(0.0, 10.0))
             for frequency in (63.2, 31.1)
         ),
-        Row('acceleration of the plate, A omega^2 (g)', 'text', Published('3 to 16', 2.5, 16.5),
-            (low, high), 1,
-            'with A = 2 mm and 31.1 and 63.2 Hz; 16 g at 63.2 Hz would be 1 mm'),
-        Row('wave speed in the projectile, c_r (m/s)', 'text', printed('1700'),
+        Row('acceleration of the plate, A omega^2 (g)', 'text', '3 to 16', (low, high), 1,
+            'with A = 2 mm and 31.1 and 63.2 Hz; 16 g at 63.2 Hz would be 1 mm',
+            allowed=(2.5, 16.5)),
+        Row('wave speed in the projectile, c_r (m/s)', 'text', '1700',
             math.sqrt(Projectile().youngs_modulus / PROJECTILE_DENSITY), 0,
             'E_r = 3.6 GPa and 1300 kg/m3, rounded to hundreds'),
-        Row('largest speed of the plate, V_p* (m/s)', 'text', printed('0.8'),
+        Row('largest speed of the plate, V_p* (m/s)', 'text', '0.8',
             SERIES[0].engine_speed, 3, 'A omega with A = 2 mm and 63.2 Hz'),
         *(
             Row(f'c_s/(L_r f) of the {name} series', 'Sec. III, Fig. 5',
-                printed(series.printed), series.speed, 2, why)
+                series.printed, series.speed, 2, why)
             for name, series, why in zip(
                 ('first', 'second', 'third'), SERIES,
                 ('', '', _which_fits(34.5, 30.6)), strict=True)
         ),
         Row('lower frequency of the plate (Hz)', 'App. D',
-            Published('31.2 +- 0.1', 31.2 - 0.1, 31.2 + 0.1), third.frequency, 1,
-            '31.1 in the text, which is taken here'),
+            '31.2 +- 0.1', third.frequency, 1, '31.1 in the text, which is taken here',
+            allowed=(31.2 - 0.1, 31.2 + 0.1)),
         Row('change of alpha by the damping of 0.064 (%)', 'App. D',
-            Published('a few', -5.0, 5.0), _range(change), 1,
+            'a few', _range(change), 1,
             f'half of the throws are within {np.median(np.abs(change)):.1f}; most is where a '
-            'thin layer transfers little'),
+            'thin layer transfers little', allowed=(-5.0, 5.0)),
     )
 
 
@@ -284,19 +282,12 @@ def table_one() -> list[tuple[str, str, str, str]]:
     ]
 
 
-class Fact(NamedTuple):
-    """A quantity that the paper does not give, and its computed value as text."""
-
-    quantity: str
-    ours: str
-
-
 @functools.lru_cache(maxsize=1)
-def beyond() -> tuple[Fact, ...]:
-    """Compute quantities that the paper does not give and that a builder of a rig needs."""
+def beyond() -> tuple[tuple[str, str], ...]:
+    """Compute quantities beyond the paper for builders of a rig: their names and texts."""
     layers = {zeta: best_ratios(zeta) for zeta in (0.0, DAMPING_RATIO, 0.2)}
     optima = (
-        Fact(
+        (
             f'best layer for zeta = {zeta:g}, any density',
             f'mu = {layer.mass_ratio:.4f}, kappa = {layer.speed_ratio:.4f}: '
             f't_e f = {layer.ejection_phase:.4f}, alpha = {layer.energy_transfer:.4f}',
@@ -309,21 +300,21 @@ def beyond() -> tuple[Fact, ...]:
     thin = releases_of(SERIES[2].rig(THICKNESSES[0], damping_ratio=0.0), periods=3.0)
     return (
         *optima,
-        Fact(
+        (
             f'alpha of the first of these with a loss tangent of {_LOSS_TANGENT:g} at f',
             f'{lossy:.3f}',
         ),
-        Fact(
+        (
             'best layer with that loss',
             f'thick and soft: mu -> 0, kappa = {soft_ratio:.1f}, alpha = {soft:.2f}',
         ),
-        Fact(
+        (
             'alpha of the third series with 2.0 mm',
             f'{thin[0][1] ** 2:.3f} at the first release, {thin[-1][1] ** 2:.3f} at the last',
         ),
         *(_fact_of_gravity(frequency) for frequency in (63.2, 31.1)),
         _fact_of_sag(),
-        Fact(
+        (
             'an elastic projectile, E_r = 3.6 GPa, on the rig',
             f't_e and V_e change by at most {_change_by_elasticity():.0e} as cells tell, 1e-5 '
             'as an exact solution does: it may be taken as rigid',
@@ -404,34 +395,32 @@ def _change_by_damping(series: Series) -> Floats:
     return np.asarray(100.0 * (damped / harmonic - 1.0))
 
 
-def _fact_of_gravity(frequency: float) -> Fact:
+def _fact_of_gravity(frequency: float) -> tuple[str, str]:
     """Return the changes of t_e and V_e of the six layers by gravity."""
-    engine = Engine(frequency=frequency)
-    ratio = STANDARD_GRAVITY / (engine.speed_scale * engine.angular_frequency)
     later, slower = [], []
     for series in SERIES:
         if series.frequency == frequency:
             without, under = (
-                series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO, gravity_ratio=gravity)
-                for gravity in (0.0, ratio)
+                series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO, gravity=gravity)
+                for gravity in (0.0, STANDARD_GRAVITY)
             )
             later += list(100.0 * (under.ejection_phase / without.ejection_phase - 1.0))
             slower += list(100.0 * (1.0 - under.speed / without.speed))
-    return Fact(
+    return (
         f'gravity of {STANDARD_GRAVITY:g} m/s2 on the rig at {frequency:g} Hz',
         f't_e later by {min(later):.1f} to {max(later):.1f} %, V_e lower by up to '
         f'{max(slower):.2f} %',
     )
 
 
-def _fact_of_sag() -> Fact:
+def _fact_of_sag() -> tuple[str, str]:
     """Return the static sag of the thickest layer under the projectile and its own weight."""
     layer = Layer(thickness=THICKNESSES[-1])
     longest = max(series.projectile_length for series in SERIES)
     per_length = STANDARD_GRAVITY * layer.thickness / layer.youngs_modulus
     by_projectile = 1e3 * PROJECTILE_DENSITY * longest * per_length
     by_itself = 1e3 * 0.5 * layer.density * layer.thickness * per_length
-    return Fact(
+    return (
         'its static sag of the thickest layer',
         f'{by_projectile:.2f} mm by the projectile, {by_itself:.2f} mm by the layer, which the '
         'models leave out',

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
 from soft_throw_ros.core.closed_form import first_releases, FirstRelease
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, ratios_of, Rig, values_of
 from soft_throw_ros.core.throw import simulate, Throw
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.uncertainty import Uncertainties
@@ -135,22 +135,18 @@ class Series:
             gravity=0.0,
         )
 
-    def ratios(self, thickness: ArrayLike) -> tuple[Floats, Floats]:
-        """Return the mass ratio and the speed ratio of layers."""
-        thickness = np.asarray(thickness, dtype=np.float64)
-        mass_ratio = PROJECTILE_DENSITY / Layer().density * self.projectile_length / thickness
-        return mass_ratio, Layer().wave_speed / (thickness * self.frequency)
-
     def releases(
-        self, thickness: ArrayLike, *, damping_ratio: float, gravity_ratio: float = 0.0
+        self, thickness: ArrayLike, *, damping_ratio: ArrayLike, **changes: ArrayLike
     ) -> FirstRelease:
-        """Compute first releases of the rigid projectile, exactly."""
-        mass_ratio, speed_ratio = self.ratios(thickness)
+        """Compute first releases of the rigid projectile; `changes` are those of `throw_many`."""
+        rig = self.rig(THICKNESSES[0], damping_ratio=0.0)
+        changes = {'thickness': thickness, 'damping_ratio': damping_ratio, **changes}
+        ratios = ratios_of(rig, values_of(rig) | changes)
         return first_releases(
-            mass_ratio=mass_ratio,
-            speed_ratio=speed_ratio,
+            mass_ratio=ratios['mass_ratio'],
+            speed_ratio=ratios['speed_ratio'],
             damping_ratio=damping_ratio,
-            gravity_ratio=gravity_ratio,
+            gravity_ratio=ratios['gravity_ratio'],
         )
 
     def throws(self, *, damping_ratio: float, model: str = 'travelling_wave') -> list[Throw]:
@@ -176,11 +172,10 @@ class Series:
         deviations = np.random.default_rng(0).standard_normal((4, _DRAWS, 1))
         damping_error = ERRORS.damping_ratio if damping_ratio else 0.0
         thickness = THICKNESSES + ERRORS.thickness * deviations[0]
-        mass_ratio, speed_ratio = self.ratios(thickness)
-        speed_ratio = speed_ratio * (1.0 + ERRORS.wave_speed / Layer().wave_speed * deviations[1])
-        releases = first_releases(
-            mass_ratio=mass_ratio,
-            speed_ratio=speed_ratio / (1.0 + ERRORS.frequency / self.frequency * deviations[2]),
+        releases = self.releases(
+            thickness,
+            wave_speed=Layer().wave_speed + ERRORS.wave_speed * deviations[1],
+            frequency=self.frequency + ERRORS.frequency * deviations[2],
             damping_ratio=damping_ratio + damping_error * deviations[3],
         )
         expected = self.releases(THICKNESSES, damping_ratio=damping_ratio)

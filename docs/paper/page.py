@@ -18,22 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 import re
 
-from comparison import beyond, published, Row, table_one, throws_of_the_rig
-
-
-def update_page(page: str) -> str:
-    """Return the page `docs/paper.md` with its tables computed again."""
-    rows = [
-        (row.quantity, row.where, row.paper.text, _ours(row), _difference(row), _reason(row))
-        for row in published()
-    ]
-    heads = ('quantity', 'where', 'paper', 'ours', 'difference', 'why')
-    page = replace_part(page, 'published', table(heads, rows))
-    page = replace_part(page, 'table one', table(('quantity', 'symbol', 'paper', 'ours'),
-                                                 table_one()))
-    page = replace_part(page, 'throws', table(_HEADS, throws_of_the_rig()))
-    return replace_part(page, 'beyond', table(('quantity', 'ours'), beyond()))
-
+from comparison import beyond, published, table_one, throws_of_the_rig
 
 _HEADS = (
     'f (Hz)', 'L_r (mm)', 'L_s (mm)', 'x', 'mu', 'kappa', 't_s (ms)', 't_e (ms)', 't_e f',
@@ -41,22 +26,17 @@ _HEADS = (
 )
 
 
-def _ours(row: Row) -> str:
-    values = row.ours if isinstance(row.ours, tuple) else (row.ours,)
-    return ' to '.join(f'{value:.{row.digits}f}' for value in values)
-
-
-def _difference(row: Row) -> str:
-    if row.difference is None:
-        return 'within' if row.agrees else 'beyond'
-    text = f'{row.difference:+.{row.digits}f}'
-    return '0' if float(text) == 0.0 else text
-
-
-def _reason(row: Row) -> str:
-    if not row.agrees:
-        return row.why
-    return f'as printed; {row.why}' if row.why else 'as printed'
+def update_page(page: str) -> str:
+    """Return the page `docs/paper.md` with its tables computed again."""
+    for name, heads, rows in (
+        ('published', ('quantity', 'where', 'paper', 'ours', 'difference', 'why'),
+         [row.cells for row in published()]),
+        ('table one', ('quantity', 'symbol', 'paper', 'ours'), table_one()),
+        ('throws', _HEADS, throws_of_the_rig()),
+        ('beyond', ('quantity', 'ours'), beyond()),
+    ):
+        page = replace_part(page, name, table(heads, rows))
+    return page
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

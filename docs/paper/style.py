@@ -83,8 +83,8 @@ def legend_below(figure: Figure, *panels: Axes, columns: int) -> None:
     """Add one legend for the labels of some panels below all panels."""
     handles: dict[str, Any] = {}
     for axes in panels:
-        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(),
-                                                           strict=True)}
+        shown, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, shown, strict=True))
     figure.legend(
         list(handles.values()), list(handles), loc='outside lower center', ncols=columns
     )
