@@ -41,6 +41,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Ratios, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import throw_batch
+from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.recommendation import best_ratios
 
 Floats = NDArray[np.float64]
@@ -249,11 +250,9 @@ def table_one() -> list[tuple[str, str, str, str]]:
     layer, projectile = Layer(), Projectile()
     lengths = [series.projectile_length for series in SERIES]
     thinnest, thickest = min(THICKNESSES), max(THICKNESSES)
-    throws = [
-        speed * series.engine_speed
-        for series in SERIES
-        for speed in np.asarray(series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO).speed)
-    ]
+    throws = np.concatenate([
+        series.throws(damping_ratio=DAMPING_RATIO).ejection_speed for series in SERIES
+    ])
     speeds = sorted({series.engine_speed for series in SERIES})
 
     def ends(low: float, high: float, digits: int = 1) -> str:
@@ -274,7 +273,7 @@ def table_one() -> list[tuple[str, str, str, str]]:
          ends(1e3 * thinnest, 1e3 * thickest)),
         ('period of the free layer, 2 L_s/c_s', 'T_0 (ms)', '~10',
          ends(2e3 * thinnest / layer.wave_speed, 2e3 * thickest / layer.wave_speed)),
-        ('ejection speed', 'V_e (m/s)', '~1', ends(min(throws), max(throws), 2)),
+        ('ejection speed', 'V_e (m/s)', '~1', ends(*_range(throws), 2)),
         ('largest speed of the plate, A omega', 'V_p* (m/s)', '~1', ends(*speeds, 3)),
         ('wave speed in the projectile', 'c_r (m/s)', '1700',
          f'{math.sqrt(projectile.youngs_modulus / PROJECTILE_DENSITY):.0f}'),
@@ -326,19 +325,17 @@ def throws_of_the_rig() -> list[tuple[str, ...]]:
     """Return the rows of the three series and six layers, with damping and without gravity."""
     rows = []
     for series in SERIES:
-        releases = series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO)
-        strains = series.peak_strains(damping_ratio=DAMPING_RATIO)
-        for i, thickness in enumerate(THICKNESSES):
+        for thickness in THICKNESSES:
             rig = series.rig(thickness, damping_ratio=DAMPING_RATIO)
-            frequency = rig.engine.frequency
-            phase, speed, alpha = (float(np.asarray(values)[i]) for values in releases)
+            throw = predict(rig)
             rows.append((
-                f'{frequency:g}', f'{1e3 * series.projectile_length:g}',
+                f'{series.frequency:g}', f'{1e3 * series.projectile_length:g}',
                 f'{1e3 * thickness:.1f}', f'{series.x_of(thickness):.3f}',
                 f'{rig.mass_ratio:.3f}', f'{rig.speed_ratio:.2f}',
-                f'{1e3 * rig.crossing_time:.3f}', f'{1e3 * phase / frequency:.2f}',
-                f'{phase:.3f}', f'{speed * rig.engine.speed_scale:.3f}', f'{alpha:.2f}',
-                f'{100.0 * strains[i]:.1f}', f'{len(releases_of(rig, periods=3.0)) - 1}',
+                f'{1e3 * rig.crossing_time:.3f}', f'{1e3 * throw.ejection_time:.2f}',
+                f'{throw.ejection_time * series.frequency:.3f}', f'{throw.ejection_speed:.3f}',
+                f'{throw.energy_transfer:.2f}', f'{100.0 * throw.peak_strain:.1f}',
+                f'{len(releases_of(rig, periods=3.0)) - 1}',
             ))
     return rows
 
@@ -350,7 +347,7 @@ def _range(values: Floats) -> tuple[float, float]:
 def _strains_at(frequency: float) -> tuple[float, float]:
     """Return the smallest and the largest peak strain of the throws at a frequency [%]."""
     strains = [
-        series.peak_strains(damping_ratio=0.0) for series in SERIES
+        series.throws(damping_ratio=0.0, loads=True).peak_strain for series in SERIES
         if series.frequency == frequency
     ]
     return _range(100.0 * np.concatenate(strains))
@@ -389,10 +386,9 @@ def _alpha_at_axes() -> float:
 def _change_by_damping(series: Series) -> Floats:
     """Return the change of the energy transfer by damping for the six layers [%]."""
     harmonic, damped = (
-        np.asarray(series.releases(THICKNESSES, damping_ratio=zeta).energy_transfer)
-        for zeta in (0.0, DAMPING_RATIO)
+        series.throws(damping_ratio=zeta).energy_transfer for zeta in (0.0, DAMPING_RATIO)
     )
-    return np.asarray(100.0 * (damped / harmonic - 1.0))
+    return 100.0 * (damped / harmonic - 1.0)
 
 
 def _fact_of_gravity(frequency: float) -> tuple[str, str]:
@@ -401,11 +397,11 @@ def _fact_of_gravity(frequency: float) -> tuple[str, str]:
     for series in SERIES:
         if series.frequency == frequency:
             without, under = (
-                series.releases(THICKNESSES, damping_ratio=DAMPING_RATIO, gravity=gravity)
+                series.throws(damping_ratio=DAMPING_RATIO, gravity=gravity)
                 for gravity in (0.0, STANDARD_GRAVITY)
             )
-            later += list(100.0 * (under.ejection_phase / without.ejection_phase - 1.0))
-            slower += list(100.0 * (1.0 - under.speed / without.speed))
+            later += list(100.0 * (under.ejection_time / without.ejection_time - 1.0))
+            slower += list(100.0 * (1.0 - under.ejection_speed / without.ejection_speed))
     return (
         f'gravity of {STANDARD_GRAVITY:g} m/s2 on the rig at {frequency:g} Hz',
         f't_e later by {min(later):.1f} to {max(later):.1f} %, V_e lower by up to '
@@ -431,11 +427,10 @@ def _change_by_elasticity() -> float:
     """Return the largest relative change of t_e and V_e by the elasticity of the projectile."""
     changes = []
     for series in SERIES:
-        rigid = series.releases(THICKNESSES, damping_ratio=0.0)
-        for i, throw in enumerate(series.throws(damping_ratio=0.0, model='cells_elastic')):
-            phase, speed = np.asarray(rigid.ejection_phase)[i], np.asarray(rigid.speed)[i]
-            changes.append(throw.ejection_time * series.frequency / phase - 1.0)
-            changes.append(throw.ejection_speed / throw.rig.engine.speed_scale / speed - 1.0)
+        rigid = series.throws(damping_ratio=0.0)
+        elastic = series.throws(damping_ratio=0.0, model='cells_elastic')
+        changes.append(elastic.ejection_time / rigid.ejection_time - 1.0)
+        changes.append(elastic.ejection_speed / rigid.ejection_speed - 1.0)
     return float(np.max(np.abs(changes)))
 
 

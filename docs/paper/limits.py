@@ -160,7 +160,8 @@ def draw_spring() -> Figure:
             mass_ratio=mu, speed_ratio=2.0 * math.pi * math.sqrt(mu) * ratio
         )
         label = rf'layer, $\mu = m/\rho_s S L_s$ = {mu:g}'
-        style.draw_results(panels, ratio, layer, color=color, label=label)
+        results = layer.ejection_phase, layer.energy_transfer
+        style.draw_results(panels, ratio, *results, color=color, label=label)
     best = best_frequency_ratio()
     for axes, values in zip(panels, (spring.ejection_phase, spring.energy_transfer), strict=True):
         axes.plot(ratio, values, color=style.BLACK, ls='--', label=r'spring: $\mu \to \infty$')

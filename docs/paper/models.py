@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
 from soft_throw_ros.core.closed_form import first_releases, FirstRelease
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, ratios_of, Rig, values_of
-from soft_throw_ros.core.throw import simulate, Throw
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.throws import throw_many, Throws
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.uncertainty import Uncertainties
 
@@ -135,28 +135,14 @@ class Series:
             gravity=0.0,
         )
 
-    def releases(
-        self, thickness: ArrayLike, *, damping_ratio: ArrayLike, **changes: ArrayLike
-    ) -> FirstRelease:
-        """Compute first releases of the rigid projectile; `changes` are those of `throw_many`."""
+    def throws(
+        self, thickness: ArrayLike = THICKNESSES, *, damping_ratio: ArrayLike,
+        model: str = 'travelling_wave', loads: bool = False, **changes: ArrayLike,
+    ) -> Throws:
+        """Compute first releases; the arguments are those of `throw_many`."""
         rig = self.rig(THICKNESSES[0], damping_ratio=0.0)
         changes = {'thickness': thickness, 'damping_ratio': damping_ratio, **changes}
-        ratios = ratios_of(rig, values_of(rig) | changes)
-        return first_releases(
-            mass_ratio=ratios['mass_ratio'],
-            speed_ratio=ratios['speed_ratio'],
-            damping_ratio=damping_ratio,
-            gravity_ratio=ratios['gravity_ratio'],
-        )
-
-    def throws(self, *, damping_ratio: float, model: str = 'travelling_wave') -> list[Throw]:
-        """Simulate the throws from the six layers up to the first release."""
-        rigs = [self.rig(thickness, damping_ratio=damping_ratio) for thickness in THICKNESSES]
-        return [simulate(rig, model=model, max_events=1) for rig in rigs]
-
-    def peak_strains(self, *, damping_ratio: float) -> Floats:
-        """Return the largest strains in the six layers up to the first release [-]."""
-        return np.array([throw.peak_strain for throw in self.throws(damping_ratio=damping_ratio)])
+        return throw_many(rig, changes, model=model, loads=loads)
 
     def errors(self, *, damping_ratio: float) -> Errors:
         """
@@ -172,13 +158,14 @@ class Series:
         deviations = np.random.default_rng(0).standard_normal((4, _DRAWS, 1))
         damping_error = ERRORS.damping_ratio if damping_ratio else 0.0
         thickness = THICKNESSES + ERRORS.thickness * deviations[0]
-        releases = self.releases(
+        frequency = self.frequency + ERRORS.frequency * deviations[2]
+        throws = self.throws(
             thickness,
             wave_speed=Layer().wave_speed + ERRORS.wave_speed * deviations[1],
-            frequency=self.frequency + ERRORS.frequency * deviations[2],
+            frequency=frequency,
             damping_ratio=damping_ratio + damping_error * deviations[3],
         )
-        expected = self.releases(THICKNESSES, damping_ratio=damping_ratio)
+        expected = self.throws(damping_ratio=damping_ratio)
 
         def around(values: ArrayLike, middle: ArrayLike) -> Floats:
             low, high = np.quantile(np.asarray(values), (0.16, 0.84), axis=0)
@@ -186,8 +173,10 @@ class Series:
 
         return Errors(
             x=around(self.x_of(thickness), self.x_of(THICKNESSES)),
-            ejection_phase=around(releases.ejection_phase, expected.ejection_phase),
-            energy_transfer=around(releases.energy_transfer, expected.energy_transfer),
+            ejection_phase=around(
+                throws.ejection_time * frequency, expected.ejection_time * self.frequency
+            ),
+            energy_transfer=around(throws.energy_transfer, expected.energy_transfer),
         )
 
 

@@ -54,23 +54,29 @@ def draw_series() -> Figure:
     return figure
 
 
+def _draw_curve(
+    panels: NDArray[np.object_], series: Series, damping_ratio: float, color: str, width: float
+) -> None:
+    """Draw the results of a series over the thickness of the layer."""
+    curve = series.throws(series.thickness_of(X), damping_ratio=damping_ratio)
+    results = curve.ejection_time * series.frequency, curve.energy_transfer
+    style.draw_results(panels, X, *results, color=color, lw=width)
+
+
 def _draw_one(
     panels: NDArray[np.object_], series: Series, damping_ratio: float, color: str, marker: str
 ) -> None:
     """Draw the curve of a series and the points of the six layers."""
-    curve = series.releases(series.thickness_of(X), damping_ratio=damping_ratio)
-    style.draw_results(panels, X, curve, color=color, lw=1.4)
+    _draw_curve(panels, series, damping_ratio, color, 1.4)
     throws = series.throws(damping_ratio=damping_ratio, model='cells_elastic')
     errors = series.errors(damping_ratio=damping_ratio)
     label = (
         f'$f$ = {series.frequency:g} Hz, $L_r$ = {1e3 * series.projectile_length:g} mm: '
         f'$c_s / L_r f$ = {series.speed:.3g} (paper: {series.printed})'
     )
-    phases = [throw.ejection_time * series.frequency for throw in throws]
-    transfers = [throw.energy_transfer for throw in throws]
     for axes, points, error in (
-        (panels[0], phases, errors.ejection_phase),
-        (panels[1], transfers, errors.energy_transfer),
+        (panels[0], throws.ejection_time * series.frequency, errors.ejection_phase),
+        (panels[1], throws.energy_transfer, errors.energy_transfer),
     ):
         axes.errorbar(
             series.x_of(THICKNESSES), points, xerr=errors.x, yerr=error, fmt=marker, color=color,
@@ -100,11 +106,12 @@ def draw_damped_series() -> Figure:
     )
     panels = figure.subplots(1, 3)
     for series, color, marker in _STYLES:
-        harmonic = series.releases(series.thickness_of(X), damping_ratio=0.0)
-        style.draw_results(panels, X, harmonic, color=color, lw=0.6)
+        _draw_curve(panels, series, 0.0, color, 0.6)
         _draw_one(panels, series, DAMPING_RATIO, color, marker)
-        strains = 100.0 * series.peak_strains(damping_ratio=DAMPING_RATIO)
-        panels[2].plot(series.x_of(THICKNESSES), strains, marker, color=color, mec='white', ms=7)
+        strains = series.throws(damping_ratio=DAMPING_RATIO, loads=True).peak_strain
+        panels[2].plot(
+            series.x_of(THICKNESSES), 100.0 * strains, marker, color=color, mec='white', ms=7
+        )
     panels[2].axhline(10.0, color=style.RED, ls='--', label='paper: below 10 %')
     panels[2].set(
         title='(c) largest strain', ylabel='strain (%)', ylim=(0.0, 22.0), yticks=range(0, 21, 5)

@@ -100,10 +100,11 @@ def label_results(
         axes.set(**options)
 
 
-def draw_results(panels: NDArray[np.object_], x: Floats, releases: Any, **options: Any) -> None:
+def draw_results(
+    panels: NDArray[np.object_], x: Floats, phase: ArrayLike, transfer: ArrayLike, **options: Any
+) -> None:
     """Draw ejection phase and energy transfer in the first two panels, broken at jumps."""
-    results = releases.ejection_phase, releases.energy_transfer
-    for axes, values in zip(panels[:2], results, strict=True):
+    for axes, values in zip(panels[:2], (phase, transfer), strict=True):
         axes.plot(x, broken(values), **options)
 
 
