@@ -205,12 +205,11 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
     """Draw the impedance of the best stacks over height, and their throws over time."""
     chosen = [(count, best) for count, most, best in stacks if not math.isinf(most)]
     colours = (style.BLACK, style.BLUE, style.RED)
-    figure = style.new_figure(
+    figure, (left, right) = style.new_figure(
         'Sheets that hand a wave on',
         'The best stacks whose sheets are compressed by 20 % at most, on the default rig.',
         height=3.6,
     )
-    left, right = figure.subplots(1, 2)
     for (count, best), colour in zip(chosen, colours, strict=True):
         edges = 1e3 * np.cumsum([0.0, *(sheet.thickness for sheet in best.layer.sheets)])
         levels = [sheet.impedance for sheet in best.layer.sheets]

@@ -132,12 +132,11 @@ def identified(video: Path, folder: Path) -> tuple[Rig, dict[str, Any]]:
 def draw_better(rig: Rig, report: dict[str, Any], path: Path) -> None:
     """Draw the energy transfer of the fitted layer for all thicknesses."""
     thicknesses = np.linspace(3e-3, 30e-3, 400)
-    figure = style.new_figure(
+    figure, axes = style.new_figure(
         'A better layer',
         'Energy transfer over the thickness of a layer of the fitted and of the true material.',
-        height=3.6,
+        height=3.6, grid=(1, 1),
     )
-    axes = figure.subplots()
     error = report['found']['layer.wave_speed']['error']
     speeds = rig.layer.wave_speed + error * np.array([-1.0, 0.0, 1.0])
     curves = [_energy_transfer(rig, thicknesses, speed) for speed in speeds.tolist()]

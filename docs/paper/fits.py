@@ -69,14 +69,13 @@ def ringing(time: Floats, period: float, *, loss_tangent: float = 0.02) -> Float
 
 def draw_free_layers() -> Figure:
     """Draw Figs. 8 and 9: the ringing of free layers, and its period over their thickness."""
-    figure = new_figure(
+    figure, panels = new_figure(
         'Figs. 8 and 9   App. B: the wave speed, from layers that ring freely',
         'A wave goes there and back in a period $T_0 = 2 L_s / c_s$. The ringing is computed, for '
         'a loss tangent of 0.02;\nthe measured periods of the paper are not at hand, only the '
         'slope of its line.',
-        height=4.4,
+        height=4.4, width_ratios=(1.15, 1.0),
     )
-    panels = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     speed = Layer().wave_speed
     time = np.linspace(0.0, 22e-3, 1200)
     for thickness, color in zip(THICKNESSES[[1, 3, 5]], (BLUE, ORANGE, GREEN), strict=True):
@@ -103,8 +102,7 @@ def draw_free_layers() -> Figure:
     )
     panels[1].set(title='(b) period', xlabel='thickness $L_s$ (mm)', ylabel='$T_0$ (ms)',
                   xlim=(0.0, 32.0), ylim=(0.0, 8.5))
-    legend_below(figure, *panels, columns=3)
-    return figure
+    return legend_below(figure, *panels, columns=3)
 
 
 def plate_track() -> tuple[Floats, Floats]:
@@ -142,15 +140,14 @@ def draw_plate_fit() -> Figure:
     """Draw Fig. 10: the motion of the plate, the fitted damped step, and the residual."""
     time, height = plate_track()
     (start, frequency, amplitude, damping), errors = fit_plate(time, height)
-    figure = new_figure(
+    figure, panels = new_figure(
         'Fig. 10   App. D: the motion of the plate, a damped step',
         f'Track computed with the rig of the paper and {NOISE * 1e6:g} $\\mu$m of noise at '
         f"{RATE:g} Hz, for the paper's is not at hand;\nfitted by Eq. (D2). "
         f'The paper has $\\zeta$ = {DAMPING_RATIO:g} $\\pm$ 0.003, and 31.2 $\\pm$ 0.1 Hz for '
         'the slower plate.',
-        height=5.2,
+        height=5.2, grid=(2, 1), sharex=True, height_ratios=(3.0, 1.0),
     )
-    panels = figure.subplots(2, 1, sharex=True, height_ratios=(3.0, 1.0))
     plate = _plate(frequency, amplitude, damping)
     fine = np.linspace(time[0], time[-1], 1500)
     panels[0].plot(MILLI * time, MILLI * height, '.', color=BLUE, ms=5,
@@ -167,5 +164,4 @@ def draw_plate_fit() -> Figure:
     panels[0].set(title='(a) height', ylabel='$z_p$ (mm)', ylim=(-0.3, 4.0))
     panels[1].set(title='(b) residual', ylabel=r'($\mu$m)', xlabel='time $t$ (ms)',
                   xlim=(-5.0, 60.0), ylim=(-90.0, 90.0))
-    legend_below(figure, panels[0], columns=2)
-    return figure
+    return legend_below(figure, panels[0], columns=2)

@@ -92,15 +92,14 @@ def heavy_projectile(omega_tau: ArrayLike) -> ThickLayer:
 
 def draw_thick_layer() -> Figure:
     """Draw App. C: releases before the wave returns."""
-    figure = style.new_figure(
+    figure, panels = style.new_figure(
         'App. C   Released from a thick layer before the wave comes back',
         r'Only $\omega\tau = 2\pi m c_s f / E_s S$ counts. For small $\omega\tau$ the paper '
         r'prints $4 - 2\,(\omega\tau + e^{-\pi/2\omega\tau})^2$;'
         '\n'
         r'exact is $\alpha \to 4 - 4\,(\omega\tau - e^{-1-\pi/2\omega\tau})^2$.',
-        height=4.4,
+        height=4.4, grid=(1, 3),
     )
-    panels = figure.subplots(1, 3)
     near = np.linspace(0.02, 1.6, 400)
     wide = np.geomspace(0.02, 200.0, 400)
     for axes, values, curve in (
@@ -129,8 +128,7 @@ def draw_thick_layer() -> Figure:
     for axes in panels[:2]:
         axes.set_xlim(0.0, 1.6)
     panels[1].plot(0.0, 4.0, **style.PAPER, clip_on=False, label=r'paper: $\alpha = 4$')
-    style.legend_below(figure, panels[1], panels[2], columns=3)
-    return figure
+    return style.legend_below(figure, panels[1], panels[2], columns=3)
 
 
 def best_frequency_ratio() -> float:
@@ -146,13 +144,12 @@ def best_frequency_ratio() -> float:
 
 def draw_spring() -> Figure:
     """Draw Fig. 7: the massless spring, and layers with different masses."""
-    figure = style.new_figure(
+    figure, panels = style.new_figure(
         'Fig. 7   App. A: the massless spring, and layers that have mass',
         'A layer much lighter than the projectile acts as a spring. Lighter projectiles gain more '
         'energy than from any spring.',
         height=4.5,
     )
-    panels = figure.subplots(1, 2)
     ratio = np.linspace(0.02, 5.0, 1200)
     spring = spring_mass.first_release(frequency_ratio=ratio)
     for mu, color in ((0.25, style.ORANGE), (1.0, style.SKY), (4.0, style.BLUE)):
@@ -168,5 +165,4 @@ def draw_spring() -> Figure:
         axes.axvline(best, color='0.7', lw=0.8, zorder=0)
     style.label_results(panels, phase_end=1.2, xlabel='$f_0 / f$', xlim=(0.0, 5.0))
     panels[1].plot(1.62, 3.13, **style.PAPER, label=r'paper: $f_0/f$ = 1.62, $\alpha$ = 3.13')
-    style.legend_below(figure, panels[1], columns=3)
-    return figure
+    return style.legend_below(figure, panels[1], columns=3)

@@ -132,13 +132,12 @@ def _mark_optimum(axes: Axes, damping_ratio: float, label: str, *, marker: str =
 
 def draw_maps() -> Figure:
     """Draw Fig. 3: ejection time and energy transfer over x and C."""
-    figure = new_figure(
+    figure, panels = new_figure(
         'Fig. 3   Sec. III: where a layer is worth most',
         'First release, harmonic plate. Projectile and layer are equally dense here; with the '
         "rig's ratio of 1.3\nthe optimum is elsewhere on these axes (see the table).",
-        height=5.3,
+        height=5.3, sharex=True, sharey=True,
     )
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
     _show_phase(figure, panels[0], landscape(0.0))
     _show_transfer(figure, panels[1], landscape(0.0))
     axes = panels[1]
@@ -156,19 +155,17 @@ def draw_maps() -> Figure:
     _mark_optimum(axes, 0.0, 'largest of all')
     for axes in panels:
         _draw_series(axes)
-    legend_below(figure, panels[1], columns=2)
-    return figure
+    return legend_below(figure, panels[1], columns=2)
 
 
 def draw_best() -> Figure:
     """Draw Fig. 4: the best C for every x, and its energy transfer."""
-    figure = new_figure(
+    figure, panels = new_figure(
         'Fig. 4   Sec. III: the best wave speed for every thickness',
         'Equal densities, harmonic plate, first release. Where the line is broken, another peak '
         'is the largest\nfrom there on: one for every wave interval of the release.',
         height=4.4,
     )
-    panels = figure.subplots(1, 2)
     x, c = np.linspace(0.002, 0.998, 499), np.linspace(0.02, C_END, 2800)
     alpha = np.asarray(releases_at(x[:, None], c).energy_transfer)
     best_c = broken(c[alpha.argmax(axis=1)])
@@ -186,20 +183,18 @@ def draw_best() -> Figure:
         axes.set(xlabel=X_LABEL, xlim=(0.0, 1.0))
     panels[0].set(title='(a) best wave speed', ylabel=C_LABEL, ylim=(0.0, 9.0))
     panels[1].set(title='(b) largest energy transfer factor', ylabel=r'$\alpha$', ylim=(3.0, 4.3))
-    legend_below(figure, panels[0], columns=2)
-    return figure
+    return legend_below(figure, panels[0], columns=2)
 
 
 def draw_crossings() -> Figure:
     """Draw Fig. 6: ejection time in crossings of the layer, and energy transfer."""
-    figure = new_figure(
+    figure, panels = new_figure(
         'Fig. 6   Sec. IV: wave interval by wave interval',
         'Lines: release after a whole number of crossings, $t_e / t_s$. The paper writes out the '
         'two intervals up to $5\\,t_s$\nand stops there; the closed form goes on. Time and energy '
         'jump at 3, 5, 7 ... crossings.',
-        height=5.3,
+        height=5.3, sharex=True, sharey=True,
     )
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
     x, c = GRID
     crossings = np.asarray(landscape(0.0).ejection_phase * c / x[:, None])
     _show(figure, panels[0], '(a) ejection time in crossings', crossings, '$t_e / t_s$',
@@ -211,19 +206,17 @@ def draw_crossings() -> Figure:
         axes.clabel(lines, fmt='%g', fontsize=9, manual=_CONTOUR_LABELS)
     panels[0].plot([], [], color='0.6', lw=2.0, label=r'$t_e$ = 3 $t_s$ and 5 $t_s$')
     panels[1].plot(0.8, 6.7, **PAPER, label=r'paper: $\alpha$ = 4.12 between 3 $t_s$ and 5 $t_s$')
-    legend_below(figure, *panels, columns=2)
-    return figure
+    return legend_below(figure, *panels, columns=2)
 
 
 def draw_damped_maps() -> Figure:
     """Draw Fig. 11: the maps with a damped plate, and the changes caused by damping."""
-    figure = new_figure(
+    figure, panels = new_figure(
         'Fig. 11   App. D: the maps of Fig. 3 with a damped plate',
         rf'$\zeta$ = {DAMPING_RATIO:g}, equal densities, first release. '
         r'$\alpha$ counts from the largest speed of the damped plate, Eq. (D4).',
-        height=8.6,
+        height=8.6, grid=(2, 2), sharex=True, sharey=True,
     )
-    panels = figure.subplots(2, 2, sharex=True, sharey=True)
     harmonic, damped = landscape(0.0), landscape(DAMPING_RATIO)
     _show_phase(figure, panels[0, 0], damped)
     _show_transfer(figure, panels[0, 1], damped)
@@ -238,8 +231,7 @@ def draw_damped_maps() -> Figure:
         _mark_optimum(axes, 0.0, 'harmonic optimum', marker='o')
         _mark_optimum(axes, DAMPING_RATIO, 'damped optimum', marker='D')
     _draw_series(panels[0, 1])
-    legend_below(figure, panels[0, 1], columns=2)
-    return figure
+    return legend_below(figure, panels[0, 1], columns=2)
 
 
 def recontacts_at(x: float, c: float) -> tuple[int, float]:
@@ -250,14 +242,13 @@ def recontacts_at(x: float, c: float) -> tuple[int, float]:
 
 def draw_recontacts() -> Figure:
     """Draw the number of re-contacts and the energy transfer of the last release."""
-    figure = new_figure(
+    figure, panels = new_figure(
         'After the release   Where the layer catches up with the projectile',
         'Equal densities, harmonic plate that goes on, no gravity. Slow waves, well within $C$ < '
         '2, and thin stiff layers,\nwhere the last release, not the first, tends to that of a '
         'bare plate; besides, traces beside $t_e$ = 3 and 5 $t_s$.',
-        height=5.0,
+        height=5.0, sharex=True, sharey=True,
     )
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
     x, c = grid = (np.arange(100) + 0.5) / 100, C_END * (np.arange(140) + 0.5) / 140
     results = np.array([[recontacts_at(xi, ci) for ci in c] for xi in x])
     count, last = results[..., 0], results[..., 1]

@@ -35,14 +35,13 @@ X: Floats = np.linspace(0.005, 0.995, 1189)
 
 def draw_series() -> Figure:
     """Draw Fig. 5: ejection time and energy transfer of the rig, with re-contacts."""
-    figure = style.new_figure(
+    figure, panels = style.new_figure(
         'Fig. 5   Sec. III: the six layers, two projectiles, two frequencies',
         "Harmonic plate, the rig's densities. Lines: exact, rigid projectile, first release. "
         "Points: the paper's layers by\nfinite differences with an elastic projectile. "
         'Bars: uncertainties of the rig. Dots: last release.',
-        height=5.6,
+        height=5.6, sharex=True,
     )
-    panels = figure.subplots(1, 2, sharex=True)
     for series, color, marker in _STYLES:
         _draw_one(panels, series, 0.0, color, marker)
         _draw_last_releases(panels, series, color)
@@ -50,8 +49,7 @@ def draw_series() -> Figure:
     for axes, value in zip(panels, (0.25, 1.0), strict=True):
         axes.plot(0.0, value, **style.PAPER, clip_on=False, label=label)
     style.label_results(panels, phase_end=0.9, xlabel=style.X_LABEL, xlim=(0.0, 1.0))
-    style.legend_below(figure, panels[1], columns=2)
-    return figure
+    return style.legend_below(figure, panels[1], columns=2)
 
 
 def _draw_curve(
@@ -96,15 +94,14 @@ def _draw_last_releases(panels: NDArray[np.object_], series: Series, color: str)
 
 def draw_damped_series() -> Figure:
     """Draw Fig. 12: the series with the damped plate, and the largest strain of the layers."""
-    figure = style.new_figure(
+    figure, panels = style.new_figure(
         'Fig. 12   App. D: the same with the damped plate of the rig',
         rf'$\zeta$ = {DAMPING_RATIO:g}, first release; thin lines: harmonic plate (Fig. 5). '
         'Damping changes $\\alpha$ by a few percent, mostly.\nAt $A$ = '
         f'{1e3 * Engine().amplitude:g} mm and 63.2 Hz the strain is above the 10 % that the paper '
         'gives as its limit.',
-        height=5.6,
+        height=5.6, grid=(1, 3),
     )
-    panels = figure.subplots(1, 3)
     for series, color, marker in _STYLES:
         _draw_curve(panels, series, 0.0, color, 0.6)
         _draw_one(panels, series, DAMPING_RATIO, color, marker)
@@ -117,5 +114,4 @@ def draw_damped_series() -> Figure:
         title='(c) largest strain', ylabel='strain (%)', ylim=(0.0, 22.0), yticks=range(0, 21, 5)
     )
     style.label_results(panels, phase_end=0.9, xlabel=style.X_LABEL, xlim=(0.0, 1.0))
-    style.legend_below(figure, panels[1], panels[2], columns=2)
-    return figure
+    return style.legend_below(figure, panels[1], panels[2], columns=2)

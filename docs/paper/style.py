@@ -70,17 +70,23 @@ def settings() -> AbstractContextManager[None]:
     return style.context(_SETTINGS, after_reset=True)
 
 
-def new_figure(title: str, caption: str, *, height: float) -> Figure:
-    """Return an empty figure with a bold title and a caption of one or two lines."""
+def new_figure(
+    title: str, caption: str, *, height: float, grid: tuple[int, int] = (1, 2), **options: Any
+) -> tuple[Figure, Any]:
+    """
+    Return a figure with a bold title and a caption of one or two lines, and its empty panels.
+
+    Rows and columns of the grid, and the options, are those of `Figure.subplots`.
+    """
     figure = Figure(figsize=(WIDTH, height), layout='constrained')
     bold = title.replace(' ', r'\ ').replace(':', '{:}')
     text = rf'$\mathbf{{{bold}}}$' + f'\n{caption}'
     figure.suptitle(text, x=0.01, ha='left', fontsize='medium', linespacing=1.4)
-    return figure
+    return figure, figure.subplots(*grid, **options)
 
 
-def legend_below(figure: Figure, *panels: Axes, columns: int) -> None:
-    """Add one legend for the labels of some panels below all panels."""
+def legend_below(figure: Figure, *panels: Axes, columns: int) -> Figure:
+    """Add one legend for the labels of some panels below all panels; return the figure."""
     handles: dict[str, Any] = {}
     for axes in panels:
         shown, labels = axes.get_legend_handles_labels()
@@ -88,6 +94,7 @@ def legend_below(figure: Figure, *panels: Axes, columns: int) -> None:
     figure.legend(
         list(handles.values()), list(handles), loc='outside lower center', ncols=columns
     )
+    return figure
 
 
 def label_results(

@@ -108,15 +108,14 @@ def draw_states() -> Figure:
         (release, 'layer throws'),
         (0.0125, 'in flight'),
     )
-    figure = style.new_figure(
+    figure, panels = style.new_figure(
         'Fig. 1   A projectile on the bare plate, and one on a soft layer',
         f"The paper's rig: $f$ = {rig.engine.frequency:g} Hz, $\\zeta$ = "
         f'{rig.engine.damping_ratio:g}, $A$ = {MILLI * rig.engine.amplitude:g} mm, $L_s$ = '
         f'{MILLI * rig.layer.thickness:g} mm, $L_r$ = {MILLI * rig.projectile.length:g} mm. '
         'To scale.',
-        height=3.15,
+        height=3.15, grid=(1, len(moments)), sharex=True, sharey=True,
     )
-    panels = figure.subplots(1, len(moments), sharex=True, sharey=True)
     time = np.linspace(0.0, _DRAWN_TIME, 1601)
     heights, strain = heights_of_layer(throw, time, points=41)
     rows = np.searchsorted(time, [moment for moment, _ in moments])
@@ -164,14 +163,13 @@ def draw_state(
 def draw_traces() -> Figure:
     """Draw Fig. 2: positions and velocities of plate and projectile over time."""
     throw = shown_throw()
-    figure = style.new_figure(
+    figure, panels = style.new_figure(
         'Fig. 2   The same throw against time',
         'The projectile moves once the first wave has crossed the layer, in $t_s$, and leaves '
         'when the layer no longer pushes.\nHeights count from rest, so that they are those of its '
         'centre, too, which the paper gives.',
-        height=6.2,
+        height=6.2, grid=(2, 1), sharex=True,
     )
-    panels = figure.subplots(2, 1, sharex=True)
     time = np.linspace(0.0, _DRAWN_TIME, 1601)
     path = throw.trajectory(time)
     thickness = throw.rig.layer.thickness
@@ -198,8 +196,7 @@ def draw_traces() -> Figure:
     )
     _mark_crossings(panels, MILLI * throw.rig.crossing_time)
     _quote_release(panels[1], throw)
-    style.legend_below(figure, panels[0], columns=4)
-    return figure
+    return style.legend_below(figure, panels[0], columns=4)
 
 
 def _mark_crossings(panels: NDArray[np.object_], crossing: float) -> None:
