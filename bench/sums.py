@@ -213,15 +213,9 @@ def recommendation() -> Table:
     limits = Limits(max_strain=0.1)
 
     def brute_force() -> float:
-        thickness = np.geomspace(1e-3, 0.05, 400)[:, None]
-        speed = np.geomspace(1.0, 50.0, 400)
-        layer_mass = rig.layer.density * rig.layer.section * thickness
-        releases = first_releases(
-            mass_ratio=rig.projectile.mass / layer_mass + 0.0 * speed,
-            speed_ratio=speed / (thickness * rig.engine.frequency),
-            damping_ratio=rig.engine.damping_ratio,
-        )
-        return float(np.nanmax(releases.energy_transfer))
+        thickness, speed = np.geomspace(1e-3, 0.05, 400)[:, None], np.geomspace(1.0, 50.0, 400)
+        throws = throw_many(rig, {'thickness': thickness, 'wave_speed': speed})
+        return float(np.nanmax(throws.energy_transfer))
 
     best = brute_force()
     cases = [

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 import math
 from pathlib import Path
-from typing import get_args, NamedTuple, TYPE_CHECKING
+from typing import get_args, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,25 +204,14 @@ def _summary(landscape: Landscape) -> Iterator[str]:
         yield f'neglected by this model: {", ".join(landscape.left_out)}'
 
 
-class _Shown(NamedTuple):
-    """An axis for drawing; `values` are SI values times `factor`, in a convenient unit."""
-
-    title: str
-    values: Floats
-    factor: float
-
-    @classmethod
-    def of(cls, landscape: Landscape) -> list[_Shown]:
-        """Return the two axes of a landscape."""
-        shown = []
-        for name, values in landscape.axes.items():
-            symbol, unit, _ = AXES[name]
-            unit, factor = _UNITS.get(unit, (unit, 1.0))
-            title = f'{symbol} ({unit})' if unit else symbol
-            if name in TWIN.by_name:
-                title = f'{name.rpartition(".")[2].replace("_", " ")} {title}'
-            shown.append(cls(title, factor * values, factor))
-        return shown
+def _shown_axis(name: str) -> tuple[str, float]:
+    """Return the title of an axis in pictures, and the factor from SI to the unit there."""
+    symbol, unit, _ = AXES[name]
+    unit, factor = _UNITS.get(unit, (unit, 1.0))
+    title = f'{symbol} ({unit})' if unit else symbol
+    if name in TWIN.by_name:
+        title = f'{name.rpartition(".")[2].replace("_", " ")} {title}'
+    return title, factor
 
 
 def draw(landscape: Landscape) -> Figure:
@@ -230,7 +219,11 @@ def draw(landscape: Landscape) -> Figure:
     from matplotlib.figure import Figure
     from soft_throw_ros.recording.charts import draw_map, MapAxis
 
-    x, y = (MapAxis(axis.title, axis.values) for axis in _Shown.of(landscape))
+    titles, factors = zip(*map(_shown_axis, landscape.axes), strict=True)
+    values = [factor * axis for factor, axis in zip(factors, landscape.axes.values(), strict=True)]
+    marks = [
+        (title, *np.multiply(factors, position)) for title, position in _marks(landscape)
+    ]
     figure = Figure(figsize=(9.6, 4.6), layout='constrained')
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     # The lightness of both colour maps grows evenly, for colour-blind readers, too.
@@ -238,12 +231,12 @@ def draw(landscape: Landscape) -> Figure:
         quantity = RESULTS[name]
         draw_map(
             panel,
-            (x, y),
+            (MapAxis(titles[0], values[0]), MapAxis(titles[1], values[1])),
             getattr(landscape, name),
             label=f'{quantity.meaning.lower()} {quantity.symbol}',
             colours=colours,
             highest=_highest(landscape, name),
-            marks=_marks(landscape),
+            marks=marks,
         )
     figure.suptitle(_title(landscape), fontsize='medium')
     figure.legend(
@@ -282,7 +275,7 @@ def _send(landscape: Landscape, stream: rr.RecordingStream) -> None:
     stream.send_recording_name(str(landscape.attributes['title']))
     image = rr.EncodedImage(contents=to_png(draw(landscape), dpi=_DPI), media_type='image/png')
     stream.log('/map', image, static=True)
-    names = [axis.title for axis in _Shown.of(landscape)]
+    names = [title for title, _ in map(_shown_axis, landscape.axes)]
     for name in RESULTS:
         tensor = rr.Tensor(getattr(landscape, name), dim_names=names)
         stream.log(f'/values/{name}', tensor, static=True)
@@ -314,17 +307,16 @@ def _title(landscape: Landscape) -> str:
     return ', '.join([f'{landscape.release} release by the model {model}', *fixed])
 
 
-def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:
+def _marks(landscape: Landscape) -> Iterator[tuple[str, tuple[float, float]]]:
     """Yield title and position of the rig and of the optimum, if they are on the map."""
     marks = [('this rig', landscape.coordinates_of(landscape.rig))]
     optimum, symbol = landscape.optimum, RESULTS['energy_transfer'].symbol
     if optimum is not None:
         marks.append((f'largest {symbol}, {optimum.energy_transfer:.3f}', optimum.coordinates))
-    x, y = _Shown.of(landscape)
     for title, position in marks:
-        right, up = x.factor * position[0], y.factor * position[1]
-        if x.values[0] <= right <= x.values[-1] and y.values[0] <= up <= y.values[-1]:
-            yield title, right, up
+        pairs = zip(position, landscape.axes.values(), strict=True)
+        if all(values[0] <= value <= values[-1] for value, values in pairs):
+            yield title, position
 
 
 _WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {
