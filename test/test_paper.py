@@ -260,6 +260,7 @@ def test_fig7_has_the_spring_of_appendix_a_below_the_layers():
 
 
 def test_plate_fit_recovers_the_true_parameters():
-    values, errors = fits.fit_plate(*fits.plate_track())
-    assert (np.abs(values - (0.0, 63.2, 2e-3, 0.064)) < 4.0 * errors).all()
-    assert errors[1] < 0.05
+    fit = fits.fit_plate(fits.plate_track(), offset=0.0).fit
+    assert fit.names == ('frequency', 'damping_ratio', 'amplitude', 'start_time')
+    assert (np.abs(fit.values - (63.2, 0.064, 2e-3, 0.0)) < 4.0 * fit.errors).all()
+    assert fit['frequency'].error < 0.05

@@ -25,9 +25,10 @@ from matplotlib.figure import Figure
 from models import DAMPING_RATIO, ERRORS, THICKNESSES
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import curve_fit
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer
+from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
+from soft_throw_ros.identification.tracks import Track
 from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, RED
 
 Floats = NDArray[np.float64]
@@ -105,41 +106,21 @@ def draw_free_layers() -> Figure:
     return legend_below(figure, *panels, columns=3)
 
 
-def plate_track() -> tuple[Floats, Floats]:
-    """Return a simulated track of the plate with noise: time [s] and height [m]."""
+def plate_track() -> Track:
+    """Return a simulated track of the plate with noise."""
     time = np.arange(-5e-3, 60e-3, 1.0 / RATE)
     height = Underdamped.of(Engine()).position(np.maximum(time, 0.0))
-    return time, height + NOISE * np.random.default_rng(0).standard_normal(time.size)
-
-
-def _plate(frequency: float, amplitude: float, damping_ratio: float) -> Underdamped:
-    return Underdamped(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio)
-
-
-def fit_plate(time: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """
-    Fit the damped step, Eq. (D2), by least squares.
-
-    Returns
-    -------
-    values, errors : ndarray, shape (4,)
-        Start [s], frequency [Hz], amplitude [m] and damping ratio, and standard deviations.
-
-    """
-
-    def model(time: Floats, start: float, *parameters: float) -> Floats:
-        return _plate(*parameters).position(np.maximum(time - start, 0.0))
-
-    guess = (0.0, 60.0, 1.8e-3, 0.05)
-    bounds = ((-5e-3, 20.0, 1e-4, 0.0), (5e-3, 200.0, 1e-2, 0.9))
-    values, covariance = curve_fit(model, time, height, p0=guess, bounds=bounds, x_scale='jac')
-    return np.asarray(values), np.sqrt(np.diag(covariance))
+    noise = NOISE * np.random.default_rng(0).standard_normal(time.size)
+    return Track(time=time, position=height + noise)
 
 
 def draw_plate_fit() -> Figure:
     """Draw Fig. 10: the motion of the plate, the fitted damped step, and the residual."""
-    time, height = plate_track()
-    (start, frequency, amplitude, damping), errors = fit_plate(time, height)
+    track = plate_track()
+    fitted = fit_plate(track, offset=0.0)
+    parameters = {name: fitted.fit[name] for name in NAMES[:3]}
+    frequency, damping, amplitude = parameters.values()
+    plate = Underdamped(**{name: parameter.value for name, parameter in parameters.items()})
     figure, panels = new_figure(
         'Fig. 10   App. D: the motion of the plate, a damped step',
         f'Track computed with the rig of the paper and {NOISE * 1e6:g} $\\mu$m of noise at '
@@ -148,19 +129,17 @@ def draw_plate_fit() -> Figure:
         'the slower plate.',
         height=5.2, grid=(2, 1), sharex=True, height_ratios=(3.0, 1.0),
     )
-    plate = _plate(frequency, amplitude, damping)
-    fine = np.linspace(time[0], time[-1], 1500)
-    panels[0].plot(MILLI * time, MILLI * height, '.', color=BLUE, ms=5,
+    fine = np.linspace(track.time[0], track.time[-1], 1500)
+    panels[0].plot(MILLI * track.time, MILLI * track.position, '.', color=BLUE, ms=5,
                    label='heights of the plate')
     panels[0].plot(
-        MILLI * fine, MILLI * plate.position(np.maximum(fine - start, 0.0)), color=BLACK, lw=1.4,
-        label=f'fit: $f$ = {frequency:.2f} $\\pm$ {errors[1]:.2f} Hz, '
-        f'$\\zeta$ = {damping:.4f} $\\pm$ {errors[3]:.4f}, '
-        f'$A$ = {MILLI * amplitude:.3f} $\\pm$ {MILLI * errors[2]:.3f} mm',
+        MILLI * fine, MILLI * plate.position(fine - fitted.start_time), color=BLACK, lw=1.4,
+        label=f'fit: $f$ = {frequency.value:.2f} $\\pm$ {frequency.error:.2f} Hz, '
+        f'$\\zeta$ = {damping.value:.4f} $\\pm$ {damping.error:.4f}, '
+        f'$A$ = {MILLI * amplitude.value:.3f} $\\pm$ {MILLI * amplitude.error:.3f} mm',
     )
-    residual = height - plate.position(np.maximum(time - start, 0.0))
     panels[1].axhline(0.0, color=BLACK, lw=0.8)
-    panels[1].plot(MILLI * time, 1e6 * residual, '.', color=BLUE, ms=4)
+    panels[1].plot(MILLI * track.time, 1e6 * fitted.fit.residuals[0].values, '.', color=BLUE, ms=4)
     panels[0].set(title='(a) height', ylabel='$z_p$ (mm)', ylim=(-0.3, 4.0))
     panels[1].set(title='(b) residual', ylabel=r'($\mu$m)', xlabel='time $t$ (ms)',
                   xlim=(-5.0, 60.0), ylim=(-90.0, 90.0))

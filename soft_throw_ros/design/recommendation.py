@@ -329,22 +329,11 @@ class _Search(NamedTuple):
     cancelled: Cancelled | None
 
     def rank(self, spaces: list[SearchSpace]) -> list[_Candidate]:
-        """
-        Find the best layers among many spaces, the best first.
-
-        If a score takes several throws, only the spaces with the highest peaks are searched.
-        """
-        if not self.objective.is_fast:
-            peaks = self._replace(objective=Peak())._search_all(spaces)
-            spaces = [space for space, _ in peaks[:2 * _MAX_CANDIDATES]]
-        optima = self._search_all(spaces)[:_MAX_CANDIDATES]
+        """Find the best layers among many spaces, each searched coarsely; the best first."""
+        optima = [(space, best) for space in spaces if (best := self._search(space)) is not None]
+        optima = sorted(optima, key=lambda optimum: -optimum[1].score)[:_MAX_CANDIDATES]
         candidates = filter(None, (self._finish(space, best) for space, best in optima))
         return sorted(candidates, key=lambda candidate: -candidate.score)
-
-    def _search_all(self, spaces: list[SearchSpace]) -> list[tuple[SearchSpace, Optimum]]:
-        """Search each space coarsely; return the spaces with a throw, the best first."""
-        optima = [(space, best) for space in spaces if (best := self._search(space)) is not None]
-        return sorted(optima, key=lambda optimum: -optimum[1].score)
 
     def best_of(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> _Candidate | None:
         """Find the best layer of a space; `starts` are layers near which it may be."""
