@@ -16,7 +16,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+import contextlib
 from dataclasses import replace
 from itertools import chain
 from typing import get_args
@@ -102,7 +103,7 @@ def run_recommend(arguments: argparse.Namespace) -> int:
         raise ValueError(
             "recommendation.objective 'aim' needs the command `design aim`; give --objective"
         )
-    _print_answer(settings, 'recommendation', _recommendation_lines, arguments.json)
+    _print_answer(settings, 'recommendation', arguments.json)
     return 0
 
 
@@ -114,16 +115,11 @@ def run_aim(arguments: argparse.Namespace) -> int:
     if settings['recommendation.objective'] != 'aim' and not vars(arguments).keys() & targets:
         raise ValueError('no target: give --target-height M or --target-speed M/S')
     settings['recommendation.objective'] = 'aim'
-    best = _print_answer(settings, 'aim', _aim_lines, arguments.json)
+    best = _print_answer(settings, 'aim', arguments.json)
     return 0 if isinstance(best, Aim) and best.is_reached else NOT_REACHED
 
 
-def _print_answer(
-    settings: Settings,
-    name: str,
-    lines: Callable[[Settings, RequestResult, PredictionUncertainty], Iterator[str]],
-    as_json: bool,
-) -> RequestResult:
+def _print_answer(settings: Settings, name: str, as_json: bool) -> RequestResult:
     """Compute a recommendation or an aim, print the result, and return it."""
     with slow_notice('design'):
         best = solve_request(settings)
@@ -135,58 +131,56 @@ def _print_answer(
             name: {**vars(best), 'summary': summary},
             'uncertainty': uncertainty.values(),
         }
-        text = chain([summary, ''], lines(settings, best, uncertainty))
-        print_result(data, text, as_json=as_json)
+        print_result(
+            data, chain([summary, ''], _lines(settings, best, uncertainty)), as_json=as_json
+        )
     return best
 
 
-def _table(
-    columns: Columns, max_strain: float, uncertainty: PredictionUncertainty
-) -> Iterator[str]:
-    """Write predictions side by side, and the intervals of the proposed throw."""
-    yield from write_predictions(columns, max_strain)
-    yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
-
-
-def _aim_lines(
+def _lines(
     settings: Settings, best: RequestResult, uncertainty: PredictionUncertainty
 ) -> Iterator[str]:
-    """Compare the present throw, the aimed one, and the aimed one with the present layer."""
-    assert isinstance(best, Aim)  # because the objective is 'aim'
+    """Compare the throws of an answer, and describe the intervals of the proposed one."""
+    more: Iterator[str] = iter(())
+    if isinstance(best, Aim):
+        columns = _aim_columns(settings, best)
+    else:
+        assert isinstance(best, Recommendation)  # the other answer of these two tasks
+        columns, more = _recommendation_columns(best), _recommendation_lines(best)
+    yield from write_predictions(columns, best.rig.layer.linear_range(settings['max_strain']))
+    yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
+    yield from more
+
+
+def _aim_columns(settings: Settings, best: Aim) -> Columns:
+    """Return the present throw, the aimed one, and the aimed one with the present layer."""
     rig = rig_of(settings)
     columns: Columns = {'now': None}
-    try:
+    with contextlib.suppress(ThrowUnresolvedError):  # the present rig does not throw
         now, last = predict(rig), last_release(rig)
         reached = {'amplitude': rig.engine.amplitude, 'speed': last.speed, 'height': last.height}
         columns['now'] = {**vars(now), **reached}
-    except ThrowUnresolvedError:
-        pass  # the present rig does not throw
     columns['aimed' if best.is_reached else 'the_most'] = vars(best)
     if best.rig.layer != rig.layer:
-        try:
+        with contextlib.suppress(ThrowUnresolvedError):  # no amplitude throws the present layer
             with_present_layer = solve_request({**settings, 'recommendation.vary': 'amplitude'})
             if isinstance(with_present_layer, Aim) and with_present_layer.is_reached:
                 columns['with_this_layer'] = vars(with_present_layer)
-        except ThrowUnresolvedError:
-            pass  # the present layer throws with no amplitude
-    yield from _table(
-        columns, best.rig.layer.linear_range(settings['max_strain']), uncertainty
-    )
+    return columns
 
 
-def _recommendation_lines(
-    settings: Settings, best: RequestResult, uncertainty: PredictionUncertainty
-) -> Iterator[str]:
-    """Compare the present layer with the recommended ones; list the sensitivities."""
-    assert isinstance(best, Recommendation)  # because the objective is not 'aim'
+def _recommendation_columns(best: Recommendation) -> Columns:
+    """Return the throws of the present layer and of the recommended ones."""
     columns: Columns = {'now': vars(best.now) if best.now else None, 'recommended': vars(best)}
     for name in ('thickness', 'wave_speed'):
         alternative = getattr(best, f'by_{name}')
         if name != best.vary and alternative is not None:
             columns[f'by_{name}'] = vars(alternative)
-    yield from _table(
-        columns, best.rig.layer.linear_range(settings['max_strain']), uncertainty
-    )
+    return columns
+
+
+def _recommendation_lines(best: Recommendation) -> Iterator[str]:
+    """List the sensitivities, the best layers of the library, and remarks."""
     yield ''
     yield (
         f'around the recommended layer{"best":>11}{f"{100.0 * TOLERATED_LOSS:g} % within +-":>18}'
