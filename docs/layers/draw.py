@@ -30,9 +30,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
-from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.rig import Layer, Rig, Stack
-from soft_throw_ros.core.stepper import PLATE_VELOCITY, PROJECTILE_VELOCITY
+from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import throw_many
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
@@ -75,7 +74,7 @@ class Best(NamedTuple):
 
 def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float, float]:
     """Return energy transfer, peak strain and ejection speed [m/s] of the default rig."""
-    throw = throw_many(Rig(layer=layer), model='cells', cells=cells)
+    throw = throw_many(Rig(layer=layer), model='cells', loads=True, cells=cells)
     return float(throw.energy_transfer), float(throw.peak_strain), float(throw.ejection_speed)
 
 
@@ -210,22 +209,19 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
         'The best stacks whose sheets are compressed by 20 % at most, on the default rig.',
         height=3.6,
     )
+    times = np.linspace(0.0, 0.012, 600)
     for (count, best), colour in zip(chosen, colours, strict=True):
         edges = 1e3 * np.cumsum([0.0, *(sheet.thickness for sheet in best.layer.sheets)])
         levels = [sheet.impedance for sheet in best.layer.sheets]
         name = ('one sheet', 'two sheets', 'three sheets')[count - 1]
         left.stairs(levels, edges, color=colour, lw=2.0, baseline=None, label=name)
-        rig = Rig(layer=best.layer)
-        stepper = CellStepper(rig, cells=_CELLS, field_points=2)
-        times = np.linspace(0.0, 0.012, 600)
-        speeds = np.empty((2, times.size))
-        for k, time in enumerate(times.tolist()):
-            stepper.advance_to(time)
-            speeds[:, k] = stepper.state[[PLATE_VELOCITY, PROJECTILE_VELOCITY]]
-        right.plot(1e3 * times, speeds[1], color=colour)
-        release = stepper.events()[0]
+        throw = simulate(Rig(layer=best.layer), model='cells', cells=_CELLS, until=times[-1])
+        trajectory = throw.trajectory(times)
+        right.plot(1e3 * times, trajectory.projectile_velocity, color=colour)
+        release = throw.first_release
         right.plot(1e3 * release.time, release.velocity, 'o', color=colour, mec='white')
-    right.plot(1e3 * times, speeds[0], color=style.BLACK, ls='--', lw=1.0, label='plate')
+    plate = trajectory.plate_velocity
+    right.plot(1e3 * times, plate, color=style.BLACK, ls='--', lw=1.0, label='plate')
     left.set(
         xlabel='height in the layer [mm]', ylabel=r'impedance $\rho_s c_s S$ [kg/s]', ylim=0.0
     )
