@@ -108,20 +108,16 @@ def _frames(pictures: Iterable[Picture], spots: Sequence[Spot]) -> Iterator[Byte
 
 def _mark(frame: Bytes, spot: Spot, number: int, colour: Bytes, factor: int) -> None:
     """Draw the recent path of a spot, and a ring if this picture shows the spot."""
+    from skimage.draw import circle_perimeter
+
     late = (spot.picture <= number) & (spot.picture > number - _TAIL)
-    rows = factor * (spot.row[late] + 0.5)
-    columns = factor * (spot.column[late] + 0.5)
+    path = (factor * (np.stack([spot.row[late], spot.column[late]]) + 0.5)).astype(int)
+    frame[tuple(path)] = colour
     if late.any() and spot.picture[late][-1] == number:
-        angles = np.linspace(0.0, 2.0 * np.pi, round(12.0 * factor * _RADIUS))
-        for wider in (0.0, 1.0):
-            radius = factor * _RADIUS + wider
-            rows = np.append(rows, factor * (spot.row[late][-1] + 0.5) + radius * np.sin(angles))
-            columns = np.append(
-                columns, factor * (spot.column[late][-1] + 0.5) + radius * np.cos(angles)
-            )
-    pixels = np.stack([rows, columns]).astype(int)
-    inside = ((pixels >= 0).T & (frame.shape[:2] > pixels.T)).all(axis=1)
-    frame[tuple(pixels[:, inside])] = colour
+        radius = round(factor * _RADIUS)
+        for wider in (0, 1):
+            ring = circle_perimeter(*path[:, -1], radius + wider, shape=frame.shape[:2])
+            frame[ring] = colour
 
 
 def _write_video(frames: Iterator[Bytes], path: Path, form: str) -> None:

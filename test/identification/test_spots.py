@@ -19,13 +19,7 @@ import numpy as np
 import pytest
 from rendering import CONTRAST, DIAMETER, disc, exposed, picture
 from scipy.ndimage import gaussian_filter
-from soft_throw_ros.identification.spots import (
-    close_by_area,
-    find_spots,
-    follow_spots,
-    Spot,
-    tracks_of,
-)
+from soft_throw_ros.identification.spots import find_spots, follow_spots, Spot, tracks_of
 from soft_throw_ros.identification.tracks import TrackError
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
@@ -199,16 +193,6 @@ def test_spots_are_distinguished_from_other_dark_objects():
     spots = find_spots(picture((200, 160), truth, rng, around=levels))
     assert [spot[:2] for spot in spots] == [pytest.approx(place, abs=0.3) for place in truth]
     assert [spot.diameter for spot in spots] == pytest.approx([7.0] * 3, abs=0.7)
-
-
-@pytest.mark.parametrize('smoothing', [0.0, 1.5])
-def test_holes_are_filled_as_by_scikit_image(smoothing):
-    from skimage.morphology import area_closing
-
-    random = np.random.default_rng(3)
-    for area in (1, 5, 60, 300):
-        levels = gaussian_filter(random.uniform(0.0, 200.0, (20, 30)), smoothing).astype(np.uint8)
-        np.testing.assert_array_equal(close_by_area(levels, area), area_closing(levels, area))
 
 
 def test_pictures_without_spots_are_refused():
