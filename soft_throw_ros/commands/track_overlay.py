@@ -114,10 +114,9 @@ def _mark(frame: Bytes, spot: Spot, number: int, colour: Bytes, factor: int) -> 
     path = (factor * (np.stack([spot.row[late], spot.column[late]]) + 0.5)).astype(int)
     frame[tuple(path)] = colour
     if late.any() and spot.picture[late][-1] == number:
-        radius = round(factor * _RADIUS)
-        for wider in (0, 1):
-            ring = circle_perimeter(*path[:, -1], radius + wider, shape=frame.shape[:2])
-            frame[ring] = colour
+        row, column = path[:, -1].tolist()
+        for radius in (round(factor * _RADIUS), round(factor * _RADIUS) + 1):
+            frame[circle_perimeter(row, column, radius, shape=frame.shape[:2])] = colour
 
 
 def _write_video(frames: Iterator[Bytes], path: Path, form: str) -> None:

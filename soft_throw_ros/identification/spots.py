@@ -463,7 +463,8 @@ class _SpotTracker:
         self.uncertainty += self._velocity_uncertainty
         self._expected = self._expected + self._velocity
         edge = 0.5 * self.diameter + _BLUR + 1.0
-        is_inside = (edge <= self._expected).all() and (self._expected <= shape - edge).all()
+        beyond = np.maximum(edge - self._expected, self._expected - np.subtract(shape, edge))
+        is_inside = bool(beyond.max() <= 0.0)
         if not is_inside or self.uncertainty > _MAX_UNCERTAINTY * self.diameter:
             self.is_lost, self._has_left, self.uncertainty = True, not is_inside, 0.0
 
