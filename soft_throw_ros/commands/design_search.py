@@ -99,10 +99,12 @@ def _add_arguments(
 def run_recommend(arguments: argparse.Namespace) -> int:
     """Print a recommendation; return 0, or raise ValueError for a bad request."""
     settings = read_settings(arguments)
-    if settings['recommendation.objective'] == 'aim':
-        raise ValueError(
-            "recommendation.objective 'aim' needs the command `design aim`; give --objective"
-        )
+    for name, value in (('objective', 'aim'), ('vary', 'motion')):
+        if settings[f'recommendation.{name}'] == value:
+            raise ValueError(
+                f'recommendation.{name} {value!r} needs the command `design {value}`; '
+                f'give --{name}'
+            )
     _print_answer(settings, 'recommendation', arguments.json)
     return 0
 

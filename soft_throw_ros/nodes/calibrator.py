@@ -55,6 +55,7 @@ from soft_throw_ros.nodes.conversions import (
     msg_to_motion,
     msg_to_throw_result,
     msg_to_time,
+    msg_to_values,
     status_to_msg,
 )
 from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
@@ -151,16 +152,19 @@ class Calibrator(RunnableNode):
 
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
-            result = msg_to_throw_result(status)
-            if result.stage == 'final' and result.is_valid and not self._is_busy:
-                self._measured.read_messages()
-                try:
-                    if self._commanded is None:
-                        self._on_measured_throw(result)
-                    elif result.accuracy is None:
-                        self._on_commanded_throw(result, msg_to_time(msg.header.stamp))
-                except ValueError as error:  # of the tracks, or of a command
-                    self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
+            try:
+                self._on_result(msg_to_throw_result(status), msg_to_time(msg.header.stamp))
+            except ValueError as error:  # of the values, the tracks, or a command
+                number = msg_to_values(status).get('throw', '')
+                self.get_logger().warning(f'throw {number} cannot be used: {error}')
+
+    def _on_result(self, result: ThrowResult, stamp_ns: int) -> None:
+        if result.stage == 'final' and result.is_valid and not self._is_busy:
+            self._measured.read_messages()
+            if self._commanded is None:
+                self._on_measured_throw(result)
+            elif result.accuracy is None:
+                self._on_commanded_throw(result, stamp_ns)
 
     def _on_measured_throw(self, result: ThrowResult) -> None:
         """Collect a throw that the twin predicted wrongly, or count one that it predicted well."""

@@ -168,9 +168,20 @@ def throw_result_to_msg(
 
 
 def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
-    """Return the result of a throw."""
+    """
+    Return the result of a throw.
+
+    Raises
+    ------
+    ValueError
+        If a value is missing or wrong.
+
+    """
     values = msg_to_values(msg)
-    return ThrowResult.from_values(values, values_to_rig(values))
+    try:
+        return ThrowResult.from_values(values, values_to_rig(values))
+    except (KeyError, TypeError) as error:  # a missing value of the rig, or of the result
+        raise ValueError(f'values are missing: {error!r:.80}') from None
 
 
 def values_to_rig(values: Settings) -> Rig:

@@ -148,9 +148,10 @@ def test_options_replace_the_request_of_a_twin_file(command, write):
     assert result['peak_strain'] <= 0.11 * (1.0 + 1e-9)
 
 
-def test_file_with_an_aim_is_refused_with_its_task(command, write):
-    path = write('twin: {ros__parameters: {recommendation.objective: aim}}', 'aim.yaml')
-    assert 'design aim' in command.refused('recommend', '--config', path)
+@pytest.mark.parametrize(('name', 'value'), [('objective', 'aim'), ('vary', 'motion')])
+def test_file_for_another_task_is_refused_with_that_task(command, write, name, value):
+    path = write(f'twin: {{ros__parameters: {{recommendation.{name}: {value}}}}}', 'other.yaml')
+    assert f'design {value}' in command.refused('recommend', '--config', path)
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,20 @@ def test_throw_result_is_converted_back_and_has_its_warnings(
     assert message.level == level
 
 
+def test_result_of_a_throw_with_a_missing_or_wrong_value_is_refused() -> None:
+    message = throw_result_to_msg(RESULT, '/twin')
+    values = {item.key: item.value for item in message.values}
+    refused = set()
+    for name in values:
+        for other in ({}, {name: 'text'}):
+            changed = {key: value for key, value in values.items() if key != name} | other
+            try:
+                msg_to_throw_result(status_to_msg('/twin', 'throw', '', changed))
+            except ValueError:
+                refused.add(name)
+    assert refused > {'engine.frequency', 'layer.thickness', 'projectile.mass'}
+
+
 def test_values_are_converted_back_under_the_full_name_of_the_node() -> None:
     values = {'a': 1, 'b': 0.1, 'c': True, 'd': 'text', 'e': -math.inf, 'f': 1e-300}
     message = status_to_msg('/rig1/twin', 'timing', '', values)
