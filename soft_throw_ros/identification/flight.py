@@ -18,13 +18,17 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import theilslopes
 from soft_throw_ros.core.plate import PlateMotion
+from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.tracks import Track
+
+_STANDARD = 0.683
+"""Probability of the interval between one standard error below and above a value. [-]"""
 
 _FAST = 0.5
 """Smallest speed of the plate that shows its delay, relative to its peak speed. [-]"""
 
 
-def flight_speed(track: Track, *, gravity: float) -> float:
+def flight_speed(track: Track, *, gravity: float) -> Estimate:
     """
     Return the speed of the projectile at its release.
 
@@ -37,9 +41,9 @@ def flight_speed(track: Track, *, gravity: float) -> float:
 
     Returns
     -------
-    float
+    Estimate
         Median slope of the heights without the fall by gravity, which tolerates outliers in up to
-        29 % of the samples (Theil-Sen). [m/s]
+        29 % of the samples (Theil-Sen), and its error by the scatter of the heights. [m/s]
 
     Examples
     --------
@@ -47,12 +51,13 @@ def flight_speed(track: Track, *, gravity: float) -> float:
     >>> time = np.linspace(0.0, 0.02, 50)
     >>> height = 1.5 * time - 0.5 * 9.81 * time**2
     >>> height[7] = 1.0  # an outlier
-    >>> round(flight_speed(Track(time=time, position=height), gravity=9.81), 9)
+    >>> round(flight_speed(Track(time=time, position=height), gravity=9.81).value, 9)
     1.5
 
     """
     height = track.position + 0.5 * gravity * track.time**2
-    return float(theilslopes(height, track.time).slope)
+    slope, _, low, high = theilslopes(height, track.time, alpha=_STANDARD)
+    return Estimate(float(slope), 0.5 * float(high - low))
 
 
 def motion_delay(track: Track, motion: PlateMotion) -> float:

@@ -32,8 +32,8 @@ _MIN_SPEED_RATIO = 0.5  # smallest measured speed of a throw that was played, by
 class MeasuredThrow(NamedTuple):
     """A throw whose projectile was measured in flight."""
 
-    speed: float  # at the release [m/s]
-    speed_error: float  # common error of the speeds of such throws [m/s]
+    speed: Estimate  # at the release, with the error by the scatter of the heights [m/s]
+    common_error: float  # of the speeds of all such throws [m/s]
     peak_plate_speed: float  # [m/s]
 
     @classmethod
@@ -42,9 +42,9 @@ class MeasuredThrow(NamedTuple):
         rig, release = result.rig, result.first
         assert release is not None
         speed = flight_speed(projectile, gravity=rig.gravity)
-        if speed < _MIN_SPEED_RATIO * release.ejection_speed:
+        if speed.value < _MIN_SPEED_RATIO * release.ejection_speed:
             raise TrackError(
-                f'the projectile moved at {speed:.3g} m/s instead of '
+                f'the projectile moved at {speed.value:.3g} m/s instead of '
                 f'{release.ejection_speed:.3g} m/s; the rig was not ready'
             )
         return cls(speed, rig.gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)
@@ -73,12 +73,19 @@ def describe_gain(
 
 
 def _means(prefix: str, throws: Sequence[MeasuredThrow]) -> dict[str, str]:
-    """Return the mean results of throws, with standard errors by scatter and release time."""
-    speeds = np.array([throw.speed for throw in throws])
+    """
+    Return the mean results of throws.
+
+    The standard errors contain the scatter among the throws or within them, whichever is larger,
+    and the error of the release.
+    """
+    speeds, errors = np.transpose([throw.speed for throw in throws])
     plate_speed = float(np.mean([throw.peak_plate_speed for throw in throws]))
     speed = float(speeds.mean())
-    scatter = float(speeds.std(ddof=1)) if speeds.size > 1 else 0.0
-    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].speed_error)
+    scatter = math.sqrt(float(np.mean(errors**2)))
+    if speeds.size > 1:
+        scatter = max(scatter, float(speeds.std(ddof=1)))
+    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].common_error)
     energy_transfer = (speed / plate_speed) ** 2
     return {
         f'{prefix}.ejection_speed': str(Estimate(speed, error)),
