@@ -147,7 +147,7 @@ def _lines(
     if isinstance(best, Aim):
         columns = _aim_columns(settings, best)
     else:
-        assert isinstance(best, Recommendation)  # as the objective is not 'aim'
+        assert isinstance(best, Recommendation)  # other requests are refused
         columns, more = _recommendation_columns(best), _recommendation_lines(best)
     yield from write_predictions(columns, best.rig.layer.linear_range(settings['max_strain']))
     yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
