@@ -219,13 +219,13 @@ def warning_text(warning: FitWarning) -> str:
             )
         case InseparablePair((first, second), correlation):
             return (
-                f'{first} and {second} can hardly be told apart by these tracks (correlation '
+                f'{first} and {second} are hardly separated by these tracks (correlation '
                 f'{correlation:.4f}): the error of each is {warning.error_ratio:.0f} times '
                 'larger than with the other known; hold one'
             )
         case Contradiction(name, deviation, prior):
             return (
-                f'{name} is found {deviation:.1f} errors from what is known of it, {prior}: a '
+                f'{name} is found {deviation:.1f} errors from its known value {prior}: a '
                 'given value may be wrong'
             )
         case Mismatch(ratio, track, start, end):

@@ -229,7 +229,7 @@ class FitDescription:
         for name in (*self.parameters, *(n for item in self.throws.values() for n in item[0])):
             if name not in DEFAULTS:
                 raise ValueError(
-                    f'what is fitted must be some of {", ".join(DEFAULTS)}, got {name!r}'
+                    f'a parameter must be one of {", ".join(DEFAULTS)}, got {name!r}'
                 )
         for name, value, choices in (
             ('heights', self.heights, HEIGHTS),

@@ -505,7 +505,7 @@ class _LeastSquares:
                 )
         except FloatingPointError:
             raise FitError(
-                'the fit leads beyond what numbers can hold; check the heights of the tracks'
+                'the numbers of the fit overflow; check the heights of the tracks'
             ) from None
         return np.asarray(solution.x)
 

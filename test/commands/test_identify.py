@@ -309,7 +309,7 @@ THICKNESS = 'layer.thickness'
         (('none.csv',), 'none.csv: No such file or directory'),
         ((SAMPLE,), f"{SAMPLE}:4: plate is read in m, got 'plate [mm]'; see --unit mm"),
         ((SAMPLE, '--noise', '0'), "argument --noise: must be finite and positive, got '0'"),
-        ((SAMPLE, '--fit', 'layer.colour'), 'argument --fit: what is fitted must be some of '),
+        ((SAMPLE, '--fit', 'layer.colour'), 'argument --fit: a parameter must be one of '),
         ((SAMPLE, '--fit', THICKNESS, '--hold', THICKNESS), f'argument --hold: {THICKNESS}'),
         ((SAMPLE, '--thickness', '7'), f'argument --thickness: {THICKNESS} must be a number from'),
         ((*OF_SAMPLE, '--from', '0.025'), f'{SAMPLE.name}: the plate does not move as a damped'),

@@ -170,7 +170,7 @@ def test_other_minimum_is_spanned_and_reported():
 
 
 def test_overflowing_fit_is_refused():
-    with pytest.raises(FitError, match='beyond what numbers can hold'):
+    with pytest.raises(FitError, match='numbers of the fit overflow'):
         fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track(known=1e-160))])
 
 
