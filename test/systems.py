@@ -27,6 +27,7 @@ from bench import processes
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 import numpy as np
+import pytest
 
 ROOT = Path(__file__).parents[1]
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
@@ -106,23 +107,34 @@ class System:
         """Wait until recorder and subscriber receive states published after the call."""
         start = time.time_ns()
         self.wait_for_heard(1250)
-        _wait(lambda: _last_recorded_stamp(self.bags[-1]) >= start, 'no new states are recorded')
+        bag = self.bags[-1]
+        self._wait(lambda: _last_recorded_stamp(bag) >= start, 'no new states are recorded')
 
     def wait_for_heard(self, count: int) -> None:
         """Wait until the subscriber has received a number of additional states."""
         size = _size(self._heard) + 8 * count
-        _wait(lambda: _size(self._heard) >= size, 'no states are received')
+        self._wait(lambda: _size(self._heard) >= size, 'no states are received')
 
     def wait_for_viewer(self, *, not_pid: int) -> None:
         """Wait until the recorder has a viewer with another process number."""
-        _wait(lambda: self.pids('viewer') not in ([], [not_pid]), 'no viewer was started again')
+        old = [], [not_pid]
+        self._wait(lambda: self.pids('viewer') not in old, 'no viewer was started again')
 
     def wait_for_states_of(self, moment: int) -> None:
         """Wait until the subscriber receives states published after a given time [ns]."""
-        _wait(
+        self._wait(
             lambda: int(np.fromfile(self._heard, dtype='<i8')[-1]) >= moment,
             'only old states are received',
         )
+
+    def _wait(self, is_reached: Callable[[], bool], failure: str) -> None:
+        """Wait, or fail with the last lines of all processes."""
+        deadline = time.monotonic() + TIMEOUT
+        while not is_reached():
+            if time.monotonic() > deadline:
+                last = {name: process.lines[-5:] for name, process in self.running.items()}
+                pytest.fail(f'{failure}: {_size(self._heard)} bytes heard, {last}')
+            time.sleep(0.1)
 
     def end(self) -> Outcome:
         """End all processes, the twin first, and return the outcome."""
@@ -154,13 +166,6 @@ def missing(states: processes.RecordedStates, twins: int = 1) -> int:
     runs = np.split(states.numbers, np.sort(pauses) + 1)
     assert all((np.diff(run) > 0).all() for run in runs)
     return sum(int(run[-1]) for run in runs) - states.numbers.size
-
-
-def _wait(is_reached: Callable[[], bool], failure: str) -> None:
-    deadline = time.monotonic() + TIMEOUT
-    while not is_reached():
-        assert time.monotonic() < deadline, failure
-        time.sleep(0.1)
 
 
 def _size(path: Path) -> int:

@@ -38,10 +38,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.once, pytest.mark.timeout(180)]
 
 @pytest.fixture
 def system(request, start, tmp_path, monkeypatch):
-    """Use UDP for long stops, since Fast DDS may lose the queue in shared memory after 3 s."""
+    """Use UDP for stops, since Fast DDS may lose the queue in shared memory of a stopped process."""
     pytest.importorskip('rerun')
-    callspec = getattr(request.node, 'callspec', None)
-    if callspec and callspec.params['is_lossy']:
+    if 'stops' in request.fixturenames:
         monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
     return System(lambda _name, *command, **kwargs: start(*command, **kwargs), tmp_path)
 
