@@ -31,7 +31,8 @@ class LossCounter:
     Notes
     -----
     A publisher numbers its messages from 1 on. The messages before its first received message
-    were published before joining; later gaps are losses.
+    were published before joining; later gaps are losses. Latched messages may come later than a
+    new one, and are not missing then.
 
     Before ROS 2 Kilted, the middleware does not identify the publisher of a message. Then all
     messages form one sequence. The number after a jump is the first one of another publisher if
@@ -47,7 +48,7 @@ class LossCounter:
         self._has_one_publisher = has_one_publisher
         self._has_numbers = True
         self._lost = self._missed = self._reported = 0
-        self._last: dict[bytes, int] = {}  # latest number by publisher
+        self._ends: dict[bytes, tuple[int, int]] = {}  # first and highest number by publisher
         # for messages without a publisher
         self._latest = 0
         self._jumps: deque[tuple[int, int]] = deque()  # numbers before and after
@@ -70,12 +71,14 @@ class LossCounter:
         if number is None:
             self._has_numbers = False
         elif publisher is not None:
-            last = self._last.get(publisher)
-            if last is None:
+            first, last = self._ends.get(publisher, (number, 0))
+            if not last:
                 self._missed += number - 1
+            elif number < first:
+                self._missed -= 1
             else:
                 self._lost += max(number - last - 1, 0)
-            self._last[publisher] = max(number, last or 0)
+            self._ends[publisher] = first, max(number, last)
         else:
             if not self._latest or number != self._latest + 1:
                 self._jumps.append((self._latest, number))

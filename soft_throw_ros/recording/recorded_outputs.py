@@ -54,17 +54,35 @@ def count_skipped(sequences: Sequence[int], *, is_from_first: bool) -> int:
     """
     Return how many messages are missing by the numbers that publishers gave them, from 1.
 
-    A number that is not above the one before is of another publisher. Numbers are 0 if they are
-    not known.
+    A number that is not above the one before is of another publisher, or of an older, latched
+    message that comes after a new one. Numbers are 0 if they are not known.
 
     Examples
     --------
     >>> count_skipped([3, 4, 7, 1, 2], is_from_first=True)
     4
+    >>> count_skipped([4, 2, 3, 5, 6], is_from_first=True)
+    1
 
     """
-    steps = np.diff(np.array(sequences, np.int64))
-    return int((steps[steps > 1] - 1).sum()) + max(sequences[0] - 1, 0) * is_from_first
+    numbers = np.array(sequences, np.int64)
+    if not numbers.any():
+        return 0
+    runs: list[Integers] = []
+    for run in np.split(numbers, np.flatnonzero(np.diff(numbers) <= 0) + 1):
+        # New messages fit into a gap between the older ones of the same publisher
+        if runs and _continues(runs[-1], run):
+            runs[-1] = np.sort(np.concatenate([runs[-1], run]))
+        else:
+            runs.append(run)
+    skipped = sum(int((np.diff(run) - 1).sum()) for run in runs)
+    return skipped + max(int(runs[0][0]) - 1, 0) * is_from_first
+
+
+def _continues(new: Integers, older: Integers) -> bool:
+    """Return whether `older` has the numbers next to those of `new`, and none of them."""
+    beside = np.isin([new[0] - 1, new[-1] + 1], older).all()
+    return bool(beside) and not np.isin(new, older).any()
 
 
 def count_missing(is_recorded: Flags, longest_end: int) -> NDArray[np.int64]:

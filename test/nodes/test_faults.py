@@ -38,7 +38,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.once, pytest.mark.timeout(180)]
 
 @pytest.fixture
 def system(request, start, tmp_path, monkeypatch):
-    """Use UDP for stops, since Fast DDS may lose the queue in shared memory of a stopped process."""
+    """Use UDP for stops: Fast DDS may lose the queue in shared memory of a stopped process."""
     pytest.importorskip('rerun')
     if 'stops' in request.fixturenames:
         monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')

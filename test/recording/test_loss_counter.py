@@ -50,6 +50,13 @@ def test_repeated_message_of_a_named_publisher_is_neither_lost_nor_another_publi
     assert (counter.lost, counter.missed_before_join) == (0, 0)
 
 
+def test_latched_messages_of_a_named_publisher_that_come_late_are_not_missing() -> None:
+    counter = LossCounter(has_one_publisher=True)
+    for number in (8, 9, 3, 4, 5, 6, 7, 10):
+        counter.add(number, FIRST)
+    assert (counter.lost, counter.missed_before_join) == (0, 2)
+
+
 @pytest.mark.parametrize('shared', [True, False])
 def test_gaps_of_the_only_publisher_are_losses(shared: bool) -> None:
     assert count([6, 7, 10, 20], [FIRST], shared=shared, reported=99) == (2 + 9, 5)
