@@ -193,7 +193,7 @@ def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
     layer, projectile = rig.layer, rig.projectile
     sheets = len(layer.sheets) if isinstance(layer, Stack) else 0
     laws = layer.stress_strain_law, layer.loss
-    return id(rig.engine.motion), sheets, *laws, projectile.length, projectile.youngs_modulus
+    return rig.engine.motion, sheets, *laws, projectile.length, projectile.youngs_modulus
 
 
 def units_of(values: Mapping[str, Any]) -> tuple[Any, ...]:
