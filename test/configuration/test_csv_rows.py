@@ -1,0 +1,83 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Columns of numbers in CSV files: separators, labels, units and refusals."""
+
+import numpy as np
+import pytest
+from soft_throw_ros.configuration.csv_rows import Column, read_columns, read_rows
+
+COLUMNS = {
+    't': Column(('t', 'time'), {'s': 1.0, 'ms': 1e-3}, 's'),
+    'z': Column(('z', 'height'), {'m': 1.0, 'mm': 1e-3}, 'm', largest=10.0, may_have_gaps=True),
+    'v': Column(('v',), {'m/s': 1.0}, 'm/s', needs_label=True),
+}
+
+
+def read(text):
+    return read_columns(text.splitlines(), 'track.csv', COLUMNS)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        't [ms],z [mm],note\n0,1,10\n2,3,10\n',
+        'time (ms);height (mm)\n0;1,0\n2;3,0\n',
+        'sep=;\n# a comment\n\nt [ms]; z [mm]\n0; 1e0;\n2; 3;\n',
+        '\ufeff"t [ms]"\t"z [mm]"\n0\t1\n2\t3\n',
+        '0 0.001\n0.002 0.003\n',
+        'z,t\n1e-3,0\n3e-3,2e-3\n',
+    ],
+)
+def test_tables_of_spreadsheets_and_programs_have_the_same_numbers(text):
+    columns = read(text)
+    assert set(columns) == {'t', 'z'}
+    assert columns['t'] == pytest.approx([0.0, 2e-3])
+    assert columns['z'] == pytest.approx([1e-3, 3e-3])
+
+
+def test_column_that_needs_a_label_is_skipped_without_one():
+    assert 'v' not in read('0,1,5\n1,2,5\n')
+    assert read('t,z,v\n0,1,5\n1,2,6\n')['v'].tolist() == [5.0, 6.0]
+
+
+def test_missing_values_are_nan_where_gaps_are_allowed():
+    assert np.isnan(read('t,z\n0,\n1,nan\n2,3\n')['z']).tolist() == [True, True, False]
+
+
+def test_rows_have_the_numbers_of_their_lines():
+    rows = read_rows(['', '# t', '1 2', 'sep=,', '3 4'])
+    assert list(rows) == [(3, ['1', '2']), (5, ['3', '4'])]
+
+
+@pytest.mark.parametrize(
+    ('text', 'parts'),
+    [
+        ('', ('track.csv', 'empty')),
+        ('t,z\n', ('track.csv:1', 'no line with numbers')),
+        ('t\n1\n', ('track.csv:1', 'z or height', "'t'")),
+        ('t,z [km]\n0,1\n', ('track.csv:1', 'm or mm', "'z [km]'")),
+        ('t,z,height\n0,1,1\n', ('track.csv:1', 'once', "'height'")),
+        ('t,z\n0,1\n0,2\n', ('track.csv:3', 'increase', '0 after 0')),
+        ('t,z\n0,1\n,2\n', ('track.csv:3', 't must be a finite number', "''")),
+        ('t,z\n0,11\n', ('track.csv:2', '+- 10', "'11'")),
+        ('t,z [mm]\n0,11000\n', ('track.csv:2', '+- 10000', "'11000'")),
+        ('t,z\n0,1_000\n', ('track.csv:2', 'finite number', "'1_000'")),
+        ('t,z\n0,1,2\n', ('track.csv:2', 'got 3')),
+        ('t,z\n0;1\n', ('track.csv:2', 'got 1', 'same sign')),
+    ],
+)
+def test_wrong_table_is_refused_with_the_line_and_the_value(text, parts):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 (the parts are compared below)
+        read(text)
+    assert all(part in str(caught.value) for part in parts), caught.value

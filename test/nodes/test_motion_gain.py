@@ -1,0 +1,87 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The gain in ejection speed by a commanded motion, from simulated flights."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.tracks import Track, TrackError
+from soft_throw_ros.nodes.motion_gain import describe_gain, flight_duration, MeasuredThrow
+from soft_throw_ros.twin.results import Release
+
+
+def result(speed=1.5, gravity=9.81):
+    """Return the values of a result that a measurement needs."""
+    first = Release(ejection_time=8e-3, ejection_speed=speed, energy_transfer=4.0)
+    rig = Rig(engine=Engine(frequency=50.0), gravity=gravity)
+    return SimpleNamespace(rig=rig, first=first, peak_plate_speed=0.75)
+
+
+def flight(speed, noise=0.0):
+    time = np.linspace(0.0, 0.02, 50)
+    random = np.random.default_rng(0)
+    height = speed * time - 0.5 * 9.81 * time**2 + noise * random.normal(size=time.size)
+    return Track(time=time, position=height)
+
+
+def values(throws):
+    _, found = describe_gain(throws, throws)
+    number, _, error = found['engine.ejection_speed'].partition(' +- ')
+    return float(number), float(error)
+
+
+def test_flight_ends_at_the_apex_or_after_a_plate_period():
+    assert flight_duration(result(speed=0.0981)) == pytest.approx(0.01)
+    assert flight_duration(result(speed=1.5)) == pytest.approx(0.02)
+    assert flight_duration(result(gravity=0.0)) == pytest.approx(0.02)
+
+
+def test_speed_is_measured_at_the_release():
+    throw = MeasuredThrow.from_track(result(), flight(1.47))
+    assert throw.speed == pytest.approx((1.47, 0.0), abs=1e-9)
+    assert throw.common_error == pytest.approx(9.81e-4)
+    assert throw.peak_plate_speed == 0.75
+
+
+def test_throw_that_the_rig_has_not_played_is_refused():
+    with pytest.raises(TrackError, match=r'0\.7 m/s instead of 1\.5 m/s'):
+        MeasuredThrow.from_track(result(), flight(0.7))
+
+
+@pytest.mark.parametrize(
+    ('speeds', 'error', 'expected'),
+    [
+        ([1.5, 1.5, 1.5, 1.5], 4e-3, 2e-3),  # the scatter within the throws
+        ([1.49, 1.51], 1e-4, 1e-2),  # the scatter among them: sqrt(2) 0.01 / sqrt(2)
+        ([1.5], 0.0, 1e-3),  # the common error alone
+    ],
+)
+def test_error_has_the_larger_scatter_and_the_common_error(speeds, error, expected):
+    throws = [MeasuredThrow(Estimate(speed, error), 1e-3, 0.75) for speed in speeds]
+    value, total = values(throws)
+    assert value == pytest.approx(1.5, abs=1e-3)
+    assert total == pytest.approx(np.hypot(expected if error else 0.0, 1e-3), rel=0.06)
+
+
+def test_gain_is_described_with_the_numbers_of_both_motions():
+    slow, fast = (MeasuredThrow(Estimate(speed, 1e-3), 1e-3, 0.75) for speed in (1.5, 1.8))
+    message, found = describe_gain([slow] * 2, [fast] * 3)
+    assert found['engine.energy_transfer'].startswith('4.0')
+    assert found['commanded.energy_transfer'].startswith('5.76')
+    assert (found['engine.throws'], found['commanded.throws']) == ('2', '3')
+    assert found['engine.ejection_speed'] in message
+    assert found['commanded.energy_transfer'] in message
