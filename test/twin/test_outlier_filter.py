@@ -1,0 +1,98 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Outliers among the measured positions of a body."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION, OUTLIER_SIGMAS, OutlierFilter
+
+NOISE = 5e-6  # [m]
+INTERVAL = 2e-4  # of samples [s]
+
+
+def find(positions, *, acceleration=0.0, noise=NOISE, stamp_error=0.0) -> list[int]:
+    """Return the indices of the outliers of one body, whose last position is judged."""
+    outliers = OutlierFilter(acceleration, noise, bodies=1)
+    outliers.set_stamp_error(stamp_error)
+    times = INTERVAL * np.arange(len(positions))
+    is_outlier = outliers.find(times, np.array(positions)[:, None])
+    assert is_outlier.shape == (len(positions), 1)
+    return np.flatnonzero(is_outlier).tolist()
+
+
+def test_constants_are_those_of_normal_noise() -> None:
+    assert math.erf(MEDIAN_DEVIATION / math.sqrt(2.0)) == pytest.approx(0.5, abs=1e-5)
+    assert math.erfc(OUTLIER_SIGMAS / math.sqrt(2.0)) == pytest.approx(1.0 / 5e8, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ('acceleration', 'noise', 'stamp_error', 'speed'),
+    [(0.0, NOISE, 0.0, 0.0), (300.0, NOISE, 0.0, 0.2), (300.0, 1e-9, 1e-5, 0.7)],
+)
+def test_largest_deviation_is_a_path_and_six_standard_errors(
+    acceleration, noise, stamp_error, speed
+) -> None:
+    # the line through the last two positions has their weights -1 and 2
+    error = math.sqrt(6.0) * math.hypot(noise, speed * stamp_error)
+    limit = 1.5 * acceleration * INTERVAL**2 + 6.0 * error
+    for factor in (-1.001, -0.999, 0.999, 1.001):
+        positions = speed * INTERVAL * np.arange(6)
+        positions[2] += factor * limit
+        outliers = find(
+            positions, acceleration=acceleration, noise=noise, stamp_error=stamp_error
+        )
+        assert (2 in outliers) is (abs(factor) > 1.0)
+
+
+def test_deviation_that_the_next_position_confirms_is_no_outlier() -> None:
+    kink = np.maximum(np.arange(-5.0, 6.0), 0.0) * 100.0 * NOISE
+    assert find(kink) == []
+    assert find([*kink[:8], 0.0, *kink[9:]]) == [8]
+
+
+def test_moved_zero_is_accepted_from_the_third_outlier_on() -> None:
+    assert find([0.0] * 5 + [1e-3] * 4) == [5, 6]
+
+
+def test_missing_position_is_no_outlier_and_hides_none() -> None:
+    assert find([0.0, 0.0, math.nan, 1e-3, 0.0, 0.0]) == [3]
+
+
+def test_recent_deviations_widen_the_limit_until_the_noise_is_over() -> None:
+    noisy = 10.0 * NOISE * np.random.default_rng(1).standard_normal(2000)
+    spike = [0.0] * 4 + [40.0 * NOISE] + [0.0] * 4
+    assert find(spike) == [4]
+    assert max(find([*noisy, *spike])) < 100  # the filter has to learn the noise
+    assert find([*noisy, *[0.0] * 200, *spike])[-1] == 2204
+
+
+def test_last_row_waits_for_the_next_and_batches_find_the_same_outliers() -> None:
+    random = np.random.default_rng(2)
+    positions = NOISE * random.standard_normal((400, 2))
+    positions[random.random((400, 2)) < 0.05] += 1e-3
+    positions[random.random((400, 2)) < 0.05] = math.nan
+    times = INTERVAL * np.arange(400.0)
+    expected = OutlierFilter(0.0, NOISE, bodies=2).find(times, positions)
+    assert expected.any(axis=0).all()
+    outliers, batches, first = OutlierFilter(0.0, NOISE, bodies=2), [], 0
+    for end in range(1, 401):
+        batches.append(outliers.find(times[first:end], positions[first:end]))
+        first += len(batches[-1])
+        assert end - first in {0, 1}
+    assert 20 < sum(len(batch) == 0 for batch in batches) < 200
+    np.testing.assert_array_equal(np.concatenate(batches), expected[:first])
