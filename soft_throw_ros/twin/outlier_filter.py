@@ -65,7 +65,7 @@ class OutlierFilter:
     A filter that finds outliers among the positions of bodies that are measured together.
 
     A position is accepted if it is near the line through the last two accepted ones. The largest
-    deviation is the path that the engine's `acceleration` [m/s2] allows plus `OUTLIER_SIGMAS`
+    deviation is the path by 1.5 times the engine's `acceleration` [m/s2] plus `OUTLIER_SIGMAS`
     standard errors, from the `noise` [m] or from the recent deviations. Other positions are
     outliers unless the next position confirms them: then a position is accepted if it is near the
     line from the last accepted position to the next, with an acceleration a few times as large.
