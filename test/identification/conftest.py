@@ -23,6 +23,10 @@ import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.identification.fit_description import FitDescription
+from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.plate_fit import fit_plate
+from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
@@ -50,6 +54,12 @@ def _make_throw(
     return _measure(time, plate - zeros[0], projectile - zeros[1], **options)
 
 
+def _make_model(rig: Rig, throws: list[ThrowTracks], description: FitDescription) -> RigModel:
+    """Return the model of throws around a rig, with the fits of the plates alone."""
+    plates = tuple(fit_plate(throw.plate) for throw in throws)
+    return RigModel(tuple(throws), rig, description, ThrowSimulator(), plates)
+
+
 @pytest.fixture
 def see() -> Callable[..., ThrowTracks]:
     return _measure
@@ -58,6 +68,11 @@ def see() -> Callable[..., ThrowTracks]:
 @pytest.fixture(scope='session')
 def make_throw() -> Callable[..., ThrowTracks]:
     return _make_throw
+
+
+@pytest.fixture(scope='session')
+def make_model() -> Callable[..., RigModel]:
+    return _make_model
 
 
 @pytest.fixture(scope='session')

@@ -1,0 +1,106 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Search for the layer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.identification.fit_description import FitDescription, FREE, IDEAL_BENCH
+from soft_throw_ros.identification.layer_search import (
+    find_best_minimum,
+    find_layers,
+    MAX_EXCESS,
+)
+from soft_throw_ros.identification.least_squares import FitError
+
+IDEAL = FitDescription(IDEAL_BENCH)
+WITH_THICKNESS = {**IDEAL_BENCH, 'layer.thickness': FREE}
+
+CHATTERING = Rig(layer=Layer(thickness=5.6e-3, wave_speed=40.0))
+"""A rig with so stiff a layer that chi squared has a minimum at many wave speeds."""
+
+
+def with_layer(rig, **changes):
+    return replace(rig, layer=replace(rig.layer, **changes))
+
+
+def throw_of(make_throw, rig, **options):
+    return make_throw(rig, rate=2000.0, duration=0.06, **options)
+
+
+@pytest.mark.parametrize('rig', [Rig(), CHATTERING], ids=['soft', 'chattering'])
+def test_first_candidate_on_exact_tracks_is_the_truth(make_model, make_throw, rig):
+    throw = throw_of(make_throw, rig, noise=1e-6)
+    candidates = find_layers(make_model(with_layer(rig, wave_speed=100.0), [throw], IDEAL))
+    speeds = [candidate.layer.wave_speed for candidate in candidates]
+    assert speeds[0] == pytest.approx(rig.layer.wave_speed, rel=2e-3)
+    assert {candidate.layer.thickness for candidate in candidates} == {rig.layer.thickness}
+    assert np.diff(np.log(sorted(speeds))).min(initial=1.0) > 4e-3  # all differ
+
+
+def test_candidates_contain_the_thickness_for_a_guess_that_is_a_third_off(
+    make_model, make_throw
+):
+    throw = throw_of(make_throw, Rig(), noise=1e-6)
+    known = with_layer(Rig(), wave_speed=50.0, thickness=1.3 * Rig().layer.thickness)
+    best, *_ = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))
+    assert best.layer.thickness == pytest.approx(Rig().layer.thickness, rel=0.02)
+    assert best.layer.wave_speed == pytest.approx(Rig().layer.wave_speed, rel=0.02)
+
+
+def test_thickness_is_the_gap_between_bodies_with_a_common_zero(make_model, make_throw):
+    throw = throw_of(make_throw, Rig(), zeros=(0.1, 0.1))
+    known = with_layer(Rig(), wave_speed=50.0, thickness=0.03)
+    description = FitDescription(WITH_THICKNESS, 'common')
+    best, *_ = find_layers(make_model(known, [throw], description))
+    assert best.layer.thickness == pytest.approx(Rig().layer.thickness, rel=0.03)
+    long = replace(known, projectile=replace(known.projectile, length=0.1))
+    wrong = make_model(long, [throw], replace(description, reference='centre'))
+    with pytest.raises(FitError, match=r'got 0\.0167\d? m of which 0\.05 m belong to the proj'):
+        find_layers(wrong)
+
+
+def fit_near(model, wave_speed, **options):
+    start = model.start()
+    start[model.layout.indices_of('layer.wave_speed')] = wave_speed
+    return model.fit(start, **options)
+
+
+def test_best_minimum_is_found_from_a_wrong_echo(make_model, make_throw):
+    model = make_model(CHATTERING, [throw_of(make_throw, CHATTERING)], IDEAL)
+    right = fit_near(model, 40.0)
+    wrong = fit_near(model, 22.4, noise=right.noise)
+    assert wrong.chi2 > right.chi2 + MAX_EXCESS
+    assert wrong['layer.wave_speed'].value < 25.0
+    others = [with_layer(CHATTERING, wave_speed=speed) for speed in (22.0, 41.0)]
+    found = find_best_minimum(model, wrong, others)
+    assert found.values == pytest.approx(right.values, rel=1e-4, abs=1e-7)
+    assert found.alternatives == ()
+    assert find_best_minimum(model, right, others[:1]).chi2 == right.chi2
+
+
+def test_minima_that_are_hardly_worse_increase_the_error(make_model, make_throw):
+    model = make_model(CHATTERING, [throw_of(make_throw, CHATTERING, noise=2e-4)], IDEAL)
+    fit = fit_near(model, 37.8)
+    others = [with_layer(CHATTERING, wave_speed=speed) for speed in (22.4, 57.5, 22.0)]
+    found = find_best_minimum(model, fit, others)
+    speed, index = found['layer.wave_speed'], model.layout.indices['layer.wave_speed'][0]
+    far = [item.values[index] - speed.value for item in found.alternatives]
+    assert len(far) == 2  # the last one leads to the first minimum
+    assert all(0.0 <= item.excess < MAX_EXCESS for item in found.alternatives)
+    own = fit['layer.wave_speed']
+    assert speed.value == own.value
+    assert speed.error == pytest.approx(np.linalg.norm([own.error, *(0.5 * np.array(far))]))

@@ -1,0 +1,133 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The model of a fit."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+import pytest
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.identification.fit_description import (
+    FitDescription,
+    IDEAL_BENCH,
+    PARAMETERS,
+    parse_treatments,
+)
+from soft_throw_ros.identification.least_squares import Estimate
+
+TREATMENTS = {
+    'engine.amplitude': 'free per throw',
+    'layer.thickness': '+- 1e-4',
+    'layer.stiffening': '+- 0.4',
+    'projectile.mass': '+- 2 %',
+    'projectile.delay': '+- 1e-4',
+    'plate.drift': '+- 0.02 per throw',
+    'plate.ringing': '0 +- 0.03 per throw',
+}
+DELAY = 'projectile.delay'
+
+
+@pytest.fixture(scope='module')
+def throws(make_throw):
+    options = {'rate': 1000.0, 'duration': 0.05}
+    first, second = (make_throw(Rig(), start=start, **options) for start in (0.0102, 0.0113))
+    return [replace(first, name='a'), replace(second, name='b')]
+
+
+@pytest.fixture(scope='module')
+def model(make_model, throws):
+    description = FitDescription({**IDEAL_BENCH, **parse_treatments(TREATMENTS)})
+    return make_model(Rig(), throws, description)
+
+
+def changed(model, changes):
+    """Return start values with some of them changed, by their names."""
+    values = model.start()
+    for name, change in changes.items():
+        values[model.layout.names.index(name)] += change
+    return values
+
+
+def test_derivatives_agree_with_differences_of_predictions(model):
+    values = changed(model, {DELAY: 3e-5, 'layer.stiffening': 0.1, 'plate.drift[1]': 0.01})
+    jacobian = model.jacobian(values)
+    assert jacobian.shape == (model.predict(values).size, len(model.layout.names))
+    for index, name in enumerate(model.layout.names):
+        step = np.zeros_like(values)
+        step[index] = 1e-5 if name.startswith(('start', DELAY)) else 1e-3
+        if name.partition('[')[0] in PARAMETERS:
+            step[index] *= values[index]
+        slope = (model.predict(values + step) - model.predict(values - step)) / (2 * step[index])
+        assert np.linalg.norm(slope) > 0.0
+        deviation = np.linalg.norm(jacobian[:, index] - slope)
+        assert deviation < 0.02 * np.linalg.norm(slope), name
+
+
+@pytest.mark.parametrize(
+    ('name', 'moved'),
+    [('start_time[2]', [(1, 'plate'), (1, 'projectile')]),
+     (DELAY, [(0, 'projectile'), (1, 'projectile')])],
+)
+def test_later_start_or_delay_moves_the_tracks_in_time(model, name, moved):
+    shift = 2.3e-4
+    late = model.trajectories(changed(model, {name: shift}))
+    earlier = [
+        (throw, body, track.time - shift * ((throw, body) in moved))
+        for throw, body, track in model.series
+    ]
+    for seen, same in zip(late, model.trajectories(model.start(), earlier), strict=True):
+        assert seen.height == pytest.approx(same.height, abs=1e-9)
+    assert not np.allclose(model.predict(model.start()), np.concatenate([t[0] for t in late]))
+
+
+def test_priors_are_those_of_the_description_for_each_value(model):
+    known = {model.layout.names[index]: prior for index, prior in model.known.items()}
+    rig = Rig()
+    assert known == {
+        'layer.thickness': Estimate(rig.layer.thickness, 1e-4),
+        'layer.stiffening': Estimate(0.0, 0.4),
+        'projectile.mass': Estimate(rig.projectile.mass, 0.02 * rig.projectile.mass),
+        DELAY: Estimate(0.0, 1e-4),
+        **{f'plate.drift[{throw}]': Estimate(0.0, 0.02) for throw in (1, 2)},
+        **{
+            f'plate.ringing_{wave}[{throw}]': Estimate(0.0, 0.03)
+            for wave in ('cosine', 'sine') for throw in (1, 2)
+        },
+    }
+    faulty = changed(model, {DELAY: 1e-4, 'start_time[1]': 1e-4, 'plate.drift[2]': 0.01})
+    expected = changed(model, {'start_time[1]': 1e-4, 'plate.drift[2]': 0.01})
+    assert np.array_equal(model.without_faults(faulty), expected)
+
+
+def test_rig_has_the_mean_amplitude_and_the_wave_speed_at_its_strain(model):
+    before = model.rig_of(model.start(), 1)
+    values = changed(model, {'engine.amplitude[2]': 1e-4, 'layer.stiffening': 0.5})
+    first, second, both = (model.rig_of(values, throw) for throw in (0, 1, None))
+    amplitude = second.engine.amplitude
+    assert amplitude == pytest.approx(before.engine.amplitude + 1e-4)
+    assert both.engine.amplitude == pytest.approx(0.5 * (first.engine.amplitude + amplitude))
+    plate_speed = 2.0 * math.pi * second.engine.frequency * amplitude
+    rise = second.layer.wave_speed - before.layer.wave_speed
+    assert rise == pytest.approx(0.5 * plate_speed)
+
+
+def test_cut_leaves_out_late_samples_of_projectiles_alone(model, throws):
+    cut = model.cut_after(0.02)
+    for throw, before, plate in zip(cut.throws, throws, model.plates, strict=True):
+        end = plate.start_time + 0.02
+        assert np.array_equal(throw.plate.time, before.plate.time)
+        kept = before.projectile.time[before.projectile.time <= end]
+        assert np.array_equal(throw.projectile.time, kept)
+    assert model.cut_after(-1.0).projectiles == []
