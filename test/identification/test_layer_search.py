@@ -45,10 +45,8 @@ def throw_of(make_throw, rig, **options):
 def test_first_candidate_on_exact_tracks_is_the_truth(make_model, make_throw, rig):
     throw = throw_of(make_throw, rig, noise=1e-6)
     candidates = find_layers(make_model(with_layer(rig, wave_speed=100.0), [throw], IDEAL))
-    speeds = [candidate.layer.wave_speed for candidate in candidates]
-    assert speeds[0] == pytest.approx(rig.layer.wave_speed, rel=2e-3)
+    assert candidates[0].layer.wave_speed == pytest.approx(rig.layer.wave_speed, rel=2e-3)
     assert {candidate.layer.thickness for candidate in candidates} == {rig.layer.thickness}
-    assert np.diff(np.log(sorted(speeds))).min(initial=1.0) > 4e-3  # all differ
 
 
 def test_candidates_contain_the_thickness_for_a_guess_that_is_a_third_off(
@@ -57,9 +55,12 @@ def test_candidates_contain_the_thickness_for_a_guess_that_is_a_third_off(
     rig = with_layer(Rig(), thickness=0.03)
     throw = throw_of(make_throw, rig, noise=1e-6)
     known = with_layer(rig, wave_speed=50.0, thickness=0.04)
-    best, *_ = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))
+    best, *others = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))
     assert best.layer.thickness == pytest.approx(0.03, rel=0.02)
     assert best.layer.wave_speed == pytest.approx(rig.layer.wave_speed, rel=0.02)
+    assert all(abs(other.layer.wave_speed / best.layer.wave_speed - 1.0) > 5e-3
+               or abs(other.layer.thickness / best.layer.thickness - 1.0) > 5e-3
+               for other in others)
 
 
 def test_thickness_is_the_gap_between_bodies_with_a_common_zero(make_model, make_throw):
