@@ -66,23 +66,19 @@ def count_skipped(sequences: Sequence[int], *, is_from_first: bool) -> int:
 
     """
     numbers = np.array(sequences, np.int64)
-    if not numbers.any():
-        return 0
-    runs: list[Integers] = []
-    for run in np.split(numbers, np.flatnonzero(np.diff(numbers) <= 0) + 1):
-        # New messages fit into a gap between the older ones of the same publisher
-        if runs and _continues(runs[-1], run):
-            runs[-1] = np.sort(np.concatenate([runs[-1], run]))
-        else:
-            runs.append(run)
-    skipped = sum(int((np.diff(run) - 1).sum()) for run in runs)
-    return skipped + max(int(runs[0][0]) - 1, 0) * is_from_first
-
-
-def _continues(new: Integers, older: Integers) -> bool:
-    """Return whether `older` has the numbers next to those of `new`, and none of them."""
-    beside = np.isin([new[0] - 1, new[-1] + 1], older).all()
-    return bool(beside) and not np.isin(new, older).any()
+    steps = np.diff(numbers)
+    begins = np.concatenate([[0], np.flatnonzero(steps <= 0) + 1])
+    ends = np.append(begins[1:], numbers.size)
+    first, last = numbers[begins], numbers[ends - 1]
+    skipped, lowest = int((steps[steps > 1] - 1).sum()), int(first[0])
+    # New messages that fit into a gap between the older ones of the same publisher
+    for run in np.flatnonzero((first[1:] < first[:-1]) & (last[:-1] < last[1:])):
+        older = numbers[begins[run + 1]:ends[run + 1]]
+        after = np.searchsorted(older, first[run])
+        if (older[after - 1], older[after]) == (first[run] - 1, last[run] + 1):
+            skipped -= int(last[run] - first[run] + 1)
+            lowest = min(lowest, int(older[0])) if run == 0 else lowest
+    return skipped + max(lowest - 1, 0) * is_from_first
 
 
 def count_missing(is_recorded: Flags, longest_end: int) -> NDArray[np.int64]:
