@@ -101,6 +101,7 @@ def read(path: str | Path) -> SampledMotion:
         raise ParameterError(f'{name}: {error.strerror}', PARAMETER) from None
 
 
+@lru_cache(maxsize=4)  # each change of the rig asks again
 def encode(motion: SampledMotion) -> str:
     """Write a motion as text for a journal, which takes milliseconds."""
     rows = np.column_stack([motion.times, motion.states]).astype('<f8')

@@ -120,6 +120,11 @@ class TwinConfig:
         """Whether the plate is measured."""
         return self.motion == 'measured'
 
+    @property
+    def motion_file(self) -> str:
+        """Path of the file with the motion of the plate; empty for other motions."""
+        return str(self.settings[motions.PARAMETER]) if self.motion == 'file' else ''
+
     @classmethod
     def from_settings(
         cls,
@@ -182,13 +187,9 @@ class TwinConfig:
         """
         Return the configuration after changes, with all that they imply.
 
-        The rig is built again, and the file of a motion read again, only if its parameters change.
+        The rig is built again only if its parameters change.
 
         """
-        settings, before = {**self.settings, **values}, self.settings
-        rig, motion = self.rig, self.rig.engine.motion
-        if all(settings[name] == before[name] for name in RIG_PARAMETERS):
-            return self.from_settings(settings, rig=rig)
-        if motion is not None and settings[motions.PARAMETER] == before[motions.PARAMETER]:
-            return self.from_settings(settings, lambda _path: motion)
-        return self.from_settings(settings, motion_of)
+        settings = {**self.settings, **values}
+        is_same_rig = all(settings[name] == self.settings[name] for name in RIG_PARAMETERS)
+        return self.from_settings(settings, motion_of, rig=self.rig if is_same_rig else None)

@@ -15,13 +15,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration import motions, Settings
 from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.cell_stepper import cells_per_layer, UPDATE_COST
@@ -77,6 +78,7 @@ class PreparedRig:
     """A rig that is ready to throw."""
 
     config: TwinConfig  # the configuration of this rig
+    encoded_motion: Mapping[str, str]  # of a file, for the journal, by the path of the file
     stepper: Stepper  # the rig by its model, at rest
     rest: State  # where plate and projectile are at rest
     rest_layer: LayerState
@@ -97,9 +99,10 @@ class PreparedRig:
 
         """
         stepper = stepper_of(config)
-        is_measured = config.is_measured
+        is_measured, path, motion = config.is_measured, config.motion_file, config.rig.engine.motion
         return cls(
             config=config,
+            encoded_motion={path: motions.encode(motion)} if path and motion else {},
             stepper=stepper,
             rest=State._make(stepper.state.tolist()[1:]),
             rest_layer=layer_of(stepper),

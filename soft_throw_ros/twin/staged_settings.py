@@ -17,10 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from soft_throw_ros.configuration import motions, Settings, TWIN
+from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.motions import MotionSource
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin.prepared_rig import PreparedRig
+
+_WAITING = frozenset(
+    entry.name
+    for entry in TWIN.entries
+    if entry.is_of_rig or entry.group in ('rate', 'time_scale', 'measured')
+)
+"""Parameters whose changes wait until the rig is put back."""
 
 
 class StagedSettings:
@@ -38,12 +45,10 @@ class StagedSettings:
 
     """
 
-    def __init__(self, config: TwinConfig, wanted: TwinConfig | None = None) -> None:
-        self.config = self.wanted = config
+    def __init__(self, config: TwinConfig, wanted: TwinConfig) -> None:
+        self.config = config
         self.prepared = self._wanted_prepared = PreparedRig.from_config(config)
-        self._motions = _encode_motions(config, {})
-        if wanted is not None:
-            self.stage(wanted, self.prepare(wanted))
+        self.stage(wanted, self.prepare(wanted))
 
     @property
     def pending(self) -> Settings:
@@ -54,42 +59,34 @@ class StagedSettings:
     @property
     def encoded_motions(self) -> Mapping[str, str]:
         """The motions of files of both configurations, encoded, by their paths."""
-        return {
-            path: self._motions[path]
-            for path in (_motion_file(self.config), _motion_file(self.wanted))
-            if path
-        }
+        return {**self.prepared.encoded_motion, **self._wanted_prepared.encoded_motion}
 
     def change(self, values: Settings, motion_of: MotionSource) -> TwinConfig:
         """Return the wanted configuration after a change; motions that are known stay as known."""
         known = {
-            _motion_file(config): config.rig.engine.motion for config in (self.config, self.wanted)
+            rig.config.motion_file: rig.rig.engine.motion
+            for rig in (self.prepared, self._wanted_prepared)
         }
         return self.wanted.change(values, lambda path: known.get(path) or motion_of(path))
 
-    def prepare(self, wanted: TwinConfig) -> PreparedRig | None:
+    def prepare(self, wanted: TwinConfig) -> PreparedRig:
         """
-        Prepare the rig of a wanted configuration, which takes milliseconds.
+        Return the rig of a wanted configuration; building another one takes milliseconds.
 
-        Nothing changes until the result is given to `stage`. It is None if the rig that has been
-        wanted before will do.
+        Nothing changes until the result is given to `stage`.
         """
-        self._motions = {**self.encoded_motions, **_encode_motions(wanted, self._motions)}
-        before, after = self.wanted.settings, wanted.settings
-        if any(_waits(name) and after[name] != before[name] for name in after):
-            return PreparedRig.from_config(wanted)
-        return None
+        values = _waiting_values(wanted)
+        for prepared in (self.prepared, self._wanted_prepared):
+            if _waiting_values(prepared.config) == values:
+                return prepared
+        return PreparedRig.from_config(wanted)
 
-    def stage(self, wanted: TwinConfig, prepared: PreparedRig | None) -> None:
+    def stage(self, wanted: TwinConfig, prepared: PreparedRig) -> None:
         """Stage a wanted configuration and its rig, the result of `prepare`."""
-        self.wanted = wanted
+        self.wanted, self._wanted_prepared = wanted, prepared
         self.config = self.config.change(
-            {name: value for name, value in wanted.settings.items() if not _waits(name)}
+            {name: value for name, value in wanted.settings.items() if name not in _WAITING}
         )
-        if not self.pending:
-            self._wanted_prepared = self.prepared
-        elif prepared is not None:
-            self._wanted_prepared = prepared
 
     def commit(self) -> None:
         """Put the changes that wait in effect."""
@@ -97,20 +94,6 @@ class StagedSettings:
         self.config = self.wanted
 
 
-def _waits(name: str) -> bool:
-    """Whether a change of a setting waits until the rig is put back."""
-    entry = TWIN.by_name[name]
-    return entry.is_of_rig or entry.group in ('rate', 'time_scale', 'measured')
-
-
-def _motion_file(config: TwinConfig) -> str:
-    """Return the path of the file with the plate's motion; empty for other motions."""
-    return str(config.settings[motions.PARAMETER]) if config.motion == 'file' else ''
-
-
-def _encode_motions(config: TwinConfig, known: Mapping[str, str]) -> dict[str, str]:
-    """Encode the motion of a file by its path, unless it is known already."""
-    path, motion = _motion_file(config), config.rig.engine.motion
-    if not path or motion is None:
-        return {}
-    return {path: known.get(path) or motions.encode(motion)}
+def _waiting_values(config: TwinConfig) -> Settings:
+    """Return the settings whose changes wait."""
+    return {name: value for name, value in config.settings.items() if name in _WAITING}

@@ -28,8 +28,8 @@ CONFIG = TwinConfig.from_settings(complete_settings())
 TIMES = np.arange(0.0, 0.1, 2e-4)  # [s]
 
 
-def stage(staged: StagedSettings, values, motion_of=motions.read) -> PreparedRig | None:
-    """Stage a change and return the rig that was prepared for it."""
+def stage(staged: StagedSettings, values, motion_of=motions.read) -> PreparedRig:
+    """Stage a change and return its rig."""
     wanted = staged.change(values, motion_of)
     prepared = staged.prepare(wanted)
     staged.stage(wanted, prepared)
@@ -42,7 +42,7 @@ def stage(staged: StagedSettings, values, motion_of=motions.read) -> PreparedRig
      ('measured.latency', 1e-3), ('rate.field', 20.0), ('time_scale', 0.5)],
 )
 def test_change_of_rig_measurement_or_rate_waits_for_the_commit(name, value) -> None:
-    staged = StagedSettings(CONFIG)
+    staged = StagedSettings(CONFIG, CONFIG)
     before = staged.prepared
     wanted = staged.change({name: value}, motions.read)
     prepared = staged.prepare(wanted)
@@ -59,9 +59,9 @@ def test_change_of_rig_measurement_or_rate_waits_for_the_commit(name, value) -> 
 
 
 def test_other_change_is_effective_at_once_beside_one_that_waits() -> None:
-    staged = StagedSettings(CONFIG)
-    stage(staged, {'projectile.mass': 3e-3, 'throw.period': 0.7})
-    assert stage(staged, {'throw.max_events': 3}) is None
+    staged = StagedSettings(CONFIG, CONFIG)
+    prepared = stage(staged, {'projectile.mass': 3e-3, 'throw.period': 0.7})
+    assert stage(staged, {'throw.max_events': 3}) is prepared
     assert staged.pending == {'projectile.mass': 3e-3}
     assert (staged.config.throw_period, staged.config.max_events) == (0.7, 3)
     assert staged.config.rig is staged.prepared.rig is CONFIG.rig
@@ -70,18 +70,18 @@ def test_other_change_is_effective_at_once_beside_one_that_waits() -> None:
 
 
 def test_change_that_is_taken_back_leaves_the_others_or_the_rig_as_it_was() -> None:
-    staged = StagedSettings(CONFIG)
+    staged = StagedSettings(CONFIG, CONFIG)
     before = staged.prepared
     for values in ({'gravity': 5.0}, {'time_scale': 0.5}, {'time_scale': 1.0}):
         stage(staged, values)
     assert staged.pending == {'gravity': 5.0}
-    stage(staged, {'gravity': CONFIG.rig.gravity})
+    assert stage(staged, {'gravity': CONFIG.rig.gravity}) is before
     staged.commit()
     assert staged.prepared is before
 
 
 def test_motions_of_both_configurations_are_known_by_their_paths() -> None:
-    read, staged = [], StagedSettings(CONFIG)
+    read, staged = [], StagedSettings(CONFIG, CONFIG)
     files = {
         path: SampledMotion.from_positions(TIMES, factor * PLATE.position(TIMES))
         for path, factor in (('a.csv', 1.0), ('b.csv', 2.0))
