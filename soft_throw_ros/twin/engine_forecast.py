@@ -28,9 +28,9 @@ from soft_throw_ros.core.stepper import Event, Stepper, TIME
 from soft_throw_ros.twin.engine_fit import (
     AMPLITUDE,
     DAMPING,
+    engine_states,
     EngineEstimate,
     FREQUENCY,
-    plate_states,
     START,
 )
 
@@ -46,9 +46,6 @@ _STEPS = {
     DAMPING: ('damping_ratio', 5e-3),
 }
 """Fields of an engine, and steps of difference quotients by the unknowns of `engine_fit`. [-]"""
-
-_PIECES = 64
-"""States of the plate in a period; quintics between them err by 2e-11 of the amplitude. [-]"""
 
 _LONGER = 1.3
 """Duration of a forecast over the ejection time with the nominal engine. [-]"""
@@ -139,14 +136,3 @@ class EngineForecaster:
         estimate, self._simulated = self._simulated, None
         # without a release, the next estimate may have one
         return (estimate, stepper.events()[0]) if stepper.event_count else None
-
-
-def engine_states(plate: Underdamped, after: float, until: float) -> tuple[Floats, Floats]:
-    """
-    Return times since the start, and states of the plate, from one time to another.
-
-    The first time is the start if `after` is 0, else it is later than `after`.
-    """
-    count = max(math.ceil(_PIECES * (until - after) * plate.frequency), 1)
-    times = np.linspace(after, until, count + 1)[after > 0.0:]
-    return times, plate_states(plate, times)

@@ -25,6 +25,7 @@ from collections.abc import Sequence
 import dataclasses
 from dataclasses import dataclass, field
 import math
+from typing import TypeAlias
 
 import numpy as np
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
@@ -40,14 +41,14 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.twin.engine_fit import EngineEstimate
 from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import PAST, PlateEstimator, PlateStates
-from soft_throw_ros.twin.plate_source import FittedEngine, MeasuredPlate, PlateSource
+from soft_throw_ros.twin.plate_source import MeasuredPlate, SmoothedSamples
 from soft_throw_ros.twin.prepared_rig import (
+    ForkedStepper,
     layer_of,
     PreparedRig,
     stepper_of,
     THROW_FIELD_LENGTH,
     throw_field_of,
-    Track,
 )
 from soft_throw_ros.twin.results import (
     Accuracy,
@@ -62,6 +63,9 @@ from soft_throw_ros.twin.results import (
 )
 from soft_throw_ros.twin.throws import OngoingThrow, ThrowStep, Tick
 from soft_throw_ros.twin.tick_schedule import SECOND
+
+PlateSource: TypeAlias = EngineEstimate | SmoothedSamples
+"""Source of the states of a plate, with a time `start_ns` and a method `states`."""
 
 LOST = PAST
 """Time without samples after which the plate is lost, because later ones are too old. [ns]"""
@@ -79,13 +83,13 @@ _SKIPPED = 0.5
 class _Simulation:
     """A simulation of the throw from its start, by one source of the plate's motion."""
 
-    def __init__(self, track: Track, source: PlateSource | None, start_ns: int) -> None:
-        track.stepper.reset()
-        self.track = track
+    def __init__(self, forked: ForkedStepper, source: PlateSource | None, start_ns: int) -> None:
+        forked.stepper.reset()
+        self.forked = forked
         self.source = source  # of the following states; None while the plate is unknown
         self.start_ns = start_ns  # of the throw [ns]
         # motion until the first release; None for the smoothed plate
-        self.estimate = source.estimate if isinstance(source, FittedEngine) else None
+        self.estimate = source if isinstance(source, EngineEstimate) else None
         self.times: list[float] = []  # of the states of the plate that the stepper knows
         self.states: list[list[float]] = []
         self._last = -1.0  # time of the last state [s]
@@ -93,12 +97,12 @@ class _Simulation:
     @property
     def time(self) -> float:
         """Time of the stepper since the start [s]."""
-        return float(self.track.stepper.state[TIME])
+        return float(self.forked.stepper.state[TIME])
 
     @property
     def known(self) -> float:
         """Time since the start until which the plate is known [s]."""
-        return max(self.track.stepper.horizon, 0.0)
+        return max(self.forked.stepper.horizon, 0.0)
 
     def extend(self, complete_ns: float) -> None:
         """Append the states of the plate that have become known."""
@@ -107,7 +111,7 @@ class _Simulation:
         times, states = self.source.states(self._last, complete_ns)
         if not times.size:
             return
-        self.track.stepper.append_plate_states(times, states)
+        self.forked.stepper.append_plate_states(times, states)
         self._last = float(times[-1])
         if len(self.times) + times.size < MAX_PIECES_AHEAD:
             self.times += times.tolist()
@@ -132,11 +136,11 @@ class MeasuredThrow(OngoingThrow):
     ) -> None:
         config = estimator.config
         self._plate = MeasuredPlate(onset, estimator, prepared.forecaster)
-        self._present = _Simulation(prepared.tracks[0], None, onset.onset_ns)
+        self._present = _Simulation(prepared.forked_steppers[0], None, onset.onset_ns)
         self._newer: _Simulation | None = None  # one that has not caught up with the present one
         super().__init__(
             prepared,
-            self._present.track.stepper,
+            self._present.forked.stepper,
             number=number,
             rest_speed=MEASURED_REST_SPEED * config.start_speed,
         )
@@ -166,7 +170,7 @@ class MeasuredThrow(OngoingThrow):
     @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
-        return layer_of(self._present.track.display)
+        return layer_of(self._present.forked.display)
 
     @property
     def _is_certain(self) -> bool:
@@ -198,7 +202,7 @@ class MeasuredThrow(OngoingThrow):
         # a longer extrapolation has no meaning
         farthest = known + crossing + plate.estimator.config.smoothing_window
         now = (tick.due_ns - self._present.start_ns) / SECOND
-        display = self._present.track.display
+        display = self._present.forked.display
         self._advance_fork(display, max(known, min(now, farthest)))
         state = State._make(display.state.tolist()[1:])
         return ThrowStep(state, events, forecast, prediction, residual)
@@ -215,7 +219,7 @@ class MeasuredThrow(OngoingThrow):
             if plate.fit.has_failed or (plate.is_fitted and newer is None):
                 self._abandon_engine()
             elif newer is not None:
-                self._simulate_anew(FittedEngine(newer))
+                self._simulate_anew(newer)
         if not plate.relies_on_engine and present.source is not smoothed:
             is_known = present.source is not None and (self.events or not plate.fit.has_failed)
             if is_known and (plate.is_fitted or not plate.is_noisy):
@@ -232,9 +236,9 @@ class MeasuredThrow(OngoingThrow):
         self._plate.relies_on_engine, self._newer = False, None
 
     def _simulate_anew(self, source: PlateSource) -> None:
-        """Begin a simulation on the track that the present one does not use."""
-        one, other = self._prepared.tracks
-        spare = other if self._present.track is one else one
+        """Begin a simulation by the forked stepper that the present one does not use."""
+        one, other = self._prepared.forked_steppers
+        spare = other if self._present.forked is one else one
         self._newer = _Simulation(spare, source, source.start_ns)
 
     def _catch_up(self, newer: _Simulation) -> None:
@@ -243,12 +247,12 @@ class MeasuredThrow(OngoingThrow):
         now = present.time + (present.start_ns - newer.start_ns) / SECOND
         goal = min(max(now, 0.0), newer.known)
         self._try_to_advance(
-            newer.track.stepper,
+            newer.forked.stepper,
             min(newer.time + self._prepared.catch_up, max(goal, newer.time)),
         )
         if newer.time >= goal or self.ended_by:
             self._present, self._newer = newer, None
-            self._stepper, self.events = newer.track.stepper, []
+            self._stepper, self.events = newer.forked.stepper, []
 
     def _count_skipped_time(self, due_ns: int) -> None:
         """Count the time of skipped steps."""
@@ -290,7 +294,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _predict_state(self, known: float, tick: Tick) -> PredictedState:
         """Predict the projectile up to the time that the future plate cannot influence."""
-        fork, ahead = self._present.track.lookahead, known + self._prepared.lookahead
+        fork, ahead = self._present.forked.lookahead, known + self._prepared.lookahead
         self._advance_fork(fork, ahead)
         stamp_ns = self._present.start_ns + round(ahead * SECOND)
         return PredictedState(
@@ -307,7 +311,7 @@ class MeasuredThrow(OngoingThrow):
         is_fit_lost = present.estimate is not None and plate.fit.has_failed and not self.events
         if self._is_certain or is_fit_lost:
             return None
-        fork = present.track.lookahead
+        fork = present.forked.lookahead
         release = fork.events()[0] if fork.event_count else None
         if release is not None and release.time <= known + prepared.release_lookahead:
             if self._is_lost_in_noise:

@@ -14,12 +14,12 @@
 """
 The motion of a measured plate in a throw, by the fitted engine or by smoothed samples.
 
-`MeasuredPlate` has all estimates of the motion; a `PlateSource` gives one of them to a stepper.
+`MeasuredPlate` has all estimates of the motion. The states of a stepper's plate are from an
+`EngineEstimate`, or from `SmoothedSamples`.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 import math
 
@@ -34,7 +34,7 @@ from soft_throw_ros.twin.engine_fit import (
     largest_by_chance,
     plate_states,
 )
-from soft_throw_ros.twin.engine_forecast import engine_states, EngineForecaster, ReleaseErrors
+from soft_throw_ros.twin.engine_forecast import EngineForecaster, ReleaseErrors
 from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
@@ -71,42 +71,11 @@ _SIGNIFICANT = 2.6
 """Standard normal quantile beyond which residuals are larger than noise. [-]"""
 
 
-class PlateSource(ABC):
-    """A source of states of the plate."""
-
-    start_ns: int  # of the throw, the origin of times [ns]
-
-    @abstractmethod
-    def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:
-        """
-        Return the states until samples are complete, later than the last one before, if any.
-
-        `after` is the time of the last one [s], or negative. The results are increasing times,
-        shape (n,) [s], and height above rest [m], velocity [m/s] and acceleration [m/s2], shape
-        (n, 3).
-        """
-
-
-class FittedEngine(PlateSource):
-    """The plate moves as the engine of an estimate does."""
-
-    def __init__(self, estimate: EngineEstimate) -> None:
-        self.estimate = estimate
-        self.start_ns = estimate.start_ns
-
-    def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:
-        """Return the states until samples are complete."""
-        until = (complete_ns - self.start_ns) / SECOND
-        if until <= max(after, 0.0):
-            return np.empty(0), np.empty((0, 3))
-        return engine_states(self.estimate.plate, max(after, 0.0), until)
-
-
-class SmoothedSamples(PlateSource):
+class SmoothedSamples:
     """Motion of the plate by its smoothed samples; every state is returned once."""
 
     def __init__(self, onset: Onset, estimator: PlateEstimator) -> None:
-        self.start_ns = onset.onset_ns
+        self.start_ns = onset.onset_ns  # of the throw, the origin of times [ns]
         self._onset = onset
         self._estimator = estimator
         self._motions: list[PlateStates] = []  # not returned yet
@@ -134,7 +103,13 @@ class SmoothedSamples(PlateSource):
         return True
 
     def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:  # noqa: ARG002
-        """Return the states that have become known, fitted apart in the first window."""
+        """
+        Return the states until samples are complete, later than the last one before, if any.
+
+        `after` is the time of the last one [s], or negative. The results are increasing times,
+        shape (n,) [s], and height above rest [m], velocity [m/s] and acceleration [m/s2], shape
+        (n, 3). The states of the first window are from a fit of their own.
+        """
         times, states = [np.empty(0)], [np.empty((0, 3))]
         if after < 0.0:
             times, states = [self._first[0]], [self._first[1]]

@@ -60,7 +60,7 @@ _LONGEST_CONTACT = 4
 """Oscillation cycles in contact after which the projectile counts as never leaving. [-]"""
 
 
-class Track(NamedTuple):
+class ForkedStepper(NamedTuple):
     """A stepper of a measured plate, and two forks that run ahead."""
 
     stepper: Stepper
@@ -68,8 +68,8 @@ class Track(NamedTuple):
     lookahead: Stepper  # a fork as far ahead as the projectile is known
 
     @classmethod
-    def of(cls, stepper: Stepper) -> Track:
-        """Make a track of a stepper."""
+    def of(cls, stepper: Stepper) -> ForkedStepper:
+        """Fork a stepper twice."""
         return cls(stepper, stepper.fork(), stepper.fork())
 
 
@@ -84,7 +84,8 @@ class PreparedRig:
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
-    tracks: tuple[Track, ...] = ()  # with a measured plate two, the first with the stepper
+    # with a measured plate two, the first with the stepper
+    forked_steppers: tuple[ForkedStepper, ...] = ()
     forecaster: EngineForecaster | None = None  # with a measured plate, if the projectile leaves
 
     @classmethod
@@ -99,7 +100,9 @@ class PreparedRig:
 
         """
         stepper = stepper_of(config)
-        is_measured, path, motion = config.is_measured, config.motion_file, config.rig.engine.motion
+        is_measured = config.is_measured
+        measured = (stepper, stepper_of(config)) if is_measured else ()
+        path, motion = config.motion_file, config.rig.engine.motion
         return cls(
             config=config,
             encoded_motion={path: motions.encode(motion)} if path and motion else {},
@@ -108,7 +111,7 @@ class PreparedRig:
             rest_layer=layer_of(stepper),
             peak_plate_speed=motion_of(config.rig.engine).peak_velocity,
             throw_field=None if is_measured else _throw_field(stepper),
-            tracks=(Track.of(stepper), Track.of(stepper_of(config))) if is_measured else (),
+            forked_steppers=tuple(map(ForkedStepper.of, measured)),
             forecaster=_forecaster(config) if is_measured else None,
         )
 

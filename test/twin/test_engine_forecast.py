@@ -24,8 +24,15 @@ from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine
 from soft_throw_ros.core.stepper import TIME
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.twin.engine_fit import AMPLITUDE, DAMPING, EngineEstimate, FREQUENCY, START
-from soft_throw_ros.twin.engine_forecast import engine_states, EngineForecaster
+from soft_throw_ros.twin.engine_fit import (
+    AMPLITUDE,
+    DAMPING,
+    engine_states,
+    EngineEstimate,
+    FREQUENCY,
+    START,
+)
+from soft_throw_ros.twin.engine_forecast import EngineForecaster
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 from twin_runs import BEGIN, complete_settings, PLATE
 
