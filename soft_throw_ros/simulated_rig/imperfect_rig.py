@@ -42,9 +42,9 @@ from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core.kernels import kernel
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 
@@ -344,7 +344,7 @@ def _stable_step(rig: Rig, imperfections: Imperfections, cells: int) -> float:
     return _COURANT * crossing * (math.sqrt(1.0 + damping**2) - damping)
 
 
-@nb.njit(cache=True, nogil=True, error_model='numpy')
+@kernel
 def _march(
     plate: Floats, step: float, displacement: Floats, spacing: float, mass: float,
     stiffness: float, stiffening: float, cubic: float, viscosity: float,

@@ -54,10 +54,10 @@ from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.kernels import kernel, subroutine
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
@@ -108,10 +108,8 @@ _PIECES = 64
 _KEPT, _MOST = 128, 256
 """Samples kept after older ones went into the normal equations, and before. [-]"""
 
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
 
-
-@_jit
+@subroutine
 def _shape(time: float, omega: float, zeta: float) -> tuple[float, float, float]:
     """Evaluate height, velocity and acceleration of a damped step of height 1."""
     root = math.sqrt(1.0 - zeta * zeta)
@@ -134,7 +132,7 @@ class _Model(NamedTuple):
     most_stamp_error: float  # largest possible one [s]
 
 
-@_jit
+@kernel
 def _add_up(
     samples: Floats,
     model: _Model,
@@ -188,7 +186,7 @@ def _add_up(
             _add(normal, right, by_speed, samples[n, 2] - speed, variance)
 
 
-@_jit
+@subroutine
 def _add(normal: Floats, right: Floats, row: Floats, error: float, variance: float) -> None:
     """Add an equation to the normal equations."""
     for i in range(5):
@@ -197,7 +195,7 @@ def _add(normal: Floats, right: Floats, row: Floats, error: float, variance: flo
             normal[i, j] += row[i] * row[j] / variance
 
 
-@_jit
+@kernel
 def _solve(
     samples: Floats,
     model: _Model,

@@ -17,10 +17,9 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.kernels import Record
+from soft_throw_ros.core.kernels import kernel, Record, subroutine
 
 Floats = NDArray[np.float64]
 
@@ -57,12 +56,10 @@ _MEMORY = np.dtype(
     align=True,
 )
 
-_jit = nb.njit(cache=True, nogil=True, error_model='numpy')
-
 
 class OutlierFilter:
     """
-    A filter that finds outliers among the positions of bodies that are measured together.
+    A filter that finds outliers among the positions of plate and projectile.
 
     A position is accepted if it is near the line through the last two accepted ones. The largest
     deviation is the path by 1.5 times the engine's `acceleration` [m/s2] plus `OUTLIER_SIGMAS`
@@ -73,8 +70,8 @@ class OutlierFilter:
     moved. A wrong stamp displaces a body by its speed times the error, which counts as noise.
     """
 
-    def __init__(self, acceleration: float, noise: float, *, bodies: int) -> None:
-        self._memory = np.zeros(bodies, _MEMORY)
+    def __init__(self, acceleration: float, noise: float) -> None:
+        self._memory = np.zeros(2, _MEMORY)
         self._memory['acceleration'] = acceleration
         self._memory['noise'] = noise
         self._memory['median_deviation'] = MEDIAN_DEVIATION
@@ -85,7 +82,7 @@ class OutlierFilter:
 
     def find(self, times: Floats, positions: Floats) -> NDArray[np.bool_]:
         """
-        Return which of the following positions are outliers, both of shape (n, bodies).
+        Return which of the following positions are outliers, shape (n, 2).
 
         Positions that were not measured are NaN. The result lacks the last row if the last
         position of a body can only be judged together with the next one.
@@ -94,7 +91,7 @@ class OutlierFilter:
         return is_outlier[: _find(self._memory, times, positions, is_outlier)]
 
 
-@_jit
+@kernel
 def _find(
     memory: NDArray[np.void], times: Floats, positions: Floats, is_outlier: NDArray[np.bool_]
 ) -> int:
@@ -113,7 +110,7 @@ def _find(
     return times.size
 
 
-@_jit
+@subroutine
 def _is_far(s: Record, time: float, position: float) -> bool:
     """Return whether a position is off the line through the last two."""
     return s.count == 2 and _deviation(
@@ -121,7 +118,7 @@ def _is_far(s: Record, time: float, position: float) -> bool:
     ) > _limit(s)
 
 
-@_jit
+@subroutine
 def _accept(
     s: Record, time: float, position: float, next_time: float, next_position: float
 ) -> bool:
@@ -153,13 +150,13 @@ def _accept(
     return True
 
 
-@_jit
+@subroutine
 def _limit(s: Record) -> float:
     """Return the largest deviation of a position that is no outlier, in standard errors [-]."""
     return OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median_deviation  # type: ignore[no-any-return]
 
 
-@_jit
+@subroutine
 def _deviation(
     s: Record,
     time: float,
@@ -181,4 +178,4 @@ def _deviation(
 
 def warm_up() -> None:
     """Compile the kernels, or load them from the cache on disk."""
-    OutlierFilter(1.0, 1.0, bodies=2).find(np.arange(4.0), np.zeros((4, 2)))
+    OutlierFilter(1.0, 1.0).find(np.arange(4.0), np.zeros((4, 2)))

@@ -186,7 +186,7 @@ class PlateEstimator:
         acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
         self.stamp_scatter = 0.0
         self._unscattered = 0  # complete samples since the last estimate of the scatter
-        self._outlier_filter = OutlierFilter(acceleration, config.position_noise, bodies=2)
+        self._outlier_filter = OutlierFilter(acceleration, config.position_noise)
 
     def samples(self, begin_ns: float, end_ns: float = math.inf) -> Rows:
         """Return the stored samples from one time to before another."""
