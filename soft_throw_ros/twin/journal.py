@@ -55,7 +55,7 @@ import numba
 import numpy as np
 from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
-from soft_throw_ros.configuration.table import number_of, quote
+from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
@@ -134,12 +134,6 @@ def decode(line: str) -> Entry:
             raise JournalError(f'{name} of an entry is of another type, got {quote(entry[name])}')
     if abs(entry['step']) > _FARTHEST:
         raise JournalError(f'a step is at most {_FARTHEST}, got {quote(entry["step"])}')
-    for key in ('settings', 'pending', 'values'):
-        if isinstance(entry.get(key), dict):  # JSON knows no tuples
-            entry[key] = {
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in entry[key].items()
-            }
     return entry
 
 
@@ -150,15 +144,9 @@ def checked_settings(entry: Entry, key: str) -> Settings:
         raise JournalError(f'an entry lacks {key}: {quote(dict(entry))}')
     try:
         settings = TWIN.without_deprecated(settings)
-        for name, value in settings.items():
-            TWIN.check_value(name, value)
+        return {name: TWIN.check_value(name, value) for name, value in settings.items()}
     except ParameterError as error:
         raise JournalError(str(error)) from error
-    stack = str(settings.get('layer.stack', ''))
-    words = stack.replace(',', ' ').split()
-    if settings.get('layer.library') and any(number_of(word) is None for word in words):
-        raise JournalError(f'layer.stack {quote(stack)} has names of materials, and not numbers')
-    return settings
 
 
 def motion_source(entry: Entry) -> motions.MotionSource:

@@ -87,22 +87,6 @@ def test_journal_with_former_parameter_names_is_replayed(eventful) -> None:
     assert all(map(same, repeated, eventful.outputs))
 
 
-def test_journal_has_all_inputs_with_their_steps() -> None:
-    run = Run()
-    run.go(7)
-    run.session.request_throw()
-    run.go(5)
-    run.session.change({'gravity': 1.62})
-    run.session.reset()
-    run.go(1)
-    inputs = [(entry['step'], entry['input']) for entry in run.entries('input')]
-    assert inputs == [(7, 'throw'), (12, 'parameters'), (12, 'reset')]
-    assert run.entries('input')[1]['values'] == {'gravity': 1.62}
-    (begin,) = run.entries('start')
-    assert begin['settings'] == TWIN.defaults()
-    assert set(begin['versions']) >= {'soft_throw_ros', 'numpy', 'numba', 'python'}
-
-
 # checksums and results
 
 
