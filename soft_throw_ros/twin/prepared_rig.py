@@ -20,6 +20,7 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 from soft_throw_ros.configuration import motions, Settings
@@ -172,7 +173,8 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
             energies.append((times[row], *_energies(stepper)))
         block = slice(row, row + _ROWS_PER_ENERGY)
         stepper.sample_strain(times[block], strain[block])
-    return ThrowField.of(times, strain, np.array(energies), start_ns=start_ns)
+    checksum = crc32(strain.data, crc32(times.data))  # takes a tenth of a millisecond
+    return ThrowField(times, strain, np.array(energies), checksum, start_ns)
 
 
 def _energies(stepper: Stepper) -> tuple[float, float, float, float]:

@@ -19,7 +19,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any, NamedTuple
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,14 +82,6 @@ class ThrowField(NamedTuple):
     energies: Floats
     checksum: int  # CRC-32 of times and strain
     start_ns: int = 0  # when the throw began, by the clock of the ticks [ns]
-
-    @classmethod
-    def of(
-        cls, times: Floats, strain: Floats, energies: Floats, *, start_ns: int = 0
-    ) -> ThrowField:
-        """Make it with its checksum, which takes a tenth of a millisecond."""
-        checksum = crc32(strain.data, crc32(times.data))
-        return cls(times, strain, energies, checksum, start_ns)
 
 
 @dataclass(frozen=True, kw_only=True)

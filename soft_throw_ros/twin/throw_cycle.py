@@ -21,7 +21,6 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
@@ -108,20 +107,6 @@ RigState: TypeAlias = AtRest | OngoingThrow | Returning
 
 
 @dataclass
-class _FieldSchedule:
-    """Steps at which the layer is an output, by `rate.field`."""
-
-    start: int  # first step
-    last_row: int = -1
-
-    def is_due(self, step: int, config: TwinConfig) -> bool:
-        """Return whether the layer is due in a step."""
-        row = int((step - self.start) * config.field_rate // config.state_rate)
-        is_due, self.last_row = row != self.last_row, row
-        return is_due
-
-
-@dataclass
 class _RareOutputs:
     """Outputs of a step that most steps do not have."""
 
@@ -166,7 +151,7 @@ class ThrowCycle:
         self._rig_state: RigState = AtRest()
         self._state = staged.prepared.rest
         self._period_start = step  # of the last throw, or of a reset
-        self._field_schedule = _FieldSchedule(step)
+        self._field_start = step  # since which rows of the field are counted
         self._rare_outputs = _RareOutputs(phases=((Phase.REST, None),))
         self._start_monitoring()
 
@@ -315,8 +300,7 @@ class ThrowCycle:
 
     def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
         self.throws += 1
-        self._field_schedule = _FieldSchedule(step)
-        self._period_start = step
+        self._field_start = self._period_start = step
         self._journal.begin(
             'throw',
             step,
@@ -393,7 +377,7 @@ class ThrowCycle:
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
         self._start_monitoring()
-        self._field_schedule = _FieldSchedule(step)
+        self._field_start = step
         returning = Returning(
             step, step + ticks, self._state, is_requested=is_requested and self.monitor is None
         )
@@ -408,9 +392,13 @@ class ThrowCycle:
         self._period_start = step - round(passed / self._prepared.tick)
 
     def _layer(self, step: int) -> LayerState | None:
-        """Return the state of the layer if it is due by `rate.field`."""
-        rig_state = self._rig_state
-        if not self._field_schedule.is_due(step, self._staged.config):
+        """Return the state of the layer in the first step of every row by `rate.field`."""
+        rig_state, config = self._rig_state, self._staged.config
+        row, row_before = (
+            since * config.field_rate // config.state_rate
+            for since in (step - self._field_start, step - self._field_start - 1)
+        )
+        if row == row_before:
             return None
         if isinstance(rig_state, OngoingThrow):
             return rig_state.layer
