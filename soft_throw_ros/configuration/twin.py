@@ -480,7 +480,7 @@ def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -
     Raises
     ------
     ParameterError
-        If a file cannot be read, or the motion is unknown.
+        If a file cannot be read.
 
     Examples
     --------
@@ -488,18 +488,12 @@ def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -
     True
 
     """
-    motion = settings['engine.motion']
-    if motion not in MOTIONS:
-        raise ParameterError(
-            f'engine.motion must be one of {", ".join(MOTIONS)}, got {quote(motion)}',
-            'engine.motion',
-        )
     layer: Layer | Stack = Layer(**_values_of(Layer, settings))
     if settings['layer.stack']:
         shared = {name: getattr(layer, name) for name in ('diameter', 'stress_strain_law', 'loss')}
         layer = Stack(sheets=tuple(replace(sheet, **shared) for sheet in _sheets(settings)))
     return Rig(
-        engine=MOTIONS[motion](settings, motion_of),
+        engine=MOTIONS[settings['engine.motion']](settings, motion_of),
         layer=layer,
         projectile=Projectile(**_values_of(Projectile, settings)),
         gravity=settings['gravity'],

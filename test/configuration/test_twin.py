@@ -221,11 +221,6 @@ def test_stack_with_another_thickness_is_refused() -> None:
         TWIN.change(DEFAULTS, {'layer.stack': STACK, 'layer.thickness': 0.02})
 
 
-def test_motion_without_an_engine_is_refused() -> None:
-    with pytest.raises(ParameterError, match=r"engine\.motion must be one of .* got 'sine'"):
-        rig_of({**TWIN.defaults(), 'engine.motion': 'sine'})
-
-
 def test_row_of_a_motion_makes_its_engine(monkeypatch) -> None:
     lift = SampledMotion(np.array([0.0, 0.01]), np.array([[0.0] * 3, [1e-3, 0.0, 0.0]]))
     row = {**twin_module.MOTIONS, 'lift': lambda _settings, _motion_of: Engine(motion=lift)}
