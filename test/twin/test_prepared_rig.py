@@ -23,7 +23,7 @@ from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.core.throw import make_stepper, simulate
+from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
@@ -43,12 +43,6 @@ ANY_MODEL = pytest.mark.parametrize('request_', CASES, ids=lambda case: ' '.join
 
 def prepare(values) -> PreparedRig:
     return PreparedRig.from_config(TwinConfig.from_settings(values))
-
-
-@pytest.mark.parametrize('loss', [1e-6, 0.05, 2.0])
-def test_internal_loss_selects_the_cell_model(loss) -> None:
-    assert prepare(complete_settings()).config.model == 'travelling_wave'
-    assert prepare(complete_settings(layer__loss_tangent=loss)).config.model == 'cells'
 
 
 @ANY_MODEL
@@ -105,15 +99,6 @@ def test_energies_end_at_the_release_of_a_simulation(request_) -> None:
     assert total[-1] == pytest.approx(throw.energies.stored, rel=0.05)
     if throw.energies.heat == 0.0:
         np.testing.assert_allclose(total, work, atol=1e-3 * work.max())
-
-
-@ANY_MODEL
-def test_rest_is_that_of_the_stepper(request_) -> None:
-    prepared = prepare(complete_settings(**request_))
-    stepper, layer = make_stepper(prepared.rig, model=prepared.config.model), np.empty((3, 64))
-    stepper.read_layer(layer)
-    assert list(prepared.rest) == stepper.state[1:].tolist()
-    np.testing.assert_array_equal(prepared.rest_layer, layer)
 
 
 def test_other_models_predict_the_first_release() -> None:

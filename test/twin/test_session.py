@@ -18,7 +18,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import os
 import re
 
 from hypothesis import given, settings
@@ -30,11 +29,10 @@ from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.throw_texts import throw_text
-from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
-from soft_throw_ros.twin.session import RequestRejected, Session
-from twin_runs import Run, same
+from soft_throw_ros.twin.session import RequestRejected
+from twin_runs import Run
 
 RETURN = round(1000 * RETURN_TIME)
 
@@ -511,39 +509,6 @@ def test_plate_in_slow_motion_or_of_an_engine_is_not_commanded(write_motion) -> 
     assert not any(outputs.command for run in (slow, engine) for outputs in run.go(2500))
 
 
-def test_journals_with_one_path_and_two_motions_are_replayed_in_parallel(write_motion) -> None:
-    runs = [
-        Run(engine__motion_file=str(write_motion(name, amplitude)))
-        for name, amplitude in (('a.csv', 1e-3), ('b.csv', 2e-3))
-    ]
-    for run in runs:
-        run.go(100)
-    paths = [run.settings['engine.motion_file'] for run in runs]
-    begins = [
-        journal.decode(run.journal[0].replace(paths[1], paths[0])) for run in runs
-    ]
-    assert [list(entry['motions']) for entry in begins] == [[paths[0]]] * 2
-    sessions = [Session.from_entry(entry) for entry in begins]
-    for session in sessions:
-        session.set_tick_schedule(runs[0].schedule)
-    for step in range(100):
-        for run, session in zip(runs, sessions, strict=True):
-            assert same(session.advance(), run.outputs[step])
-
-
-def test_journal_without_its_motion_opens_no_file(write_motion) -> None:
-    run = Run(engine__motion_file=str(write_motion()))
-    begin = journal.decode(run.journal[0])
-    del begin['motions']
-    with pytest.raises(journal.JournalError, match=r'has no motion of .*plate\.csv'):
-        Session.from_entry(begin)
-    session = Run().session
-    change = {'kind': 'input', 'step': 0, 'input': 'parameters', 'values': {}}
-    change['values'] = {'engine.motion': 'file', 'engine.motion_file': str(write_motion())}
-    with pytest.raises(journal.JournalError, match=r'has no motion of .*plate\.csv'):
-        list(session.follow(change))
-
-
 def test_change_builds_one_rig_and_ticks_build_none(monkeypatch, write_motion) -> None:
     calls = []
 
@@ -567,21 +532,3 @@ def test_change_builds_one_rig_and_ticks_build_none(monkeypatch, write_motion) -
     run.go(500)
     assert calls == ['rig', 'rig', 'file']
     assert motions.encode.cache_info().misses == encoded + 1
-
-
-def test_library_may_change_or_disappear_while_its_stack_is_thrown(tmp_path) -> None:
-    path = tmp_path / 'mine.yaml'
-    gel = 'my_gel: {{description: d, source: s, density: 1000, wave_speed: {}, loss_tangent: 0.1}}'
-    path.write_text(gel.format(9.0))
-    run = Run(layer__library=str(path), layer__stack='8e-3 my_gel, 2e-3 20 1100')
-    run.go(500)
-    path.write_text(gel.format(4.5))
-    os.utime(path, ns=(1, 1))
-    run.session.change({'projectile.mass': 4e-3})
-    run.go(1000)
-    path.unlink()
-    run.session.change({'gravity': 5.0})
-    run.go(1000)
-    speeds = [result.rig.layer.sheets[0].wave_speed for result in run.results('release')]
-    assert speeds == [9.0, 9.0]
-    run.assert_repeated()
