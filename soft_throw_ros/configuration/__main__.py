@@ -11,18 +11,148 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Generate files of config/ and docs/ from the tables; run above both folders."""
+"""
+Write the generated files of `config/` and `docs/` from the tables; run above both folders.
 
+The files are the defaults of two nodes, docs/parameters.md and docs/topics.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from soft_throw_ros.configuration.document import documents
+from soft_throw_ros.configuration import interface
+from soft_throw_ros.configuration.files import render
+from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
+from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
+from soft_throw_ros.configuration.table import Entry, Table, value_text
+from soft_throw_ros.configuration.twin import TWIN
+
+_COMMAND = 'python -m soft_throw_ros.configuration'
+
+_TABLES = (TWIN, RECORDER, VIEWER, CALIBRATOR, RIG)
 
 
-def main(folder: Path) -> None:
-    """Write every document below a folder."""
-    for path, text in documents().items():
-        (folder / path).write_text(text, 'utf-8')
+def documents() -> dict[str, str]:
+    """Return the text of every generated file by its path."""
+    return {
+        **{f'config/{table.node}.yaml': _parameter_file(table) for table in (TWIN, RECORDER)},
+        'docs/parameters.md': '\n'.join(_parameters_page()),
+        'docs/topics.md': '\n'.join(_topics_page()),
+    }
+
+
+def _parameter_file(table: Table) -> str:
+    return render(
+        table.defaults(),
+        table=table,
+        title=f'The parameters of the {table.node}, here the defaults. SI units.\n'
+        f'Written from the table by {_COMMAND}.',
+    )
+
+
+def _parameters_page() -> Iterator[str]:
+    yield '# Parameters\n'
+    yield f'SI units. Written from the tables by `{_COMMAND}`.\n'
+    yield (
+        'A number may also be given as text, because tools that read YAML 1.1 treat `5e-06` as '
+        'text. A request\nto set a result is accepted without effect, so that `ros2 param load` '
+        'accepts the output of\n`ros2 param dump`. The values in one request must not contradict '
+        'each other; every single\nchange within its range is accepted.\n'
+    )
+    for table in _TABLES:
+        yield f'## {table.node}\n'
+        yield from _markdown(
+            ('parameter', 'default', 'must be', 'meaning'), map(_row, table.entries)
+        )
+        if table.deprecated:
+            former = ', '.join(f'`{old}` (`{new}`)' for old, new in table.deprecated.items())
+            yield f'Former names, accepted with a warning in this release: {former}.\n'
+        for entry in table.entries:
+            if entry.deprecated:
+                former = ', '.join(f'`{old}` (`{new}`)' for old, new in entry.deprecated.items())
+                yield f'Former values of `{entry.name}`, likewise: {former}.\n'
+
+
+def _row(entry: Entry) -> tuple[str, ...]:
+    unit = f' [{entry.unit}]' if entry.unit and entry.is_result else ''
+    return (
+        f'`{entry.name}`',
+        'result' if entry.is_result else value_text(entry.default),
+        entry.rule.replace("'", '`'),
+        entry.meaning + unit,
+    )
+
+
+def _topics_page() -> Iterator[str]:
+    yield '# Topics and services\n'
+    yield (
+        'SI units; z points up from the rest position of the plate, in the frame `rig`.\n'
+        '`~` stands for the full name of the node, such as `/twin` or `/rig1/twin`;\n'
+        'a name without leading slash is relative to its namespace.\n'
+        f'Written from the tables by `{_COMMAND}`.\n'
+    )
+    for node, (topics, services) in interface.INTERFACES.items():
+        yield f'## {node}\n'
+        yield from _markdown(
+            ('topic', 'type', 'content', 'joints or axes', 'QoS'),
+            (_topic_row(topic) for topic in topics if topic.type != interface.NUMBER),
+        )
+        if node == 'twin':
+            yield from _numbers()
+        if services:
+            rows = ((f'`{item.name}`', _short(item.type), item.meaning) for item in services)
+            yield from _markdown(('service', 'type', 'effect'), rows)
+
+
+def _numbers() -> Iterator[str]:
+    """Yield the tables of the numbers of results, whose topics have the same type."""
+    yield (
+        'Numbers of results are also topics of type std_msgs/Float64 for plots: reliable,\n'
+        'transient local, keep last 1. The parameters of the rig, and all numbers of a throw\n'
+        'that could not be followed, are only in the messages.\n'
+    )
+    yield from _markdown(('number of `~/throw_result`', 'meaning', 'published'), (
+        (f'`{topic.name}`', topic.meaning, _STAGES[number.stage])
+        for number, topic in interface.THROW_TOPICS
+    ))
+    yield from _markdown(('number of `~/recommendation`', 'meaning, NaN if there is none'), (
+        (f'`{topic.name}`', topic.meaning) for _, topic in interface.RECOMMENDED_TOPICS
+    ))
+
+
+_STAGES = {'release': 'at the first release', 'final': 'at the end of the throw'}
+
+
+def _topic_row(topic: interface.Topic) -> tuple[str, ...]:
+    joints = topic.joints or topic.axes
+    shown = joints if len(joints) < 4 else (joints[0], '...', joints[-1])
+    content = ', '.join(name if name == '...' else f'`{name}`' for name in shown)
+    if topic.joints:
+        content += f': {", ".join(topic.quantities)}'
+    qos = [
+        'reliable' if topic.is_reliable else 'best effort',
+        *(['transient local'] if topic.is_latched else []),
+        f'keep last {topic.depth}',
+    ]
+    direction = ' (subscribed)' if topic.is_input else ''
+    name = f'`{topic.name}`{direction}'
+    return name, _short(topic.type), topic.meaning, content or '-', ', '.join(qos)
+
+
+def _markdown(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
+    """Yield the lines of a table, and an empty line."""
+    for row in (head, ('---',) * len(head), *rows):
+        yield f'| {" | ".join(row)} |'
+    yield ''
+
+
+def _short(type_name: str) -> str:
+    """Return the short form of a type name."""
+    return type_name.replace('/msg/', '/').replace('/srv/', '/')
 
 
 if __name__ == '__main__':
-    main(Path())
+    for path, text in documents().items():
+        Path(path).write_text(text, 'utf-8')

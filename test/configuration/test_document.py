@@ -14,13 +14,13 @@
 from pathlib import Path
 
 import pytest
-from soft_throw_ros.configuration import document
+from soft_throw_ros.configuration.__main__ import documents
 from soft_throw_ros.configuration.layers import default_file
 
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize(('path', 'text'), document.documents().items())
+@pytest.mark.parametrize(('path', 'text'), documents().items())
 def test_document_is_current(path: str, text: str) -> None:
     """The command `python -m soft_throw_ros.configuration` updates the document."""
     assert (ROOT / path).read_text('utf-8') == text
