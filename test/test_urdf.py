@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration import files, rig_of, TWIN
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, LAYER_JOINTS
-from soft_throw_ros.configuration.robot_model import urdf_of
+from soft_throw_ros.configuration.robot_model import urdf_of_file
 from soft_throw_ros.core.throw import simulate
 from urdf_parser_py.urdf import URDF
 import yaml
@@ -50,10 +50,17 @@ def test_joints_agree_with_the_twin(robot):
         assert joint.axis == [0.0, 0.0, 1.0]
 
 
-def bodies_of(settings, **options):
-    """Return the parsed model of a rig, and the visuals of its links by name."""
-    robot = URDF.from_xml_string(urdf_of(MODEL.read_text(), settings, **options).encode())
-    return robot, {link.name: link.visual for link in robot.links if link.visual is not None}
+@pytest.fixture
+def bodies_of(write):
+    """Return a function that returns the model of a rig, and the visuals of its links by name."""
+
+    def bodies_of(settings, **options):
+        path = write(files.render(settings))
+        text = urdf_of_file(MODEL.read_text(), path, node='/twin', **options)
+        robot = URDF.from_xml_string(text.encode())
+        return robot, {link.name: link.visual for link in robot.links if link.visual is not None}
+
+    return bodies_of
 
 
 @pytest.mark.parametrize(
@@ -65,7 +72,7 @@ def bodies_of(settings, **options):
     ],
     ids=['default', 'layer', 'stack'],
 )
-def test_sizes_are_those_of_the_parameters(robot, request_, thickness):
+def test_sizes_are_those_of_the_parameters(robot, bodies_of, request_, thickness):
     settings = TWIN.defaults()
     settings |= TWIN.change(settings, request_)
     sized, visuals = bodies_of(settings)
@@ -88,7 +95,7 @@ def test_sizes_are_those_of_the_parameters(robot, request_, thickness):
     assert np.sum(halves) == pytest.approx(0.5 * thickness * 10.0 / 14.0)
 
 
-def test_prefix_names_the_links_as_the_frames_and_keeps_the_joints(robot):
+def test_prefix_names_the_links_as_the_frames_and_keeps_the_joints(robot, bodies_of):
     prefixed, _ = bodies_of(TWIN.defaults(), frame_prefix='rig1/')
     assert [link.name for link in prefixed.links] == [f'rig1/{link.name}' for link in robot.links]
     assert [joint.name for joint in prefixed.joints] == [joint.name for joint in robot.joints]

@@ -20,7 +20,6 @@ from xml.etree import ElementTree as ET
 
 from soft_throw_ros.configuration import files
 from soft_throw_ros.configuration.interface import LAYER_JOINTS
-from soft_throw_ros.configuration.table import Settings
 
 _PLATE_OVER_LAYER = 2.5
 """Diameter of the drawn plate over that of the layer, so that its rim is visible. [-]"""
@@ -33,8 +32,17 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
     """
     Return a URDF with the sizes of the twin that a parameter file describes.
 
-    Parameters that the file lacks have their defaults, as in ROS. `node` is the full name of the
-    twin; for `urdf` and `frame_prefix` see `urdf_of`.
+    Parameters
+    ----------
+    urdf : str
+        Model of the default rig.
+    path : path_like
+        The file; parameters that it lacks have their defaults, as in ROS.
+    node : str
+        Full name of the twin.
+    frame_prefix : str
+        Precedes the names of links, but not of joints. RViz looks for the frames of `/tf` by the
+        names of links, so that rigs in several namespaces need different ones.
 
     Raises
     ------
@@ -44,24 +52,6 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
     """
     # The twin itself logs the warnings.
     settings = files.read(path, node=node, is_required=False, warn=lambda _text: None)
-    return urdf_of(urdf, settings, frame_prefix=frame_prefix)
-
-
-def urdf_of(urdf: str, settings: Settings, *, frame_prefix: str = '') -> str:
-    """
-    Return a URDF with the sizes and the names of frames of one rig.
-
-    Parameters
-    ----------
-    urdf : str
-        Model of the default rig.
-    settings : mapping of str to value
-        Complete settings of the twin.
-    frame_prefix : str
-        Precedes the names of links, but not of joints. RViz looks for the frames of `/tf` by the
-        names of links, so that rigs in several namespaces need different ones.
-
-    """
     diameter = settings['layer.diameter']
     slice_thickness = settings['layer.thickness'] / _SLICES_PER_LAYER
     robot = ET.fromstring(urdf)  # noqa: S314 the file of this package
