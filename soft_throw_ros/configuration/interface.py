@@ -76,39 +76,28 @@ def resolve(name: str, node: str) -> str:
 
 @dataclass(frozen=True)
 class Topic:
-    """
-    A topic.
-
-    Parameters
-    ----------
-    name : str
-        `~` stands for the node; a name without leading slash is relative to its namespace.
-    type, meaning : str
-        Type of the messages, such as `std_msgs/msg/String`; description without full stop.
-    depth : int
-        Number of messages kept for slow subscribers, and for late ones if the topic is latched.
-    is_reliable, is_latched : bool
-        Whether lost messages are sent again, and whether late subscribers receive the last
-        `depth` messages (transient local).
-    joints, quantities : tuple of str
-        Joints of a JointState, and its filled arrays; an input may lack the last joints.
-    axes : tuple of str
-        Labels of the dimensions of an array.
-    is_input : bool
-        Whether the node subscribes to the topic; otherwise it publishes.
-
-    """
+    """A topic."""
 
     name: str
+    """`~` stands for the node; a name without leading slash is relative to its namespace."""
     type: str  # noqa: A003
+    """Type of the messages, such as `std_msgs/msg/String`."""
     meaning: str
+    """Description without full stop."""
     depth: int = 1
+    """Number of messages kept for slow subscribers, and for late ones if the topic is latched."""
     is_reliable: bool = True
+    """Whether lost messages are sent again."""
     is_latched: bool = False
+    """Whether late subscribers receive the last `depth` messages (transient local)."""
     joints: tuple[str, ...] = ()
+    """Joints of a JointState; an input may lack the last ones."""
     quantities: tuple[str, ...] = ('position', 'velocity', 'effort')
+    """Filled arrays of a JointState."""
     axes: tuple[str, ...] = ()
+    """Labels of the dimensions of an array."""
     is_input: bool = False
+    """Whether the node subscribes to the topic; otherwise it publishes."""
 
     @property
     def relative_name(self) -> str:

@@ -92,31 +92,16 @@ class MaterialProperty(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """
-    A material of the library.
-
-    Parameters
-    ----------
-    name, description, source : str
-        Name, description and source of the numbers.
-    density, wave_speed, loss_tangent : MaterialProperty
-        Density [kg/m3], speed of longitudinal waves in a thin bar [m/s], and loss tangent at the
-        frequency of the plate [-].
-    thicknesses : tuple of float
-        Available thicknesses; empty if the material is cast in any thickness. [m]
-    diameter : float or None
-        Diameter, if there is only one. [m]
-
-    """
+    """A material of the library."""
 
     name: str
     description: str
-    source: str
-    density: MaterialProperty
-    wave_speed: MaterialProperty
-    loss_tangent: MaterialProperty
-    thicknesses: tuple[float, ...] = ()
-    diameter: float | None = None
+    source: str  # of the numbers
+    density: MaterialProperty  # [kg/m3]
+    wave_speed: MaterialProperty  # of longitudinal waves in a thin bar [m/s]
+    loss_tangent: MaterialProperty  # at the frequency of the plate [-]
+    thicknesses: tuple[float, ...] = ()  # available ones; empty if it is cast in any [m]
+    diameter: float | None = None  # if there is only one [m]
 
     @property
     def settings(self) -> dict[str, float | str]:

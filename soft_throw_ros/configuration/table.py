@@ -76,45 +76,31 @@ class ParameterError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """
-    One row of the table.
-
-    Parameters
-    ----------
-    name : str
-        Full name; the part before the first dot is its group.
-    default : bool, float, int, str, or tuple of str or of float
-        Determines the type of the parameter; the first value determines the type of a tuple.
-    meaning, unit : str
-        One sentence, without full stop; SI unit, empty for a number without unit.
-    low, high, or_zero : float, float, bool
-        Smallest and largest allowed number, and whether 0 is allowed as well.
-    choices : tuple of str
-        The allowed texts; if empty, every text that matches the regular expression `pattern`.
-    kind : str
-        Description of a valid text, in words.
-    max_length : int
-        Largest number of items of a list.
-    examples : tuple of str
-        Some of the allowed texts, for the description of the parameter.
-    deprecated : mapping of str to str
-        Former names of choices and their present names; they are accepted for one release.
-
-    """
+    """One row of the table."""
 
     name: str
+    """Full name; the part before the first dot is its group."""
     default: Value
+    """Determines the type of the parameter; its first item determines the type of a tuple."""
     meaning: str
+    """One sentence, without full stop."""
     unit: str = ''
+    """SI unit, empty for a number without unit."""
     low: float = -math.inf
     high: float = math.inf
     or_zero: bool = False
+    """Whether 0 is allowed besides the numbers from `low` to `high`."""
     choices: tuple[str, ...] = ()
+    """The allowed texts; if empty, every text that matches the regular expression `pattern`."""
     pattern: str = '.*'
     kind: str = 'a text'
+    """Description of a valid text, in words."""
     max_length: int = 1000
+    """Largest number of items of a list."""
     examples: tuple[str, ...] = ()
+    """Some of the allowed texts, for the description of the parameter."""
     deprecated: Mapping[str, str] = field(default_factory=dict)
+    """Former names of choices and their present names; they are accepted for one release."""
 
     @property
     def group(self) -> str:
@@ -196,41 +182,30 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """
-    The parameters of a node.
-
-    Parameters
-    ----------
-    node : str
-        Its name.
-    entries : tuple of Entry
-        The parameters in the order of the documentation.
-    hints : mapping of str to str
-        Advice on names that are no parameters but might be expected.
-    deprecated : mapping of str to str
-        Former names of parameters and their present names; they are accepted for one release.
-    resolve : callable
-        Replaces references to a file by the contents of the file, so that settings are
-        self-contained. The arguments are the settings and their changes.
-    rules : tuple of callable
-        Each returns the changes that other changes imply. The rules run in order, and each one
-        receives the implied changes of the rules before. A rule never replaces a value that is
-        requested or implied already.
-    contradictions : callable
-        Yields contradictions in complete settings among the values of some names, as errors with
-        the names of the values. A request that sets all these values at once is refused.
-
-    """
+    """The parameters of a node."""
 
     node: str
     entries: tuple[Entry, ...]
+    """The parameters in the order of the documentation."""
     hints: Mapping[str, str] = field(default_factory=dict)
+    """Advice on names that are no parameters but might be expected."""
     deprecated: Mapping[str, str] = field(default_factory=dict)
+    """Former names of parameters and their present names; they are accepted for one release."""
     resolve: Rule = lambda _settings, changes: changes
+    """Replaces references to a file by its contents, so that settings are self-contained."""
     rules: tuple[Rule, ...] = ()
+    """
+    Each returns the changes that other changes imply. The rules run in order, and each one
+    receives the implied changes of the rules before. A rule never replaces a value that is
+    requested or implied already.
+    """
     contradictions: Callable[[Settings, Collection[str]], Iterable[ParameterError]] = (
         lambda _settings, _names: ()
     )
+    """
+    Yields contradictions in complete settings among the values of some names, as errors with the
+    names of the values. A request that sets all these values at once is refused.
+    """
 
     @cached_property
     def by_name(self) -> Mapping[str, Entry]:

@@ -35,38 +35,18 @@ _BOUND_PER_DEVIATION = math.sqrt(3.0)
 
 @dataclass(frozen=True, kw_only=True)
 class MeasurementConfig:
-    """
-    Parameters of the estimation of a measured plate, and of the test of the model.
+    """Parameters of the estimation of a measured plate, and of the test of the model."""
 
-    Parameters
-    ----------
-    smoothing_window_ns, latency_ns : int
-        Length of the smoothing window, and the time to wait for samples out of order. [ns]
-    position_noise, velocity_noise : float
-        Standard deviations of the heights and velocities of the plate. [m], [m/s]
-    start_speed : float
-        Upward speed of the plate at which a throw has begun. [m/s]
-    residual_threshold : float
-        Rms residual of the projectile beyond which the model is reported as wrong. [m]
-    plate : Underdamped
-        Expected motion of the plate in a throw.
-    frequency_error, damping_error : float
-        Standard deviations of its frequency [Hz] and damping ratio [-].
-    prediction_error : float
-        Half of the 95 % interval of the ejection speed, relative to the speed, below which a
-        throw is predicted. [-]
-
-    """
-
-    smoothing_window_ns: int
-    latency_ns: int
-    position_noise: float
-    velocity_noise: float
-    start_speed: float
-    residual_threshold: float
-    plate: Underdamped
-    frequency_error: float
-    damping_error: float
+    smoothing_window_ns: int  # length of the smoothing window [ns]
+    latency_ns: int  # time to wait for samples out of order [ns]
+    position_noise: float  # standard deviation of the heights of the plate [m]
+    velocity_noise: float  # standard deviation of its velocities [m/s]
+    start_speed: float  # upward speed at which a throw has begun [m/s]
+    residual_threshold: float  # rms of the projectile beyond which the model is wrong [m]
+    plate: Underdamped  # expected motion in a throw
+    frequency_error: float  # standard deviation of its frequency [Hz]
+    damping_error: float  # standard deviation of its damping ratio [-]
+    # half of the 95 % interval of the ejection speed, over the speed, for a first prediction [-]
     prediction_error: float
 
     @property
@@ -77,43 +57,21 @@ class MeasurementConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TwinConfig:
-    """
-    The configuration of the twin; requests for recommendations are in `design.requests`.
+    """The configuration of the twin; requests for recommendations are in `design.requests`."""
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        The complete settings, the source of all other fields.
-    rig, model, motion
-        The rig, its model (the set one, or its fallback), and the kind of the plate's motion:
-        'underdamped', 'harmonic', 'file' or 'measured'.
-    measurement : MeasurementConfig
-        How the plate is estimated if it is measured.
-    state_rate, field_rate : float
-        Steps, and rows of the field, per second of the clock. [Hz]
-    time_scale : float
-        Time of the rig over time of the clock, 1 with a measured plate. [-]
-    command_lead : float or None
-        Time from the command of a motion to its start [s]; None if the plate is not commanded.
-    throw_period : float
-        Time between the starts of two throws; 0 to throw only on request. [s]
-    max_events, max_strain
-        Contacts after which a throw is over, and where the linear range ends [-].
-
-    """
-
-    settings: Settings
+    settings: Settings  # complete, the source of all other fields
     rig: Rig
-    model: str
-    motion: str
-    measurement: MeasurementConfig
-    state_rate: float
-    field_rate: float
-    time_scale: float
+    model: str  # the set one, or its fallback for the rig
+    motion: str  # kind of the plate's motion: a name of `configuration.twin.MOTIONS`
+    measurement: MeasurementConfig  # for a measured plate
+    state_rate: float  # steps per second of the clock [Hz]
+    field_rate: float  # rows of the field per second of the clock [Hz]
+    time_scale: float  # time of the rig over that of the clock, 1 with a measured plate [-]
+    # time from the command of a motion to its start; None if the plate is not commanded [s]
     command_lead: float | None
-    throw_period: float
-    max_events: int
-    max_strain: float
+    throw_period: float  # from one start to the next; 0 to throw only on request [s]
+    max_events: int  # contacts after which a throw is over [-]
+    max_strain: float  # where the linear range of the layer ends [-]
 
     @property
     def is_measured(self) -> bool:

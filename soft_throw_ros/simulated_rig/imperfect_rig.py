@@ -92,41 +92,18 @@ class Imperfections:
     """
     Faults of the plate and the layer that no model of the core has.
 
-    Parameters
-    ----------
-    stiffening : float
-        Coefficient :math:`k` of the quadratic stress; the layer stiffens in compression if it is
-        positive, and softens if it is negative. [-]
-    cubic_stiffening : float
-        Coefficient :math:`k_3` of the cubic stress; the layer stiffens in compression and in
-        tension if it is positive. [-]
-    sticking : float
-        Duration of the adhesion after the contact force becomes a pull. [s]
-    ringing : float
-        Amplitude of the plate's vibration before the throw, over the engine's amplitude. [-]
-    ringing_phase : float
-        Phase of the ringing at the start of the record. [rad]
-    ringing_damping_ratio : float, optional
-        Damping ratio of the ringing; default is the engine's. [-]
-    second_mode : float
-        Amplitude of a second mode of the plate, which the throw excites, over the engine's
-        amplitude. [-]
-    second_mode_frequency : float
-        Frequency of the second mode. [Hz]
-    second_mode_damping_ratio : float
-        Damping ratio of the second mode. [-]
-
+    Amplitudes of the plate are relative to that of the engine.
     """
 
-    stiffening: float = 0.0
-    cubic_stiffening: float = 0.0
-    sticking: float = 0.0
-    ringing: float = 0.0
-    ringing_phase: float = 0.0
-    ringing_damping_ratio: float | None = None
-    second_mode: float = 0.0
-    second_mode_frequency: float = 310.0
-    second_mode_damping_ratio: float = 0.02
+    stiffening: float = 0.0  # k of the quadratic stress; negative softens in compression [-]
+    cubic_stiffening: float = 0.0  # k_3 of the cubic stress, in compression and tension [-]
+    sticking: float = 0.0  # time of adhesion after the contact force becomes a pull [s]
+    ringing: float = 0.0  # amplitude of the plate's vibration before the throw [-]
+    ringing_phase: float = 0.0  # at the start of the record [rad]
+    ringing_damping_ratio: float | None = None  # None for that of the engine [-]
+    second_mode: float = 0.0  # amplitude of a second mode, which the throw excites [-]
+    second_mode_frequency: float = 310.0  # [Hz]
+    second_mode_damping_ratio: float = 0.02  # [-]
 
     @property
     def are_present(self) -> bool:

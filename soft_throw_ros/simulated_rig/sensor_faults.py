@@ -75,29 +75,6 @@ class SensorFaults:
     """
     Faults of the sensors; no faults by default.
 
-    Parameters
-    ----------
-    noise : float
-        Standard deviation of heights. [m]
-    jitter : float
-        Largest deviation of a sample from its nominal time; the stamp follows the sample. [s]
-    stamp_error : float
-        Largest deviation of a stamp from the time of its sample. [s]
-    outlier_rate : float
-        Share of the heights that are outliers. [-]
-    outlier_size : float
-        Largest deviation of an outlier; the smallest is a tenth as large. [m]
-    drift : float
-        Rate of change of both heights; its sign changes every second. [m/s]
-    projectile_delay : float
-        Age of the projectile's height at its stamp. [s]
-    projectile_scale : float
-        Measured height of the projectile over the true height. [-]
-    missing_rate : float
-        Share of the samples that are lost. [-]
-    rounding : float
-        Resolution of the heights; 0 for no rounding. [m]
-
     Raises
     ------
     ValueError
@@ -105,16 +82,16 @@ class SensorFaults:
 
     """
 
-    noise: float = 0.0
-    jitter: float = 0.0
-    stamp_error: float = 0.0
-    outlier_rate: float = 0.0
-    outlier_size: float = 0.0
-    drift: float = 0.0
-    projectile_delay: float = 0.0
-    projectile_scale: float = 1.0
-    missing_rate: float = 0.0
-    rounding: float = 0.0
+    noise: float = 0.0  # standard deviation of heights [m]
+    jitter: float = 0.0  # largest deviation of sample and stamp from the nominal time [s]
+    stamp_error: float = 0.0  # largest deviation of a stamp from the time of its sample [s]
+    outlier_rate: float = 0.0  # share of the heights that are outliers [-]
+    outlier_size: float = 0.0  # largest error of an outlier; the smallest is a tenth of it [m]
+    drift: float = 0.0  # rate of change of both heights; its sign changes every second [m/s]
+    projectile_delay: float = 0.0  # age of the projectile's height at its stamp [s]
+    projectile_scale: float = 1.0  # measured height of the projectile over the true one [-]
+    missing_rate: float = 0.0  # share of the samples that are lost [-]
+    rounding: float = 0.0  # resolution of the heights; 0 for no rounding [m]
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -25,15 +25,6 @@ class TickSchedule:
     """
     Absolute deadlines of steps, so that a delay of one step does not delay later ones.
 
-    Parameters
-    ----------
-    step : int
-        Number of a step.
-    time_ns : int
-        Deadline of the step. [ns]
-    rate : float
-        Steps per second. [Hz]
-
     Examples
     --------
     >>> schedule = TickSchedule(step=10, time_ns=5_000_000, rate=1000.0)
@@ -46,9 +37,9 @@ class TickSchedule:
 
     """
 
-    step: int
-    time_ns: int
-    rate: float
+    step: int  # number of a step
+    time_ns: int  # deadline of the step [ns]
+    rate: float  # steps per second [Hz]
 
     def deadline(self, step: int) -> int:
         """Return the deadline of a step [ns]."""
