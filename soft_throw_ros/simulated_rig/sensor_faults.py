@@ -61,7 +61,7 @@ class Chances(NamedTuple):
     projectile_outlier_size: Numbers
 
 
-class Sample(NamedTuple):
+class Measurement(NamedTuple):
     """A measured stamp [s] and heights [m], and whether the message arrives."""
 
     stamp: Numbers
@@ -105,7 +105,7 @@ class SensorFaults:
         plate: Callable[[Numbers], Numbers],
         projectile: Callable[[Numbers], Numbers],
         chances: Chances,
-    ) -> Sample:
+    ) -> Measurement:
         """
         Measure the heights of plate and projectile.
 
@@ -123,7 +123,7 @@ class SensorFaults:
         drift = self.drift * (_DRIFT_TURNS - abs(moment % (2.0 * _DRIFT_TURNS) - _DRIFT_TURNS))
         heights = plate(moment), self.projectile_scale * projectile(moment - self.projectile_delay)
         stamp = moment + self.stamp_error * chances.stamp
-        return Sample(
+        return Measurement(
             stamp,
             self._disturb(heights[0] + drift, *chances[3:6]),
             self._disturb(heights[1] + drift, *chances[6:9]),

@@ -144,7 +144,7 @@ class MeasuredThrow(OngoingThrow):
             number=number,
             rest_speed=MEASURED_REST_SPEED * config.start_speed,
         )
-        self._residuals = _Residuals(
+        self._residuals = _ResidualStatistics(
             last_ns=onset.onset_ns,
             longest=1.0 / prepared.rig.engine.frequency,
             threshold=config.residual_threshold,
@@ -446,8 +446,8 @@ class MeasuredThrow(OngoingThrow):
 
 
 @dataclass(kw_only=True)
-class _Residuals:
-    """Residuals of the projectile's position, until a time `longest` after the release."""
+class _ResidualStatistics:
+    """Statistics of the residuals of the projectile, until `longest` after the release."""
 
     last_ns: int  # time of the last sample that was compared [ns]
     longest: float  # [s]

@@ -58,12 +58,12 @@ _REST_SIGMAS = 4.0
 
 @dataclass
 class _JumpDetector:
-    """Times of the estimator at which the plate moved in certain ways since the last throw [s]."""
+    """A detector of rests and jumps of the plate; times are those of the estimator [s]."""
 
     is_armed: bool = False  # whether the plate is at rest, so that a jump starts a throw
-    last_moving: float = math.nan  # the last one at which it was too fast to be at rest
-    last_quiet: float = -math.inf  # the last one at which it was not
-    begun: float = math.inf  # the one at which it was fast enough to have started
+    last_moving: float = math.nan  # last time at which the plate was too fast for a rest
+    last_quiet: float = -math.inf  # last time at which it was slow enough
+    begun: float = math.inf  # time at which it reached the speed of a start; infinite before
 
     def cancel(self) -> None:
         """Wait for another rest after a jump."""
@@ -283,8 +283,8 @@ def find_engine_start(
         return None
     now = (int(samples['stamp_ns'][-1]) - estimate.start_ns) / SECOND
     ratio = estimate.plate.amplitude / plate.amplitude
-    is_like_it = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
-    if not is_like_it or estimate.plate.velocity(now) < config.start_speed:
+    is_engine_like = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
+    if not is_engine_like or estimate.plate.velocity(now) < config.start_speed:
         return None
     return _onset(estimator, estimate.start_ns, rest)
 

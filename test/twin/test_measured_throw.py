@@ -255,14 +255,6 @@ def test_rate_that_is_too_low_is_reported_with_its_value(rate, request_, reason)
     assert all(f'{rate:.0f} Hz' in text and reason in text for text in run.notices())
 
 
-def test_rate_slightly_below_the_minimum_is_accepted() -> None:
-    # as that of a sensor of 2 kHz whose stamps jitter
-    run = Run(**MEASURED, layer__thickness=0.05, measured__smoothing_window=2e-3)
-    run.measure(rate=1980.0, duration=0.3, onset=0.2)
-    assert run.session.throws == 1
-    assert not any(' Hz, which must be' in text for text in run.notices())
-
-
 @pytest.mark.parametrize(('rate', 'engine_is_nominal'), [(2500.0, True), (5000.0, False)])
 def test_outliers_are_ignored(rate, engine_is_nominal) -> None:
     run = Run(**MEASURED)

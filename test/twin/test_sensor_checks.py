@@ -70,6 +70,7 @@ def test_noise_and_rate_are_reported_once_per_throw(estimate) -> None:
 def test_rate_must_suffice_for_the_layer_once_the_plate_is_at_rest(estimate) -> None:
     checks = SensorChecks()
     assert checks.has_rate(estimate(), math.inf)
+    assert checks.has_rate(estimate(rate=1980.0), math.inf)  # 2 kHz, with stamps that jitter
     assert not checks.has_rate(estimate(), 1e-4)
     (fault,) = checks.diagnose(estimate(), 1e-4, is_armed=True)
     assert isinstance(fault, LowRate)
