@@ -20,6 +20,7 @@ from xml.etree import ElementTree as ET
 
 from soft_throw_ros.configuration import files
 from soft_throw_ros.configuration.interface import LAYER_JOINTS
+from soft_throw_ros.configuration.table import Settings
 
 _PLATE_OVER_LAYER = 2.5
 """Diameter of the drawn plate over that of the layer, so that its rim is visible. [-]"""
@@ -51,7 +52,7 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
 
     """
     # The twin itself logs the warnings.
-    settings = files.read(path, node=node, is_required=False, warn=lambda _text: None)
+    settings: Settings = files.read(path, node=node, is_required=False, warn=lambda _text: None)
     diameter = settings['layer.diameter']
     slice_thickness = settings['layer.thickness'] / _SLICES_PER_LAYER
     robot = ET.fromstring(urdf)  # noqa: S314 the file of this package

@@ -113,7 +113,7 @@ def _find(
 @subroutine
 def _is_far(s: Record, time: float, position: float) -> bool:
     """Return whether a position is off the line through the last two."""
-    return s.count == 2 and _deviation(
+    return s.count == 2 and _deviation(  # type: ignore[no-any-return]
         s, time, position, s.before, s.last[0], s.last[1], _LIKELY_ACCELERATION
     ) > _limit(s)
 
