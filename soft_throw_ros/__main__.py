@@ -42,10 +42,7 @@ EXECUTABLES = {
     'track': ('soft_throw_ros.commands.track', 'extract tracks from a video'),
     'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: twin of a throwing rig in real time'),
     'viewer': ('soft_throw_ros.nodes.viewer', 'ROS 2 node: show twins live in Rerun'),
-    'warm_up': (
-        'soft_throw_ros.commands.warm_up',
-        'compile all kernels in advance',
-    ),
+    'warm_up': ('soft_throw_ros.commands.warm_up', 'compile all kernels in advance'),
 }
 
 

@@ -232,7 +232,7 @@ def _check_rate(tracks: Mapping[str, Track], *, rate: float, pictures: int) -> N
         'length in metres'
     )
     reason = ''
-    if not entry.allows(frequency):
+    if entry.convert(frequency) is None:
         reason = f'its frequency must be {entry.rule}'
     elif acceleration > _MAX_ACCELERATION:
         reason = f'no plate bears more than {_MAX_ACCELERATION:g} m/s2'

@@ -130,8 +130,6 @@ class Entry:
             return self.kind
         if isinstance(self.default, tuple) and isinstance(self.default[0], str):
             return f'a list, each {self.kind}'
-        if self.low == self.high:
-            return f'{self.low:g}'
         kind = 'a whole number' if isinstance(self.default, int) else 'a number'
         if isinstance(self.default, tuple):
             kind = f'a list of at most {self.max_length} numbers'
@@ -155,10 +153,6 @@ class Entry:
             items = [self._convert_item(item, self.default[0]) for item in value]
             return None if None in items else tuple(items)  # type: ignore[return-value]
         return self._convert_item(value, self.default)
-
-    def allows(self, value: object) -> bool:
-        """Whether `value` obeys the rule."""
-        return self.convert(value) is not None
 
     def _convert_item(self, value: object, default: float | str) -> float | str | None:
         """Convert a value, or one of a list, to the type of `default`."""

@@ -91,9 +91,6 @@ _LONGEST_DATA = 1 << 24
 _FARTHEST = 2**62
 """Largest magnitude of a step [-], and of a time [ns]."""
 
-_MOST_AT_ONCE = 4096
-"""Size of the states that are added to a checksum at once, to bound the time. [byte]"""
-
 _SAMPLE = np.dtype(
     [('step', '<i8'), ('stamp_ns', '<i8'), *((name, '<f8') for name in Sample._fields[1:])]
 )
@@ -276,6 +273,14 @@ class _Checksum:
     states: int = 0
     fields: int = 0
 
+    def add(self, outputs: Outputs) -> None:
+        """Add the outputs of a step."""
+        self.states = crc32(STATE.pack(*outputs.state), self.states)
+        for array in outputs.layer or ():
+            self.fields = crc32(array.data, self.fields)
+        if outputs.throw_field is not None:
+            self.fields = crc32(outputs.throw_field.checksum.to_bytes(4, 'little'), self.fields)
+
     def values(self) -> dict[str, int]:
         return {'states': self.states, 'fields': self.fields}
 
@@ -293,7 +298,6 @@ class JournalWriter:
         self._line = 0
         self._batches: list[tuple[int, list[Sample]]] = []
         self._last_flush_step = step
-        self._states = bytearray()  # not in the checksums yet; adding many at once is faster
         self._second = _Checksum(step)
         self._throw: _Checksum | None = None
 
@@ -321,7 +325,6 @@ class JournalWriter:
         """Write the result of a throw."""
         checksums: dict[str, int] = {}
         if result.stage == 'final' and self._throw is not None:
-            self._add_states()
             checksums, self._throw = self._throw.values(), None
         values = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
@@ -331,13 +334,9 @@ class JournalWriter:
 
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
         """Add the outputs of a step to the checksums, and write the entries that are due."""
-        self._states += STATE.pack(*outputs.state)
-        if len(self._states) > _MOST_AT_ONCE:
-            self._add_states()
-        if outputs.layer is not None:
-            self._add_fields([array.data for array in outputs.layer])
-        if outputs.throw_field is not None:
-            self._add_fields([outputs.throw_field.checksum.to_bytes(4, 'little')])
+        self._second.add(outputs)
+        if self._throw is not None:
+            self._throw.add(outputs)
         following = outputs.step + 1
         if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
             self._flush(following)  # also without samples, as a sign of life
@@ -350,21 +349,8 @@ class JournalWriter:
             self._flush(step)
         self._write_checksum(step)
 
-    def _add_states(self) -> None:
-        """Add the stored states to the checksums."""
-        for checksum in filter(None, (self._second, self._throw)):
-            checksum.states = crc32(self._states, checksum.states)
-        self._states.clear()
-
-    def _add_fields(self, arrays: Sequence[memoryview | bytes]) -> None:
-        """Add the outputs of the layer to the checksums."""
-        for checksum in filter(None, (self._second, self._throw)):
-            for array in arrays:
-                checksum.fields = crc32(array, checksum.fields)
-
     def _write_checksum(self, step: int) -> None:
         """Write the checksum of the steps before `step`, if any, and begin the next."""
-        self._add_states()
         if step > self._second.first:
             self.write('checksum', step, first=self._second.first, **self._second.values())
         self._second = _Checksum(step)
