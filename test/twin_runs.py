@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 import rigs
 from soft_throw_ros.configuration import rig_of, TWIN
-from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.nodes.sensor_texts import sensor_text
@@ -152,40 +151,25 @@ class Run:
         """Return the steps at which throws started."""
         return [entry['step'] for entry in self.entries('throw')]
 
-    def repeat(self, throw: int = 0) -> Iterator[Outputs]:
-        """Replay the run from its journal, from the start of a throw."""
-        self.session.close()
-        return replay(self.journal, until=self.session.step, throw=throw)
-
     def assert_repeated(self, throw: int = 0) -> None:
         """Assert that the replay, from the start of a throw, has the same outputs bit by bit."""
+        self.session.close()
         begin = self.starts()[throw - 1] if throw else 0
-        again = list(self.repeat(throw))
+        again = list(replay(self.journal, until=self.session.step, throw=throw))
         assert len(again) == len(self.outputs) - begin
         assert all(map(same, again, self.outputs[begin:]))
 
 
-PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
-MEASUREMENT = MeasurementConfig(
-    smoothing_window_ns=2_000_000,
-    latency_ns=0,
-    position_noise=5e-6,
-    velocity_noise=1e-2,
-    start_speed=0.1 * PLATE.peak_velocity,
-    residual_threshold=5e-5,
-    plate=PLATE,
-    frequency_error=0.1 / math.sqrt(3.0),
-    damping_error=0.003 / math.sqrt(3.0),
-    prediction_error=0.01,
-)
+MEASUREMENT = TwinConfig.from_settings(TWIN.defaults()).measurement
+PLATE = MEASUREMENT.plate
 INTERVAL = 200_000  # [ns]
 
 
 def make_samples(
-    count: int = 100, *, onset: float = math.inf, noise: float = 0.0
+    count: int = 100, *, onset: float = math.inf, noise: float = 0.0, seed: int = 4
 ) -> list[Sample]:
     """Measure a plate every 0.2 ms, at a height of 0.3 m before it starts, and a projectile."""
-    random = np.random.default_rng(4)
+    random = np.random.default_rng(seed)
     stamps = BEGIN + INTERVAL * np.arange(count)
     heights = 0.3 + PLATE.position((stamps - BEGIN) / SECOND - onset)
     heights += noise * random.standard_normal(count)

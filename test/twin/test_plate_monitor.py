@@ -32,15 +32,6 @@ from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
 
 
-def noisy(samples: list[Sample], seed: int) -> list[Sample]:
-    """Return samples with a noise of 5 um of the plate."""
-    noise = 5e-6 * np.random.default_rng(seed).standard_normal(len(samples))
-    return [
-        sample._replace(plate=sample.plate + error)
-        for sample, error in zip(samples, noise.tolist(), strict=True)
-    ]
-
-
 def detect(samples: list[Sample], *, engine_is_nominal: bool = False) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
     monitor = PlateMonitor(MEASUREMENT, SampleCounts(), SensorChecks())
@@ -64,7 +55,7 @@ def test_start_is_found_within_a_short_delay(start) -> None:
 
 def test_start_with_a_trusted_engine_is_found_after_a_millisecond() -> None:
     for seed in range(5):
-        samples = noisy(make_samples(400, onset=0.03), seed)
+        samples = make_samples(400, onset=0.03, noise=5e-6, seed=seed)
         onset, count = detect(samples, engine_is_nominal=True)
         assert onset is not None
         assert count * INTERVAL / SECOND < 0.03 + 1.4e-3
@@ -108,7 +99,7 @@ def test_time_since_the_start_does_not_depend_on_the_amplitude(zeta, share, ampl
 def test_start_is_found_as_well_as_the_noise_allows() -> None:
     errors = []
     for seed in range(100):
-        onset, _ = detect(noisy(make_samples(400, onset=0.025), seed))
+        onset, _ = detect(make_samples(400, onset=0.025, noise=5e-6, seed=seed))
         assert onset is not None
         errors.append((onset.onset_ns - BEGIN) / SECOND - 0.025)
     since = np.arange(0.0, 2.6e-3, 2e-4)

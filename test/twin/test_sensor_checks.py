@@ -30,22 +30,17 @@ from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import MEASUREMENT
 
 
-@pytest.fixture
-def estimate():
+def estimate(*, rate: float = 5000.0, noise: float = 1e-6) -> PlateEstimator:
     """Return an estimator of a plate at rest."""
-
-    def estimate(*, rate=5000.0, noise=1e-6):
-        random = np.random.default_rng(3)
-        samples = [
-            Sample(round(index * SECOND / rate), noise * random.standard_normal())
-            for index in range(100)
-        ]
-        return PlateEstimator(MEASUREMENT, samples=samples)
-
-    return estimate
+    random = np.random.default_rng(3)
+    samples = [
+        Sample(round(index * SECOND / rate), noise * random.standard_normal())
+        for index in range(100)
+    ]
+    return PlateEstimator(MEASUREMENT, samples=samples)
 
 
-def test_good_sensor_is_not_reported(estimate) -> None:
+def test_good_sensor_is_not_reported() -> None:
     checks = SensorChecks()
     checks.observe(MEASUREMENT.plate.amplitude, MEASUREMENT.plate.peak_velocity, was_at_rest=True)
     checks.observe(0.0, 0.0, was_at_rest=False)
@@ -53,7 +48,7 @@ def test_good_sensor_is_not_reported(estimate) -> None:
     assert checks.diagnose(estimate(), 2e-3, is_armed=True) == ()
 
 
-def test_noise_and_rate_are_reported_once_per_throw(estimate) -> None:
+def test_noise_and_rate_are_reported_once_per_throw() -> None:
     checks, noisy = SensorChecks(), estimate(rate=500.0, noise=4.0 * MEASUREMENT.position_noise)
     rate, noise = checks.diagnose(noisy, 2e-3, is_armed=False)
     assert isinstance(rate, LowRate)
@@ -67,7 +62,7 @@ def test_noise_and_rate_are_reported_once_per_throw(estimate) -> None:
     assert len(checks.diagnose(again, 2e-3, is_armed=False)) == 2
 
 
-def test_rate_must_suffice_for_the_layer_once_the_plate_is_at_rest(estimate) -> None:
+def test_rate_must_suffice_for_the_layer_once_the_plate_is_at_rest() -> None:
     checks = SensorChecks()
     assert checks.has_rate(estimate(), math.inf)
     assert checks.has_rate(estimate(rate=1980.0), math.inf)  # 2 kHz, with stamps that jitter
@@ -78,7 +73,7 @@ def test_rate_must_suffice_for_the_layer_once_the_plate_is_at_rest(estimate) -> 
     assert fault.span is SampledSpan.CROSSING
 
 
-def test_motion_is_reported_if_a_throw_begins_before_the_diagnosis(estimate) -> None:
+def test_motion_is_reported_if_a_throw_begins_before_the_diagnosis() -> None:
     checks, plate = SensorChecks(), MEASUREMENT.plate
     checks.observe(0.0, 0.0, was_at_rest=False)
     checks.observe(200.0 * plate.amplitude, -0.9 * plate.peak_velocity, was_at_rest=True)
