@@ -59,6 +59,12 @@ OBJECTIVES: Mapping[str, str] = {
 
 _RIG = Rig()
 
+_NAMED = (*STACKED, 'layer.diameter', 'layer.stack')
+"""Parameters that the name of a layer may set."""
+
+_TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
+"""Targets of an aim, of which one is 0."""
+
 _FORMER_MODELS = {
     'finite_difference': 'cells',
     'finite_difference_elastic': 'cells_elastic',
@@ -520,13 +526,6 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
     }
     stack = write_stack(rig.layer.sheets) if isinstance(rig.layer, Stack) else ''
     return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
-
-
-_TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
-
-
-_NAMED = (*STACKED, 'layer.diameter', 'layer.stack')
-"""Parameters that the name of a layer may set."""
 
 
 def _sheets(settings: Settings) -> list[Layer]:

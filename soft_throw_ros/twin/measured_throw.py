@@ -216,13 +216,13 @@ class MeasuredThrow(OngoingThrow):
         plate, present, smoothed = self._plate, self._present, self._plate.smoothed
         if plate.relies_on_engine:
             newer = plate.newer_estimate(present.estimate) if self._newer is None else None
-            if plate.fit.has_failed or (plate.is_fitted and newer is None):
+            if plate.fit.has_failed or (plate.is_fit_over and newer is None):
                 self._abandon_engine()
             elif newer is not None:
                 self._simulate_anew(newer)
         if not plate.relies_on_engine and present.source is not smoothed:
             is_known = present.source is not None and (self.events or not plate.fit.has_failed)
-            if is_known and (plate.is_fitted or not plate.is_noisy):
+            if is_known and (plate.is_fit_over or not plate.is_noisy):
                 smoothed.start_ns, present.source = present.start_ns, smoothed
             elif not is_known and not self._newer and smoothed.find_start():
                 self._simulate_anew(smoothed)

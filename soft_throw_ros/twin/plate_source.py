@@ -267,7 +267,7 @@ class MeasuredPlate:
         return self._forecaster
 
     @property
-    def is_fitted(self) -> bool:
+    def is_fit_over(self) -> bool:
         """Whether the fit has failed, or has the samples of a period of the plate."""
         return self.fit.has_failed or self.estimator.complete_ns > self._fit_end_ns
 
