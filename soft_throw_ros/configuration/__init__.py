@@ -13,7 +13,6 @@
 # limitations under the License.
 """Parameters without ROS: a table for every node, its settings, and parameter files."""
 
-from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.recorder import RECORDER
 from soft_throw_ros.configuration.table import (
     Entry,
@@ -26,7 +25,6 @@ from soft_throw_ros.configuration.table import (
 from soft_throw_ros.configuration.twin import LAYERS, rig_of, rig_values, TWIN
 
 __all__ = [
-    'CUSTOM',
     'LAYERS',
     'RECORDER',
     'TWIN',
