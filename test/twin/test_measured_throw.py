@@ -548,9 +548,12 @@ def test_next_jump_after_a_rest_starts_a_throw_with_pending_changes() -> None:
     assert run.results('final')[0].ended_by in ('next', 'rest', 'max_events')
 
 
-def test_jump_applies_a_pending_motion() -> None:
+@pytest.mark.parametrize('is_under_way', [True, False])
+def test_jump_applies_a_pending_motion(is_under_way) -> None:
     run = Run(**MEASURED, throw__period=0.0)
     run.measure()
+    if not is_under_way:
+        run.session.reset()
     flat = {'begin_ns': run.begin_ns + 120_000_000, 'onset': 1.0, 'duration': 0.04}
     run.send(rigs.measured_throw(run.rig, **flat))
     run.receive()
