@@ -357,8 +357,8 @@ def test_certain_results_with_stamp_jitter_are_correct(kind) -> None:
 
 @pytest.mark.parametrize('kind', list(JITTERS))
 def test_smoothed_throw_released_by_noise_is_invalid_with_a_reason(kind) -> None:
-    for seed in range(4):
-        run = throw_with_jitter(kind, seed, engine_is_nominal=False)
+    for seed, model in enumerate(('travelling_wave', 'spring_mass') * 2):
+        run = throw_with_jitter(kind, seed, engine_is_nominal=False, model=model)
         final = run.results('final')[-1]
         assert (final.throw, final.ended_by, final.is_valid) == (2, 'noise', False)
         values = final.values()
