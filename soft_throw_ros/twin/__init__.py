@@ -25,7 +25,7 @@ A sample of a measured plate passes the following stations:
 1. `plate_estimator.PlateEstimator` refuses it, or sorts it by its stamp. When it is complete,
    `outlier_filter` may remove it, and the samples of a window yield a smoothed state.
 2. `plate_monitor.PlateMonitor` detects from smoothed states that a throw has begun, and finds the
-   `onset.Onset`. `sensor_checks` warns of faults.
+   `Onset`. `sensor_checks` warns of faults.
 3. In a throw, `plate_source.MeasuredPlate` fits the engine's motion to the samples (`engine_fit`).
    Either the fit or the smoothed states move the plate of a simulation.
 4. `measured_throw` advances the simulation until the sample's time, which gives the residual, and

@@ -59,9 +59,8 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, subroutine
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import MOST_SCATTER
+from soft_throw_ros.twin.plate_estimator import MOST_SCATTER, Onset
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 

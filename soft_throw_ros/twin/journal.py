@@ -57,7 +57,7 @@ from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.twin.onset import Onset, RestBaseline
+from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import TickSchedule

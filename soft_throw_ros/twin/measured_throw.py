@@ -39,8 +39,7 @@ from soft_throw_ros.core.stepper import (
     TIME,
 )
 from soft_throw_ros.twin.engine_fit import EngineEstimate
-from soft_throw_ros.twin.onset import Onset
-from soft_throw_ros.twin.plate_estimator import PAST, PlateEstimator, PlateStates
+from soft_throw_ros.twin.plate_estimator import Onset, PAST, PlateEstimator, PlateStates
 from soft_throw_ros.twin.plate_source import MeasuredPlate, SmoothedSamples
 from soft_throw_ros.twin.prepared_rig import (
     ForkedStepper,

@@ -113,6 +113,28 @@ class SampleCounts:
     """By 'not finite', 'out of range', 'future', 'past', 'doubled' and 'late'."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class RestBaseline:
+    """Heights of plate and projectile at rest before a throw."""
+
+    plate: float  # mean heights; that of the projectile is NaN if it was not measured [m]
+    projectile: float
+    noise: float  # standard deviation of the plate's samples [m]
+    error: float  # standard error of its mean [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Onset:
+    """The start of the plate's motion, and so of a throw."""
+
+    onset_ns: int  # time of the start [ns]
+    rest: RestBaseline
+    samples: tuple[Sample, ...]  # sorted, from a window before the start on
+    engine_is_nominal: bool = True  # whether the last motion was that of the engine
+    stamp_scatter: float = 0.0  # standard deviation of stamps about an even rate [s]
+    stamp_error: float = 0.0  # standard deviation of stamps in the last throw [s]
+
+
 NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))
 
 
@@ -191,6 +213,23 @@ class PlateEstimator:
     def samples(self, begin_ns: float, end_ns: float = math.inf) -> Rows:
         """Return the stored samples from one time to before another."""
         return self._samples.between(begin_ns, end_ns)
+
+    def rest_before(self, end_ns: float) -> RestBaseline | None:
+        """Return the rest of some windows before a time; None if there are too few samples."""
+        window_ns = self.config.smoothing_window_ns
+        samples = self.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
+        if len(samples) < FEWEST:
+            return None
+        plate, projectile = samples['plate'], samples['projectile']
+        measured = projectile[np.isfinite(projectile)]
+        # rounded samples at rest are all the same, so that their scatter underestimates the noise
+        noise = max(self.config.position_noise, float(plate.std()))
+        return RestBaseline(
+            plate=float(plate.mean()),
+            projectile=float(measured.mean()) if measured.size else math.nan,
+            noise=noise,
+            error=noise / math.sqrt(plate.size),
+        )
 
     def rate(self) -> float:
         """Return the rate of the stored samples, 0 if there are too few [Hz]."""

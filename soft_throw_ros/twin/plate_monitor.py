@@ -23,12 +23,13 @@ from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import FEWEST
 from soft_throw_ros.twin.engine_fit import EngineFit
-from soft_throw_ros.twin.onset import Onset, RestBaseline
 from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import (
+    Onset,
     PlateEstimator,
     PlateStates,
     REST_WINDOWS,
+    RestBaseline,
     SampleCounts,
 )
 from soft_throw_ros.twin.plate_source import find_start
@@ -232,7 +233,7 @@ def find_onset(
     config = estimator.config
     window_ns = config.smoothing_window_ns
     rest_ns = begun_ns - window_ns
-    rest = RestBaseline.before(estimator, rest_ns)
+    rest = estimator.rest_before(rest_ns)
     if rest is None or speed <= config.start_speed:
         return None
     since = time_since_start(height - rest.plate, speed, config.plate)
@@ -264,7 +265,7 @@ def find_engine_start(
     """
     config, plate = estimator.config, estimator.config.plate
     margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
-    rest = RestBaseline.before(estimator, begun_ns - margin_ns)
+    rest = estimator.rest_before(begun_ns - margin_ns)
     samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
     if rest is None or len(samples) < FEWEST:
         return None

@@ -35,9 +35,9 @@ from soft_throw_ros.twin.engine_fit import (
     plate_states,
 )
 from soft_throw_ros.twin.engine_forecast import EngineForecaster, ReleaseErrors
-from soft_throw_ros.twin.onset import Onset
 from soft_throw_ros.twin.plate_estimator import (
     Floats,
+    Onset,
     PlateEstimator,
     PlateStates,
     state_spacing_ns,

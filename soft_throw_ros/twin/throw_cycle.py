@@ -24,8 +24,7 @@ import numpy as np
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
-from soft_throw_ros.twin.onset import Onset
-from soft_throw_ros.twin.plate_estimator import NO_STATES, PlateStates, SampleCounts
+from soft_throw_ros.twin.plate_estimator import NO_STATES, Onset, PlateStates, SampleCounts
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig
 from soft_throw_ros.twin.results import (

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.engine_fit import AMPLITUDE, EngineEstimate, EngineFit, START
-from soft_throw_ros.twin.onset import Onset, RestBaseline
+from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
 from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, MEASUREMENT

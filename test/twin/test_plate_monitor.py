@@ -23,8 +23,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.onset import Onset
-from soft_throw_ros.twin.plate_estimator import SampleCounts
+from soft_throw_ros.twin.plate_estimator import Onset, SampleCounts
 from soft_throw_ros.twin.plate_monitor import PlateMonitor, time_since_start
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
