@@ -348,21 +348,13 @@ class EngineFit:
         Height before the throw, a guess of the start within a millisecond, and the errors of the
         stamps in earlier throws.
 
-    Attributes
-    ----------
-    has_failed : bool
-        Whether the plate has not moved as the engine should.
-    estimate : EngineEstimate or None
-        The last estimate before the fit failed, if any.
-    next_ns : int
-        Time from which samples are not in the fit yet. [ns]
-
     """
 
     def __init__(self, config: MeasurementConfig, onset: Onset) -> None:
         plate, rest = config.plate, onset.rest
-        self.has_failed = False
-        self.estimate: EngineEstimate | None = None
+        self.has_failed = False  # whether the plate has not moved as the engine should
+        self.estimate: EngineEstimate | None = None  # the last one before the fit failed, if any
+        # time from which samples are not in the fit yet [ns]
         self.next_ns = onset.onset_ns - config.smoothing_window_ns
         self._origin_ns = onset.onset_ns
         self._known_stamp_error = onset.stamp_error  # by earlier throws [s]

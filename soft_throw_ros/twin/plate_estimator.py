@@ -175,16 +175,6 @@ class PlateEstimator:
     counts : SampleCounts, optional
         Counts of samples, which the estimator updates.
 
-    Attributes
-    ----------
-    newest_ns : float
-        Stamp of the newest sample, minus infinity if there is none. [ns]
-    complete_ns : float
-        Time until which samples are complete, by the last call of `advance`. [ns]
-    stamp_scatter : float
-        Standard deviation of the stamps about an even rate; 0 while there are too few samples.
-        Wrong stamps scatter, and so do right ones of a sensor with an uneven rate. [s]
-
     """
 
     def __init__(
@@ -199,13 +189,15 @@ class PlateEstimator:
         self.origin_ns = origin_ns
         self.counts = counts or SampleCounts()
         self._samples = SampleBuffer(samples)
-        self.newest_ns = samples[-1].stamp_ns if samples else -math.inf
+        self.newest_ns = samples[-1].stamp_ns if samples else -math.inf  # newest stamp [ns]
         self._next = 0  # next time to estimate, in spacings
         self.outliers = 0  # accepted samples that were left out later
-        self.complete_ns = -math.inf
+        self.complete_ns = -math.inf  # time until which samples are complete [ns]
         self._smoothed_ns = -math.inf  # end of the last window
         plate = config.plate
         acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
+        # Standard deviation of the stamps about an even rate; 0 while there are too few samples.
+        # Wrong stamps scatter, and so do right ones of a sensor with an uneven rate. [s]
         self.stamp_scatter = 0.0
         self._unscattered = 0  # complete samples since the last estimate of the scatter
         self._outlier_filter = OutlierFilter(acceleration, config.position_noise)

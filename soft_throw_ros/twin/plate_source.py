@@ -235,19 +235,7 @@ def peak_speed(times: Sequence[float], speeds: Sequence[float], plate: Underdamp
 
 
 class MeasuredPlate:
-    """
-    The plate in a throw from its onset on: its samples, smoothed and fitted by the engine.
-
-    Attributes
-    ----------
-    smoothed : SmoothedSamples
-        Motion by the smoothed samples.
-    fit : EngineFit
-        Fit of the engine's motion to the samples of a period; the plate may rest later.
-    relies_on_engine : bool
-        Whether the plate is assumed to move as the engine should.
-
-    """
+    """The plate in a throw from its onset on: its samples, smoothed and fitted by the engine."""
 
     def __init__(
         self, onset: Onset, estimator: PlateEstimator, forecaster: EngineForecaster | None
@@ -255,7 +243,8 @@ class MeasuredPlate:
         self.onset = onset
         self.estimator = estimator
         self.smoothed = SmoothedSamples(onset, estimator)
-        self.fit = EngineFit(estimator.config, onset)
+        self.fit = EngineFit(estimator.config, onset)  # to a period; the plate may rest later
+        # whether the plate is assumed to move as the engine should
         self.relies_on_engine = onset.engine_is_nominal and forecaster is not None
         self._forecaster = forecaster
         self._fit_end_ns = onset.onset_ns + round(SECOND / estimator.config.plate.frequency)
