@@ -63,11 +63,6 @@ class Session:
     motion_of : callable
         Returns the motion of a plate by the path of its file; by default it reads the file.
 
-    Attributes
-    ----------
-    step : int
-        Number of the next step.
-
     Raises
     ------
     ValueError
@@ -84,7 +79,7 @@ class Session:
         pending: Settings | None = None,
         motion_of: MotionSource = motions.read,
     ) -> None:
-        self.step = step
+        self.step = step  # number of the next step
         self._lock = Lock()  # held for microseconds
         self._changing = Lock()  # held while a rig is prepared, for milliseconds
         config = TwinConfig.from_settings(settings, motion_of)

@@ -35,14 +35,8 @@ class StagedSettings:
     The configuration in effect, with its `prepared` rig, and the `wanted` one.
 
     A change of the rig, of the measurement, of rates or of the time scale waits for `commit`, and
-    all that wait take effect together. Every other change is effective at once. Rigs are built,
-    and files read, in `prepare` only.
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time, with the number.
-
+    all that wait take effect together. Every other change is effective at once. Rigs are built in
+    `prepare` only.
     """
 
     def __init__(self, config: TwinConfig, wanted: TwinConfig) -> None:
@@ -73,7 +67,8 @@ class StagedSettings:
         """
         Return the rig of a wanted configuration; building another one takes milliseconds.
 
-        Nothing changes until the result is given to `stage`.
+        Nothing changes until the result is given to `stage`. ValueError if the rig cannot be
+        stepped in real time, with the number.
         """
         values = _waiting_values(wanted)
         for prepared in (self.prepared, self._wanted_prepared):
