@@ -457,6 +457,16 @@ def test_engine_with_large_residuals_is_not_used() -> None:
     assert bases == ['plate', 'plate', 'plate', 'engine']
 
 
+def test_engine_that_is_set_anew_is_used_at_once() -> None:
+    run = Run(**MEASURED)
+    other = with_frequency(run.rig, 61.0)
+    run.measure(other, noise=5e-6, duration=0.2)
+    run.session.change({'engine.frequency': 61.0})
+    run.session.reset()
+    run.measure(other, noise=5e-6, seed=1, duration=0.2)
+    assert [result.accuracy.basis for result in run.results('release')] == ['plate', 'engine']
+
+
 def deviations_of_a_trial(seed, *, rate, outliers) -> tuple[float, list[Any]]:
     """
     Throw with an engine that differs from the settings within their uncertainties.
