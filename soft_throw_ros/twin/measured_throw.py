@@ -220,6 +220,7 @@ class MeasuredThrow(OngoingThrow):
             elif newer is not None:
                 self._simulate_anew(newer)
         if not plate.relies_on_engine and present.source is not smoothed:
+            # smoothed samples continue a known motion, or begin a simulation of their own
             is_known = present.source is not None and (self.events or not plate.fit.has_failed)
             if is_known and (plate.is_fit_over or not plate.is_noisy):
                 smoothed.start_ns, present.source = present.start_ns, smoothed

@@ -109,7 +109,8 @@ RigState: TypeAlias = AtRest | OngoingThrow | Returning
 class _RareOutputs:
     """Outputs of a step that most steps do not have."""
 
-    phases: tuple[tuple[Phase, int | None], ...] = ()  # with times; None for that of the step
+    # with the time of each change [ns]; None for the deadline of the step
+    phases: tuple[tuple[Phase, int | None], ...] = ()
     results: tuple[ThrowResult, ...] = ()
     throw_field: ThrowField | None = None
     command: PlateCommand | None = None
