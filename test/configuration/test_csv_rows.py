@@ -66,6 +66,7 @@ def test_rows_have_the_numbers_of_their_lines():
         ('', ('track.csv', 'empty')),
         ('t,z\n', ('track.csv:1', 'no line with numbers')),
         ('t\n1\n', ('track.csv:1', 'z or height', "'t'")),
+        ('0\n1\n', ('track.csv:1', 't and z', "'0' alone")),
         ('t,z [km]\n0,1\n', ('track.csv:1', 'm or mm', "'z [km]'")),
         ('t,z,height\n0,1,1\n', ('track.csv:1', 'once', "'height'")),
         ('t,z\n0,1\n0,2\n', ('track.csv:3', 'increase', '0 after 0')),

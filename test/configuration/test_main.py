@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 from soft_throw_ros.configuration.__main__ import documents
-from soft_throw_ros.configuration.layers import default_file
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,9 +23,3 @@ ROOT = Path(__file__).parents[2]
 def test_document_is_current(path: str, text: str) -> None:
     """The command `python -m soft_throw_ros.configuration` updates the document."""
     assert (ROOT / path).read_text('utf-8') == text
-
-
-@pytest.mark.parametrize('name', ['twin', 'recorder', 'layers'])
-def test_installed_file_is_the_one_in_config(name) -> None:
-    installed = default_file().with_name(f'{name}.yaml')
-    assert installed.read_bytes() == (ROOT / f'config/{name}.yaml').read_bytes()
