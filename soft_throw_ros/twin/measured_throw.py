@@ -54,13 +54,14 @@ from soft_throw_ros.twin.results import (
     Comparison,
     Disturbances,
     LayerState,
+    Outputs,
     PredictedState,
     Residual,
     State,
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.throws import OngoingThrow, ThrowStep, Tick
+from soft_throw_ros.twin.throws import OngoingThrow, Tick
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 PlateSource: TypeAlias = EngineEstimate | SmoothedSamples
@@ -181,7 +182,7 @@ class MeasuredThrow(OngoingThrow):
         """Whether noise of the smoothed plate may have released the projectile."""
         return self._present.estimate is None and self._plate.is_noisy
 
-    def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:
+    def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
         """Advance as far as the plate is known, and predict from there."""
         plate, crossing = self._plate, self._prepared.rig.crossing_time
         if motion.gap > crossing or tick.due_ns - plate.estimator.newest_ns > LOST:
@@ -204,7 +205,15 @@ class MeasuredThrow(OngoingThrow):
         display = self._present.forked.display
         self._advance_fork(display, max(known, min(now, farthest)))
         state = State._make(display.state.tolist()[1:])
-        return ThrowStep(state, events, forecast, prediction, residual)
+        return Outputs(
+            tick.step,
+            self.number,
+            state,
+            events=events,
+            results=() if forecast is None else (forecast,),
+            prediction=prediction,
+            residual=residual,
+        )
 
     def event_ns(self, event: Event, tick: Tick) -> int:  # noqa: ARG002
         """Return the time of an event by the stamps of the samples [ns]."""

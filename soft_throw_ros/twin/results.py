@@ -278,7 +278,7 @@ class Outputs(NamedTuple):
     throw: int  # number of throws that have started
     state: State  # at the end of the step
     phases: tuple[PhaseChange, ...] = ()  # that began in this step, or became known
-    events: tuple[Event, ...] = ()  # in this step
+    events: tuple[Event, ...] = ()  # that happened, or became certain, in this step
     results: tuple[ThrowResult, ...] = ()  # of the present throw, or the one that has just ended
     layer: LayerState | None = None  # at `rate.field`
     throw_field: ThrowField | None = None  # once per throw

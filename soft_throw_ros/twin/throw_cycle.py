@@ -43,7 +43,6 @@ from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throws import (
     OngoingThrow,
     ScheduledThrow,
-    ThrowStep,
     Tick,
     time_until_over,
 )
@@ -245,26 +244,20 @@ class ThrowCycle:
         elif not isinstance(self._rig_state, OngoingThrow):
             self._begin_throw_if_due(step, self._rig_state)
         if isinstance(self._rig_state, OngoingThrow):
-            advanced = self._advance_throw(step, self._rig_state, motion)
+            outputs = self._advance_throw(step, self._rig_state, motion)
         else:
-            advanced = ThrowStep(self._idle_state(step, self._rig_state), ())
-            self._state = advanced.state
+            self._state = self._idle_state(step, self._rig_state)
+            outputs = Outputs(step, self.throws, self._state)
         layer = self._layer(step)
         rare, self._rare_outputs = self._rare_outputs, _RareOutputs()
-        return Outputs(
-            step=step,
-            throw=self.throws,
-            state=self._state,
+        return outputs._replace(
             phases=tuple(
                 PhaseChange(phase, self.schedule.deadline(step) if stamp_ns is None else stamp_ns)
                 for phase, stamp_ns in rare.phases
             ),
-            events=advanced.events,
             results=rare.results,
             layer=layer,
             throw_field=rare.throw_field,
-            prediction=advanced.prediction,
-            residual=advanced.residual,
             command=rare.command,
         )
 
@@ -331,20 +324,20 @@ class ThrowCycle:
     def _tick(self, step: int) -> Tick:
         return Tick(step, self.schedule.deadline(step), self._staged.config)
 
-    def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> ThrowStep:
+    def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> Outputs:
         """Advance the throw under way, and end it if it is over."""
         tick = self._tick(step)
         was_released = bool(throw.events)
-        advanced = throw.advance(tick, motion)
+        outputs = throw.advance(tick, motion)
         if self.monitor is not None and isinstance(throw, MeasuredThrow):
             self.monitor.engine_is_nominal = throw.engine_is_nominal
             self.monitor.stamp_error = throw.stamp_error
-        self._state = advanced.state
+        self._state = outputs.state
         self._rare_outputs.phases += tuple(
-            (_PHASES[event.kind], throw.event_ns(event, tick)) for event in advanced.events
+            (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events
         )
-        if advanced.forecast is not None:
-            self._report(step, advanced.forecast)
+        for result in outputs.results:
+            self._report(step, result)
         if throw.events and not was_released:
             self._report(step, throw.result('release', tick))
         returning = self._prepared.return_ticks(tick.config.throw_period)
@@ -353,7 +346,7 @@ class ThrowCycle:
             self._end_throw(step, throw, throw.ended_by or 'period')
         else:
             self._rare_outputs.throw_field = throw.throw_field()
-        return advanced
+        return outputs
 
     def _idle_state(self, step: int, rig_state: AtRest | Returning) -> State:
         """Return the state of plate and projectile between throws."""

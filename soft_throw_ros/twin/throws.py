@@ -28,9 +28,8 @@ from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig, stepper_of
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
-    PredictedState,
+    Outputs,
     Release,
-    Residual,
     State,
     ThrowField,
     ThrowResult,
@@ -50,16 +49,6 @@ class Tick(NamedTuple):
     step: int
     due_ns: int  # by the clock of the ticks [ns]
     config: TwinConfig  # in effect
-
-
-class ThrowStep(NamedTuple):
-    """Outputs of one step of a throw; all but the first two are for measured plates."""
-
-    state: State
-    events: tuple[Event, ...]  # that happened, or became certain, since the last step
-    forecast: ThrowResult | None = None  # when the first release becomes known
-    prediction: PredictedState | None = None
-    residual: Residual | None = None  # at the last sample that could be compared
 
 
 class OngoingThrow(ABC):
@@ -94,8 +83,12 @@ class OngoingThrow(ABC):
         return layer_of(self._stepper)
 
     @abstractmethod
-    def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:
-        """Advance to a step, with the latest motion of a measured plate."""
+    def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
+        """
+        Advance to a step, with the latest motion of a measured plate.
+
+        The outputs are state, events and, with a measured plate, residual and predictions.
+        """
 
     @abstractmethod
     def throw_field(self) -> ThrowField | None:
@@ -188,10 +181,11 @@ class ScheduledThrow(OngoingThrow):
         self._start_ns = start_ns  # by the clock of the ticks [ns]
         self._time = 0.0  # since the start [s]
 
-    def advance(self, tick: Tick, motion: PlateStates) -> ThrowStep:  # noqa: ARG002
+    def advance(self, tick: Tick, motion: PlateStates) -> Outputs:  # noqa: ARG002
         """Advance to a step."""
         self._time = (tick.step - self._start_step) * self._prepared.tick
-        return ThrowStep(*self._go_to(self._time, tick.config.max_events))
+        state, events = self._go_to(self._time, tick.config.max_events)
+        return Outputs(tick.step, self.number, state, events=events)
 
     def event_ns(self, event: Event, tick: Tick) -> int:
         """Return the time of an event, relative to the step because steps may be skipped [ns]."""
