@@ -22,10 +22,9 @@ from soft_throw_ros.configuration.table import (
     Table,
     Value,
 )
-from soft_throw_ros.configuration.twin import LAYERS, rig_of, rig_values, TWIN
+from soft_throw_ros.configuration.twin import rig_of, rig_values, TWIN
 
 __all__ = [
-    'LAYERS',
     'RECORDER',
     'TWIN',
     'Entry',

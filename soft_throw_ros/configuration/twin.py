@@ -47,9 +47,6 @@ from soft_throw_ros.core.rig import Engine, Layer, LINEAR_STRAIN, Projectile, Ri
 
 _INSTALLED = library()
 
-LAYERS: Mapping[str, Mapping[str, float | str]] = _INSTALLED.layers
-"""The layers of the installed library, each with the parameters that its name sets."""
-
 OBJECTIVES: Mapping[str, str] = {
     'peak': 'the most energy per throw',
     'robust': 'the most in the worst case of the uncertainties',
@@ -170,7 +167,7 @@ _ENTRIES = (
     row('layer.name', 'gelatin_16.8mm',
         'Layer of the library, which sets the properties of the layer; `custom` after any other '
         'change',
-        kind='a name in the library, or `custom`', examples=tuple(LAYERS)),
+        kind='a name in the library, or `custom`', examples=tuple(_INSTALLED.layers)),
     row('layer.stack', '',
         'Sheets of the layer from the plate up, separated by commas: each is thickness, wave '
         'speed, density and optionally loss tangent, or thickness and material, which is stored '

@@ -21,8 +21,7 @@ import sys
 
 import pytest
 from soft_throw_ros.commands import throw
-from soft_throw_ros.configuration import LAYERS
-from soft_throw_ros.configuration.layers import default_file
+from soft_throw_ros.configuration.layers import default_file, library
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Layer, Rig
@@ -121,7 +120,7 @@ def test_options_replace_values_of_the_file(command, write):
     path = write('twin: {ros__parameters: {gravity: 0.0, layer.name: gelatin_2.0mm}}', 'a.yaml')
     printed = command.json('--config', path, *EXACT)['parameters']
     assert printed['gravity'] == 0.0
-    assert printed['layer.thickness'] == LAYERS['gelatin_2.0mm']['layer.thickness']
+    assert printed['layer.thickness'] == library().layers['gelatin_2.0mm']['layer.thickness']
     printed = command.json('--config', path, '--thickness', 0.01, *EXACT)['parameters']
     assert (printed['layer.name'], printed['layer.thickness']) == ('custom', 0.01)
     defaults = default_file().with_name('twin.yaml')

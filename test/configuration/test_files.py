@@ -18,7 +18,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import files, LAYERS, layers, ParameterError, RECORDER, TWIN
+from soft_throw_ros.configuration import files, layers, ParameterError, RECORDER, TWIN
 import yaml
 
 
@@ -158,7 +158,8 @@ def test_texts_are_written_so_that_they_are_read_back(tmp_path: Path, text: str)
 def test_arguments_are_one_request_after_the_file(write: Any) -> None:
     path = str(layers.default_file().with_name('twin.yaml'))
     named = start(['twin', '--ros-args', '--params-file', path, '-p', 'layer.name:=gelatin_2.0mm'])
-    assert named == {**TWIN.defaults(), 'layer.name': 'gelatin_2.0mm', **LAYERS['gelatin_2.0mm']}
+    thin = layers.library().layers['gelatin_2.0mm']
+    assert named == {**TWIN.defaults(), 'layer.name': 'gelatin_2.0mm', **thin}
     thick = start(['--ros-args', '--params-file', path, '--param', 'twin:layer.thickness:=1e-2'])
     assert thick == {**TWIN.defaults(), 'layer.name': 'custom', 'layer.thickness': 0.01}
     later = write('twin: {ros__parameters: {layer.name: gelatin_2.0mm}}')

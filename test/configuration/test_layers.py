@@ -21,7 +21,7 @@ import re
 from typing import Any
 
 import pytest
-from soft_throw_ros.configuration import LAYERS, ParameterError
+from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.layers import (
     BOUNDS,
     CUSTOM,
@@ -56,7 +56,7 @@ def refused(path: Path) -> str:
 
 
 def test_gelatins_of_the_paper_are_installed_in_six_thicknesses() -> None:
-    gelatins = {name: values for name, values in LAYERS.items() if name.endswith('mm')}
+    gelatins = {name: values for name, values in INSTALLED.layers.items() if name.endswith('mm')}
     gelatins = {name: values for name, values in gelatins.items() if name.startswith('gelatin_')}
     assert gelatins == {
         f'gelatin_{millimetres}mm': {

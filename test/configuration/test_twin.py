@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import LAYERS, ParameterError, rig_of, rig_values, TWIN
+from soft_throw_ros.configuration import ParameterError, rig_of, rig_values, TWIN
 from soft_throw_ros.configuration import twin as twin_module
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
@@ -27,6 +27,7 @@ from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Rig
 
 DEFAULTS = TWIN.defaults()
+LAYERS = library().layers
 HARMONIC = {**DEFAULTS, 'engine.motion': 'harmonic', 'engine.damping_ratio': 0.0}
 
 
