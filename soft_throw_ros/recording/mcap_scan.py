@@ -23,7 +23,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 import contextlib
+from io import BytesIO
 import mmap
+import os
 from pathlib import Path
 import re
 from typing import NamedTuple
@@ -31,23 +33,28 @@ import zlib
 
 from mcap import records as mcap
 from mcap.opcode import Opcode
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.storage.mcap_records import (
+    check_end,
     DamageError,
-    Definitions,
     HEAD,
-    RecordFile,
-    Shared,
-    size_of,
+    KnownChannels,
+    LIBRARY_ERRORS,
+    make_channels,
+    make_message,
+    MAX_RECORD,
+    open_mcap,
+    reason_of,
     unpack,
 )
-from soft_throw_ros.storage.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import BagError, Message
 
 MAX_SEARCH = 4 * 2**30
 """Largest size of everything unpacked in search of the next whole chunk after damage. [bytes]"""
 
 _WINDOW = 16 * 2**20
-"""Size of the part of a file that is searched or summed at once. [bytes]"""
+"""Size of the part of a file that is searched at once. [bytes]"""
 
 _CHUNK_HEAD = re.compile(
     rb'\x06(?=.{4}\0{4}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}))', re.DOTALL
@@ -57,11 +64,13 @@ _CHUNK_HEAD = re.compile(
 _HEAD_SIZE = 64
 """More than the beginning of a chunk takes. [bytes]"""
 
-_SKIPPED = {
-    *(Opcode.HEADER, Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.SUMMARY_OFFSET),
-    *(Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX),
+_OPCODES = {*map(int, Opcode), *range(0x80, 0x100)}  # those from 0x80 on are private records
+
+_RECOVERED = {
+    *(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.METADATA),
+    *(Opcode.ATTACHMENT, Opcode.STATISTICS),
 }
-"""Records that have nothing to recover."""
+"""Records that are read; the others have nothing to recover."""
 
 
 class UnreadableRange(NamedTuple):
@@ -80,98 +89,95 @@ class UnreadableRange(NamedTuple):
 
 
 class ScannedFile:
-    """An MCAP file in any state; BagError is raised if it cannot be opened."""
+    """
+    An MCAP file in any state; BagError is raised if it cannot be opened.
 
-    def __init__(self, path: Path, shared: Shared) -> None:
+    Attributes
+    ----------
+    channels : tuple of Channel
+        The channels that have messages.
+    metadata : list of mcap.Metadata
+        Named texts in their order.
+    attachments : list of mcap.Attachment
+        Attached files in their order.
+    unreadable : list of UnreadableRange
+        All damage found so far.
+
+    """
+
+    def __init__(self, path: Path, known: KnownChannels) -> None:
         self.metadata: list[mcap.Metadata] = []
-        self.unreadable: list[UnreadableRange] = []  # all damage found so far
+        self.attachments: list[mcap.Attachment] = []
+        self.unreadable: list[UnreadableRange] = []
         self._path = path
-        self._shared = shared
-        self._definitions = Definitions(shared)
-        self._attachments: list[tuple[int, int]] = []  # offsets of both ends
         self._searched = 0  # in search of whole chunks [bytes]
         self._next_chunk: dict[int, int] = {}  # after the damage at an offset
-        self._file = RecordFile(path, is_lenient=True)
+        self._stream = open_mcap(path, is_lenient=True)
+        self._size = os.fstat(self._stream.fileno()).st_size
         try:
-            self.channels = self._survey()  # those that have messages
+            self._survey(known)
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
-
-    def attachments(self) -> Iterator[mcap.Attachment]:
-        """Yield the attached files that are whole."""
-        for offset, end in self._attachments:
-            try:
-                record = self._file.record(offset)
-            except DamageError as error:
-                self._note(offset, end - offset, str(error))
-            else:
-                if isinstance(record, mcap.Attachment):
-                    yield record
+        self._stream.close()
 
     def messages(self) -> Iterator[Message]:
         """Yield all messages that can be read, as they were written."""
-        channels = self._definitions.channels
         for offset, end, records in self._records():
             for record in records:
-                if isinstance(record, mcap.Message) and record.channel_id in channels:
+                if isinstance(record, mcap.Message) and record.channel_id in self._channels:
                     try:
-                        yield self._definitions.message(record)
+                        yield make_message(record, self._channels)
                     except DamageError as error:
                         self._note(offset, end - offset, str(error))
 
-    def _survey(self) -> tuple[Channel, ...]:
-        """Read definitions, texts and offsets of attachments; return the channels in use."""
+    def _survey(self, known: KnownChannels) -> None:
+        """Read definitions, texts and attachments, and count the messages."""
+        schemas: dict[int, mcap.Schema] = {}
+        channels: dict[int, mcap.Channel] = {}
         counts: Counter[int] = Counter()
         promised = 0  # messages, by the end of the file
-        statistics = 0
-        for offset, end, records in self._records():
+        for _, _, records in self._records():
             for record in records:
                 match record:
                     case mcap.Message():
                         counts[record.channel_id] += 1
-                    case mcap.Schema() | mcap.Channel():
-                        self._definitions.add(record)
+                    case mcap.Schema():
+                        schemas.setdefault(record.id, record)
+                    case mcap.Channel():
+                        channels.setdefault(record.id, record)
                     case mcap.Metadata():
-                        self._shared.keep(size_of(record))
                         self.metadata.append(record)
                     case mcap.Attachment():
-                        self._attachments.append((offset, end))
+                        self.attachments.append(record)
                     case mcap.Statistics():
-                        statistics = record.message_count
-                    case mcap.Footer() if self._has_sound_end(record, offset):
-                        promised = statistics
-        channels = self._definitions.channels
-        for number in counts.keys() - channels.keys():
+                        promised = record.message_count
+        try:
+            check_end(self._stream)
+        except DamageError as error:
+            self._note(self._size, 0, f'the file has no sound end, {error}')
+            promised = 0
+        self._channels = make_channels(channels, schemas, known)
+        for number in counts.keys() - self._channels.keys():
             self._note(0, 0, f'nothing defines channel {number}', counts[number])
         missing = promised - counts.total()
         if missing > 0:
-            self._note(self._file.size, 0, 'messages are missing that the end tells of', missing)
-        return tuple(dict.fromkeys(channels[number] for number in counts if number in channels))
-
-    def _has_sound_end(self, footer: mcap.Footer, offset: int) -> bool:
-        """Return whether the checksum of the end is right, or there is none; note otherwise."""
-        checksum, end = 0, offset + HEAD.size + 16
-        for begin in range(min(footer.summary_start, offset), end, _WINDOW):
-            data = self._file.read(begin, min(begin + _WINDOW, end))
-            checksum = zlib.crc32(data, checksum)
-        is_sound = footer.summary_crc in (0, checksum)
-        if not is_sound:
-            self._note(offset, 0, 'the checksum of the end is wrong')
-        return is_sound
+            self._note(self._size, 0, 'messages are missing that the end tells of', missing)
+        self.channels = tuple(
+            dict.fromkeys(self._channels[number] for number in counts if number in self._channels)
+        )
 
     def _records(self) -> Iterator[tuple[int, int, list[mcap.McapRecord]]]:
         """Yield the records of each chunk, or one in no chunk, with the offsets of both ends."""
         offset = len(MAGIC)
         opcode = 0
-        while offset < self._file.size and opcode != Opcode.FOOTER:
+        while offset < self._size and opcode != Opcode.FOOTER:
             try:
-                opcode, end = self._file.head(offset)
-                records = self._read(opcode, offset)
+                opcode, end = self._head(offset)
+                records = self._read(opcode, offset, end)
             except DamageError as error:
                 if offset not in self._next_chunk:
                     self._next_chunk[offset] = self._find_chunk(offset + 1)
@@ -180,32 +186,48 @@ class ScannedFile:
             else:
                 yield offset, end, records
             offset = end
-        if opcode != Opcode.FOOTER or self._file.read(offset, self._file.size) != MAGIC:
-            self._note(self._file.size, 0, 'the file has no end')
 
-    def _read(self, opcode: int, offset: int) -> list[mcap.McapRecord]:
-        """Return the records of a chunk, or a record; none of kinds that are not recovered."""
-        if opcode in _SKIPPED:
+    def _head(self, offset: int) -> tuple[int, int]:
+        """Return the opcode of a record and the offset of its end; raise DamageError."""
+        head = os.pread(self._stream.fileno(), HEAD.size, offset).ljust(HEAD.size, b'\0')
+        opcode, length = HEAD.unpack(head)
+        if opcode not in _OPCODES:
+            raise DamageError(f'no record begins with {opcode:#04x}')
+        if length > MAX_RECORD:
+            raise DamageError(f'a record of {length} bytes, more than {MAX_RECORD}')
+        if offset + HEAD.size + length > self._size:
+            raise DamageError('it ends within a record')
+        return opcode, offset + HEAD.size + length
+
+    def _read(self, opcode: int, offset: int, end: int) -> list[mcap.McapRecord]:
+        """Return a record, the records of a chunk, or none of kinds that are not recovered."""
+        if opcode not in _RECOVERED:
             return []
-        if opcode == Opcode.ATTACHMENT:  # which is large, and read when it is copied
-            return [mcap.Attachment(0, 0, '', '', b'')]
-        record = self._file.record(offset)
-        if isinstance(record, mcap.Chunk):
-            return unpack(record)
-        return [] if record is None else [record]
+        data = os.pread(self._stream.fileno(), end - offset, offset)
+        checksum = int.from_bytes(data[-4:], 'little')
+        if opcode == Opcode.ATTACHMENT and checksum not in (0, zlib.crc32(data[HEAD.size:-4])):
+            self._note(offset, end - offset, 'the checksum of the attachment there is wrong')
+            return []
+        try:  # a stream of one record, so that no damaged length leads beyond the record
+            record = next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
+            return unpack(record) if isinstance(record, mcap.Chunk) else [record]
+        except LIBRARY_ERRORS as error:
+            raise DamageError(f'the record there is damaged, {reason_of(error)}') from None
 
     def _find_chunk(self, start: int) -> int:
         """Return where the next chunk that is whole begins, or the file ends."""
-        with mmap.mmap(self._file.stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            for begin in range(start, self._file.size, _WINDOW):
+        with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            for begin in range(start, self._size, _WINDOW):
                 for match in _CHUNK_HEAD.finditer(data, begin, begin + _WINDOW + _HEAD_SIZE):
+                    offset = match.start()
                     with contextlib.suppress(DamageError):
-                        self._search(self._file.head(match.start())[1] - match.start())
-                        if unpack(self._file.record(match.start())):
-                            return match.start()
-        return self._file.size
+                        opcode, end = self._head(offset)
+                        self._limit_search(end - offset)
+                        if self._read(opcode, offset, end):
+                            return offset
+        return self._size
 
-    def _search(self, size: int) -> None:
+    def _limit_search(self, size: int) -> None:
         self._searched += size
         if self._searched > MAX_SEARCH:
             raise BagError(f'more than {MAX_SEARCH} bytes look like chunks, but are none')

@@ -21,13 +21,12 @@ from dataclasses import dataclass
 import itertools
 from pathlib import Path
 import shutil
-import zlib
 
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_reader import BagFolder, unrepeated_metadata
-from soft_throw_ros.storage.mcap_records import Shared
+from soft_throw_ros.storage.mcap_records import KnownChannels
 from soft_throw_ros.storage.message import BagError
 
 _BUFFER_SIZE = 2**20
@@ -81,10 +80,10 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
-    shared = Shared()
+    known: KnownChannels = {}
     with ExitStack() as stack:
         files = [
-            stack.enter_context(closing(ScannedFile(path, shared))) for path in folder.files
+            stack.enter_context(closing(ScannedFile(path, known))) for path in folder.files
         ]
         if not any(file.channels for file in files):
             damage = [*(item for file in files for item in file.unreadable), *folder.defects]
@@ -114,12 +113,10 @@ def _copy(files: list[ScannedFile], writer: BagWriter) -> None:
     for text in unrepeated_metadata(file.metadata for file in files):
         writer.add_metadata(text.name, text.metadata)
     attached = set()  # each file repeats the attachments of the one before
-    for item in itertools.chain.from_iterable(file.attachments() for file in files):
-        key = (item.name, len(item.data), zlib.crc32(item.data))
-        if key not in attached:
-            attached.add(key)
+    for item in itertools.chain.from_iterable(file.attachments for file in files):
+        if (item.name, item.data) not in attached:
+            attached.add((item.name, item.data))
             writer.attach(item.name, item.data, item.media_type, time=item.log_time)
-            writer.flush()
     for file in files:
         for message in file.messages():
             writer.write(message)

@@ -31,7 +31,7 @@ from mcap import records as mcap
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.storage.mcap_file import McapFile, UnfinishedError
-from soft_throw_ros.storage.mcap_records import CONVERSION, MAX_KEPT, Shared
+from soft_throw_ros.storage.mcap_records import CONVERSION, KnownChannels
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
@@ -119,11 +119,11 @@ class BagReader:
         self.distribution = folder.distribution
         more = f'; and {len(folder.defects) - 1} more' if len(folder.defects) > 1 else ''
         self.damage = f'{folder.defects[0]}{more}' if folder.defects else ''
-        shared = Shared()
+        known: KnownChannels = {}
         self._files: list[McapFile] = []
         try:
             for file_path in folder.files:
-                self._files.append(McapFile(file_path, shared))
+                self._files.append(McapFile(file_path, known))
         except BagError as error:
             self.close()
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
@@ -133,9 +133,9 @@ class BagReader:
         for channel, count in itertools.chain(*(file.counts.items() for file in self._files)):
             self.counts[channel] = self.counts.get(channel, 0) + count
         self.channels = tuple(self.counts)
-        chunks = [chunk for file in self._files for chunk in file.chunks]
-        self.start_time = min((chunk.message_start_time for chunk in chunks), default=0)
-        self.end_time = max((chunk.message_end_time for chunk in chunks), default=0)
+        parts = [file.statistics for file in self._files if file.statistics.message_count]
+        self.start_time = min((part.message_start_time for part in parts), default=0)
+        self.end_time = max((part.message_end_time for part in parts), default=0)
 
     def __enter__(self) -> BagReader:
         return self
@@ -194,27 +194,18 @@ class BagReader:
         if by_log_time:
             chunks.sort(key=lambda item: item[2].message_start_time)
         waiting: list[tuple[int, int, int, int, Message]] = []  # by time, and then as written
-        kept = 0  # memory of the waiting messages [bytes]
         for number, file, chunk in chunks:
             while waiting and waiting[0][0] < chunk.message_start_time:
-                message = heapq.heappop(waiting)[-1]
-                kept -= message.memory
-                yield message
+                yield heapq.heappop(waiting)[-1]
             for index, message in enumerate(file.read_chunk(chunk)):
                 is_wanted = wanted is None or message.channel.topic in wanted
                 if not is_wanted or message.log_time not in span:
                     continue
-                if not by_log_time:
+                if by_log_time:
+                    key = message.log_time, number, chunk.chunk_start_offset, index
+                    heapq.heappush(waiting, (*key, message))
+                else:
                     yield message
-                    continue
-                key = message.log_time, number, chunk.chunk_start_offset, index
-                heapq.heappush(waiting, (*key, message))
-                kept += message.memory
-                if kept > MAX_KEPT:
-                    raise BagError(
-                        f'{self.path}: more than {MAX_KEPT} bytes of its messages are of about '
-                        'the same time'
-                    )
         while waiting:
             yield heapq.heappop(waiting)[-1]
 
