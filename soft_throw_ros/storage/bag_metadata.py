@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 import functools
 from pathlib import Path
-import re
 from typing import Any
 
 from soft_throw_ros.storage.atomic_file import atomic_file
@@ -34,12 +33,6 @@ _KEY = 'rosbag2_bagfile_information'
 
 MAX_FILE_SIZE = 512 * 2**10
 """Largest size of the file [bytes]: 500 topics, or 16 twins and the files of a day, take half."""
-
-MAX_PROFILES_SIZE = 64 * 2**10
-"""Largest size of the quality of service of a topic [bytes]: 100 publishers take 45 kB."""
-
-MAX_DEPTH = 20
-"""Largest number of brackets within one another [-]: PyYAML takes seconds for thousands."""
 
 _WANTED = ('ros_distro', 'storage_identifier', 'compression_mode')
 
@@ -92,7 +85,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
     """
     try:
-        text = _require_shallow(read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode())
+        text = read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode()
         information = _values(_values(yaml.compose(text, yaml.SafeLoader))[_KEY])
         result = {name: information[name].value for name in _WANTED if name in information}
         files = [node.value for node in information['relative_file_paths'].value]
@@ -112,21 +105,10 @@ def _values(node: Any) -> dict[str, Any]:
     return {key.value: value for key, value in node.value if isinstance(key, yaml.ScalarNode)}
 
 
-def _require_shallow(text: str) -> str:
-    depth = 0
-    for match in re.finditer(r'[][{}]', text):
-        depth += 1 if match[0] in '[{' else -1
-        if depth > MAX_DEPTH:
-            raise ValueError(f'it has more than {MAX_DEPTH} brackets within one another')
-    return text
-
-
 def load_profiles(text: str) -> list[Any]:
-    """Read a short list in YAML without aliases; return an empty one if it is no such list."""
-    if len(text) > MAX_PROFILES_SIZE:
-        return []
+    """Read a list in YAML without aliases; return an empty one if it is no such list."""
     try:
-        return list(_Loader(_require_shallow(text)).get_single_data() or [])
+        return list(_Loader(text).get_single_data() or [])
     except _ERRORS:
         return []
 
