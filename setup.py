@@ -59,7 +59,6 @@ setup(
     python_requires='>=3.10',
     # ROS is not named: a ROS machine brings its own, and requirements/ has it from PyPI.
     install_requires=[
-        'lz4',
         'mcap>=1.6',
         'mcap-ros2-support>=0.5',
         'numba',
@@ -67,7 +66,6 @@ setup(
         'pyyaml',
         'scipy',
         'tqdm',
-        'zstandard',
     ],
     extras_require={
         'dask': ['distributed'],

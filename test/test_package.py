@@ -48,9 +48,8 @@ def files_below(folder):
 CONFIG = files_below(ROOT / 'config')
 MANIFEST = ET.parse(ROOT / 'package.xml')
 PIP = [sys.executable, '-m', 'pip', '--disable-pip-version-check']
-# Imported modules, with their names for pip and rosdep; lz4 and zstandard come with mcap.
+# Imported modules, with their names for pip and rosdep.
 ON_PYPI = {
-    'lz4': ('lz4', 'mcap-ros2-support'),
     'mcap': ('mcap>=1.6', 'mcap-ros2-support'),
     'mcap_ros2': ('mcap-ros2-support>=0.5', 'mcap-ros2-support'),
     'numba': ('numba', 'python3-numba'),
@@ -58,7 +57,6 @@ ON_PYPI = {
     'scipy': ('scipy', 'python3-scipy'),
     'tqdm': ('tqdm', 'python3-tqdm'),
     'yaml': ('pyyaml', 'python3-yaml'),
-    'zstandard': ('zstandard', 'mcap-ros2-support'),
 }
 OPTIONAL = {'av', 'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'skimage', 'xarray'}
 # Packages that the launch files import or start, without the optional rviz2.

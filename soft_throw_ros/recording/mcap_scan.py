@@ -40,7 +40,6 @@ from soft_throw_ros.storage.mcap_records import (
     DamageError,
     HEAD,
     KnownChannels,
-    LIBRARY_ERRORS,
     make_channels,
     make_message,
     MAX_RECORD,
@@ -211,8 +210,8 @@ class ScannedFile:
         try:  # a stream of one record, so that no damaged length leads beyond the record
             record = next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
             return unpack(record) if isinstance(record, mcap.Chunk) else [record]
-        except LIBRARY_ERRORS as error:
-            raise DamageError(f'the record there is damaged, {reason_of(error)}') from None
+        except Exception as error:  # damaged bytes may cause any error in the library
+            raise DamageError(f'the record there is damaged, {reason_of(error)}') from error
 
     def _find_chunk(self, start: int) -> int:
         """Return where the next chunk that is whole begins, or the file ends."""

@@ -34,7 +34,6 @@ from soft_throw_ros.storage.mcap_records import (
     DamageError,
     HEAD,
     KnownChannels,
-    LIBRARY_ERRORS,
     make_channels,
     make_message,
     MAX_RECORD,
@@ -42,7 +41,7 @@ from soft_throw_ros.storage.mcap_records import (
     reason_of,
     unpack,
 )
-from soft_throw_ros.storage.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import BagError, Message
 
 
 class UnfinishedError(BagError):
@@ -88,9 +87,10 @@ class McapFile:
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
-        except LIBRARY_ERRORS as error:
+        except Exception as error:  # damaged bytes may cause any error in the library
             self.close()
-            raise UnfinishedError(path, f'the file has no sound end, {reason_of(error)}') from None
+            reason = f'the file has no sound end, {reason_of(error)}'
+            raise UnfinishedError(path, reason) from error
 
     def close(self) -> None:
         """Close the file."""
@@ -120,9 +120,9 @@ class McapFile:
                 for record in unpack(mcap.Chunk.read(ReadDataStream(BytesIO(data))))
                 if isinstance(record, mcap.Message)
             ]
-        except LIBRARY_ERRORS as error:
+        except Exception as error:  # as above
             reason = f'the chunk at {chunk.chunk_start_offset} is damaged, {reason_of(error)}'
-            raise UnfinishedError(self.path, reason) from None
+            raise UnfinishedError(self.path, reason) from error
 
     def _read_index(self, summary: Summary | None, known: KnownChannels) -> None:
         """Take over the index; raise DamageError if a part is missing or a chunk is too large."""

@@ -29,12 +29,10 @@ from typing import BinaryIO
 import zlib
 
 from mcap import records as mcap
-from mcap.exceptions import McapError
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 from soft_throw_ros.storage.regular_file import open_regular_file
-import zstandard
 
 MAX_RECORD = 64 * 2**20
 """Largest size of a record, of an unpacked chunk, and of the index of a file. [bytes]"""
@@ -44,12 +42,6 @@ HEAD = struct.Struct('<BQ')
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
-
-LIBRARY_ERRORS = (
-    *(McapError, ValueError, LookupError, ArithmeticError, EOFError, MemoryError, TypeError),
-    *(OSError, RuntimeError, struct.error, zstandard.ZstdError),
-)
-"""Exceptions that the libraries raise for damaged bytes."""
 
 CONVERSION = 'convert it, as with rosbags: rosbags-convert --src BAG --dst NEW --dst-storage mcap'
 
@@ -114,7 +106,7 @@ def check_end(stream: BinaryIO) -> None:
 
 
 def unpack(chunk: mcap.Chunk) -> list[mcap.McapRecord]:
-    """Return the records of a chunk; raise one of `LIBRARY_ERRORS` if it is damaged."""
+    """Return the records of a chunk; any error is raised if it is damaged."""
     if chunk.uncompressed_size > MAX_RECORD:
         raise DamageError(f'a chunk of {chunk.uncompressed_size} bytes, more than {MAX_RECORD}')
     return breakup_chunk(chunk, validate_crc=True)

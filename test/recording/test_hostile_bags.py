@@ -34,7 +34,7 @@ def test_too_large_chunk_is_refused_and_left_out(tmp_path, monkeypatch, compress
     path = write(tmp_path / 'bag', messages, chunk=1, compression=compression)
     for module in (mcap_file, mcap_records, mcap_scan):
         monkeypatch.setattr(module, 'MAX_RECORD', 100_000)
-    with pytest.raises(UnfinishedError, match='chunk of .*more than 100000'):
+    with pytest.raises(UnfinishedError, match=r'chunk of .* more than 100000'):
         BagReader(path)
     recovery = recover(path, tmp_path / 'new')
     chunk, missing = recovery.skipped
