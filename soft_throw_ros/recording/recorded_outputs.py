@@ -26,12 +26,9 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.interface import JOINTS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateReader, MessageError
-from soft_throw_ros.storage.message import BagError, Message
+from soft_throw_ros.storage.message import Message
 from soft_throw_ros.twin.journal import STATE
 from soft_throw_ros.twin.results import State
-
-MAX_STATES = 5_000_000
-"""Largest number of states that are compared [-]: they take 400 MB, and 83 minutes at 1 kHz."""
 
 ORDER_TIME = 50_000_000
 """Longest time between the receipt of a number and of its line of the journal. [ns]"""
@@ -103,7 +100,7 @@ def count_missing(is_recorded: Flags, longest_end: int) -> NDArray[np.int64]:
 
 
 class RecordedStates:
-    """The states on a topic of a bag, found by their stamps; BagError above `MAX_STATES`."""
+    """The states on a topic of a bag, found by their stamps."""
 
     def __init__(self, reader: BagReader, topic: str) -> None:
         self.unreadable = 0  # number of messages that are no state of plate and projectile
@@ -119,11 +116,6 @@ class RecordedStates:
             if names != JOINTS or any(len(numbers) != len(JOINTS) for numbers in series):
                 self.unreadable += 1
                 continue
-            if len(stamps) == MAX_STATES:
-                raise BagError(
-                    f'{reader.path}: {topic} has more than {MAX_STATES} states; check the files '
-                    'of the bag one by one'
-                )
             stamps.append(stamp)
             for numbers in series:
                 values.extend(numbers)
@@ -133,9 +125,6 @@ class RecordedStates:
         self._bits: Integers = np.asarray(values).view(np.int64).reshape(-1, len(State._fields))
         self._is_used = np.zeros(len(recorded), np.bool_)  # as sorted
         self._repeated: list[tuple[int, int]] = []  # first and last stamps of repeated steps [ns]
-
-    def __len__(self) -> int:
-        return len(self._stamps)
 
     def compare(self, steps: Sequence[Step]) -> tuple[Flags, list[tuple[Step, State]]]:
         """
@@ -158,14 +147,7 @@ class RecordedStates:
         bits = bits.reshape(len(steps), -1)
         different = []
         first, last = (np.searchsorted(self._stamps, due, side) for side in ('left', 'right'))
-        if np.unique(due).size == due.size:  # the quick way for steps with one state
-            indices = np.flatnonzero(last - first == 1)
-            rows = first[indices]
-            is_same = ~self._is_used[rows]
-            is_same &= (self._bits[self._order[rows]] == bits[indices]).all(axis=1)
-            self._is_used[rows[is_same]] = True
-            is_recorded[indices[is_same]] = True
-        for index in np.flatnonzero((first < last) & ~is_recorded).tolist():
+        for index in np.flatnonzero(first < last).tolist():
             rows = np.arange(first[index], last[index])
             rows = rows[~self._is_used[rows]]
             if not rows.size:

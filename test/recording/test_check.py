@@ -30,13 +30,11 @@ from soft_throw_ros import configuration
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import JOINTS, THROW_TOPICS
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording import check as recording_check
-from soft_throw_ros.recording import recorded_outputs
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult, Count
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder
-from soft_throw_ros.storage.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import Channel, Message
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
@@ -510,19 +508,6 @@ def test_file_that_a_journal_names_is_not_opened(check, monkeypatch, values, wor
     assert result.exit_code == 1
     assert any(words in difference for difference in result.differences)
     assert not opened
-
-
-def test_journal_of_very_many_steps_is_refused(plain, check, monkeypatch) -> None:
-    monkeypatch.setattr(recording_check, 'MAX_STEPS', -21_000)
-    result = check(plain.messages)
-    assert result.exit_code == 1
-    assert any('1000 steps' in difference for difference in result.differences)
-
-
-def test_bag_with_too_many_states_is_refused(plain, check, monkeypatch) -> None:
-    monkeypatch.setattr(recorded_outputs, 'MAX_STATES', 2199)
-    with pytest.raises(BagError, match='2199'):
-        check(plain.messages)
 
 
 def test_bag_without_a_twin_is_refused_with_its_topics(plain, tmp_path) -> None:
