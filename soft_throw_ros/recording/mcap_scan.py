@@ -35,7 +35,7 @@ from mcap import records as mcap
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.storage.mcap_records import (
+from soft_throw_ros.storage.mcap_file import (
     check_end,
     DamageError,
     HEAD,

@@ -26,7 +26,7 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_reader import BagFolder, unrepeated_metadata
-from soft_throw_ros.storage.mcap_records import KnownChannels
+from soft_throw_ros.storage.mcap_file import KnownChannels
 from soft_throw_ros.storage.message import BagError
 
 _BUFFER_SIZE = 2**20

@@ -30,8 +30,7 @@ from typing import Any
 from mcap import records as mcap
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
-from soft_throw_ros.storage.mcap_file import McapFile, UnfinishedError
-from soft_throw_ros.storage.mcap_records import CONVERSION, KnownChannels
+from soft_throw_ros.storage.mcap_file import CONVERSION, KnownChannels, McapFile, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 
 __all__ = ['BagReader', 'UnfinishedError']

@@ -22,7 +22,7 @@ import pytest
 from soft_throw_ros.nodes.conversions import text_to_profiles
 from soft_throw_ros.recording import mcap_scan
 from soft_throw_ros.recording.recovery import recover
-from soft_throw_ros.storage import mcap_file, mcap_records
+from soft_throw_ros.storage import mcap_file
 from soft_throw_ros.storage.bag_metadata import load_profiles, MAX_FILE_SIZE, profiles_of
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import Message
@@ -32,7 +32,7 @@ from soft_throw_ros.storage.message import Message
 def test_too_large_chunk_is_refused_and_left_out(tmp_path, monkeypatch, compression) -> None:
     messages = [plain(0, size=200_000), plain(1)]
     path = write(tmp_path / 'bag', messages, chunk=1, compression=compression)
-    for module in (mcap_file, mcap_records, mcap_scan):
+    for module in (mcap_file, mcap_scan):
         monkeypatch.setattr(module, 'MAX_RECORD', 100_000)
     with pytest.raises(UnfinishedError, match=r'chunk of .* more than 100000'):
         BagReader(path)
@@ -45,7 +45,7 @@ def test_too_large_chunk_is_refused_and_left_out(tmp_path, monkeypatch, compress
 
 def test_too_large_index_is_refused_and_not_needed_to_recover(tmp_path, monkeypatch) -> None:
     path = write(tmp_path / 'bag', map(plain, range(50)), chunk=1)
-    monkeypatch.setattr(mcap_records, 'MAX_RECORD', 3_000)
+    monkeypatch.setattr(mcap_file, 'MAX_RECORD', 3_000)
     with pytest.raises(UnfinishedError, match='index'):
         BagReader(path)
     assert recover(path, tmp_path / 'new').message_count == 50
