@@ -31,7 +31,7 @@ from mcap import records as mcap
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.storage.mcap_file import CONVERSION, KnownChannels, McapFile, UnfinishedError
-from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.storage.message import BagError, Channel, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
 
@@ -184,7 +184,7 @@ class BagReader:
 
         """
         wanted = {topics} if isinstance(topics, str) else topics
-        span = range(max(start or 0, 0), LATEST + 1 if end is None else max(end, 0))
+        span = range(max(start or 0, 0), 2**64 if end is None else max(end, 0))
         chunks = [
             (number, file, chunk)
             for number, file in enumerate(self._files)

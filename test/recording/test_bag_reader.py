@@ -231,12 +231,32 @@ def test_path_that_is_no_bag_is_named(tmp_path):
             BagReader(tmp_path / name)
 
 
-def test_messages_of_other_systems_are_refused_in_one_line(tmp_path):
+@pytest.mark.parametrize(
+    ('encoding', 'schema', 'time', 'reason'),
+    [
+        ('json', 1, 0, r"/a /b [^\n]*'json'"),
+        ('cdr', 0, 0, 'nothing defines channel 1'),
+        ('cdr', 1, 2**63, f'{2**63}'),
+    ],
+)
+def test_messages_that_are_not_of_ros_are_refused_in_one_line(
+    tmp_path, encoding, schema, time, reason
+):
     with (tmp_path / 'theirs.mcap').open('wb') as file:
         writer = Writer(file)
         writer.start()
-        schema = writer.register_schema('t/T', 'jsonschema', b'{}')
-        writer.add_message(writer.register_channel('/a\n/b', 'json', schema), 0, b'{}', 0)
+        writer.register_schema('t/T', 'jsonschema', b'{}')
+        writer.add_message(writer.register_channel('/a\n/b', encoding, schema), time, b'{}', time)
         writer.finish()
-    with pytest.raises(BagError, match=r"^[^\n]*theirs\.mcap: /a /b [^\n]*'json'[^\n]*$"):
-        BagReader(tmp_path / 'theirs.mcap')
+    with pytest.raises(BagError, match=rf'^[^\n]*theirs\.mcap: [^\n]*{reason}[^\n]*$'):
+        read(tmp_path / 'theirs.mcap')
+
+
+def test_damaged_index_is_refused(recording):
+    recording.write(10)
+    (path,) = recording.files
+    data, offset = bytearray(path.read_bytes()), path.read_bytes().rindex(b'/twin/journal')
+    data[offset + 1] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(UnfinishedError, match='checksum of its index'):
+        BagReader(path)
