@@ -17,14 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 import contextlib
-from io import BytesIO
 from pathlib import Path
 import struct
 from typing import Any
 
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader, NonSeekingReader
-from mcap.writer import IndexType, Writer
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from soft_throw_ros.storage.bag_metadata import dump_yaml
@@ -61,30 +59,6 @@ def text(content: str) -> bytes:
     """Return a serialized message of std_msgs/String."""
     data = content.encode() + b'\0'
     return b'\0\1\0\0' + struct.pack('<I', len(data)) + data
-
-
-def stream(messages: Iterable[Message]) -> list[bytes]:
-    """Return the pieces of an MCAP file without chunks and without an end, one per message."""
-    output = BytesIO()
-    writer = Writer(output, use_chunking=False, index_types=IndexType.NONE)
-    writer.start('ros2', 'a test')
-    ids: dict[Channel, int] = {}
-    pieces = []
-    for channel, data, log_time, publish_time, sequence in messages:
-        if channel not in ids:
-            schema = writer.register_schema(
-                channel.type, channel.schema_encoding, channel.schema.encode()
-            )
-            metadata = {
-                'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash
-            }
-            ids[channel] = writer.register_channel(channel.topic, 'cdr', schema, metadata)
-        writer.add_message(ids[channel], log_time, data, publish_time, sequence)
-        writer.flush()
-        pieces.append(output.getvalue())
-        output.seek(0)
-        output.truncate()
-    return pieces
 
 
 def saved(folder: Path) -> list[tuple[str, bytes, int, int, int]]:

@@ -22,9 +22,9 @@ import subprocess
 import sys
 from test.recording.conftest import largest_file, plain, read
 
-from bags import attachments, stream
+from bags import attachments
 from mcap.reader import make_reader
-from mcap.writer import MCAP0_MAGIC
+from mcap.writer import MCAP0_MAGIC, Writer
 import pytest
 from rosbags.rosbag2 import Reader as RosbagsReader
 from soft_throw_ros.recording.bag_writer import BagWriter
@@ -228,10 +228,20 @@ def test_all_contents_of_a_bag_are_recovered_in_order(recording, tmp_path):
 
 
 def test_messages_in_no_chunk_are_read_up_to_the_damage(tmp_path):
-    pieces = stream(plain(number) for number in range(500))
-    path, begin = tmp_path / 'stream.mcap', len(b''.join(pieces[:100]))
+    path = tmp_path / 'stream.mcap'
+    with path.open('wb') as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data')
+        channel = writer.register_channel('/plain', 'cdr', schema)
+        for number in range(100):
+            writer.add_message(channel, number, b'', number, number)
+        begin = file.tell()
+        for number in range(100, 500):
+            writer.add_message(channel, number, b'', number, number)
+    whole = path.read_bytes()
     for offset in (begin, begin + 7):  # opcode, length
-        path.write_bytes(b''.join(pieces))
+        path.write_bytes(whole)
         flip(path, offset, 0x40)
         recovered = recover(path, tmp_path / f'whole{offset}')
         assert [message.sequence for message in read(recovered.target).messages] == [*range(100)]
