@@ -17,9 +17,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-import threading
-
-_MAX_JUMPS = 1000  # number of jumps that wait for the next call of `update`
 
 
 class LossCounter:
@@ -40,7 +37,7 @@ class LossCounter:
     are more first numbers than publishers, several publish at the same time; then, and on topics
     that several publishers share, only the losses reported by the middleware count.
 
-    One thread calls `add`; other methods and attributes are for all threads.
+    One thread calls `add`, and another one may call `update`.
 
     """
 
@@ -54,7 +51,6 @@ class LossCounter:
         self._jumps: deque[tuple[int, int]] = deque()  # numbers before and after
         self._senders = 0  # publishers that have sent
         self._publishers: set[bytes] = set()  # discovered ones
-        self._lock = threading.Lock()
 
     @property
     def lost(self) -> int:
@@ -82,30 +78,27 @@ class LossCounter:
         else:
             if not self._latest or number != self._latest + 1:
                 self._jumps.append((self._latest, number))
-                if len(self._jumps) > _MAX_JUMPS:
-                    self._count_jumps()
             self._latest = number
 
     def update(self, publishers: Iterable[bytes], reported: int) -> None:
-        """Note the publishers of the topic, and the number of losses that are reported so far."""
+        """
+        Count the jumps so far, with the publishers of the topic and the number of reported losses.
+
+        Lower numbers have precedence as starts of publishers.
+        """
         self._publishers.update(publishers)
         self._reported = reported
-        self._count_jumps()
-
-    def _count_jumps(self) -> None:
-        """Count the waiting jumps; lower numbers have precedence as starts of publishers."""
-        with self._lock:
-            jumps = [self._jumps.popleft() for _ in range(len(self._jumps))]
-            starts = sum(after <= before or not before for before, after in jumps)
-            unassigned = len(self._publishers) - self._senders - starts
-            for before, after in jumps:
-                is_start = after <= before or not before
-                if is_start or unassigned > 0:
-                    unassigned -= not is_start
-                    self._senders += 1
-                    self._missed += after - 1
-                else:
-                    self._lost += after - before - 1
+        jumps = [self._jumps.popleft() for _ in range(len(self._jumps))]
+        starts = sum(after <= before or not before for before, after in jumps)
+        unassigned = len(self._publishers) - self._senders - starts
+        for before, after in jumps:
+            is_start = after <= before or not before
+            if is_start or unassigned > 0:
+                unassigned -= not is_start
+                self._senders += 1
+                self._missed += after - 1
+            else:
+                self._lost += after - before - 1
 
     @property
     def _is_by_number(self) -> bool:

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import pytest
-from soft_throw_ros.recording import loss_counter
 from soft_throw_ros.recording.loss_counter import LossCounter
 
 FIRST, SECOND = b'first', b'second'
@@ -100,13 +99,3 @@ def test_reports_of_the_middleware_count_if_it_gives_no_numbers() -> None:
     counter.add(None, None)
     counter.update([FIRST], 4)
     assert (counter.lost, counter.missed_before_join) == (4, 0)
-
-
-def test_jumps_are_counted_without_an_update_before_they_fill_the_memory(monkeypatch) -> None:
-    monkeypatch.setattr(loss_counter, '_MAX_JUMPS', 10)
-    counter = LossCounter(has_one_publisher=True)
-    for number in range(1, 201, 2):
-        counter.add(number, None)
-    assert 90 <= counter.lost <= 99
-    counter.update([FIRST], 0)
-    assert counter.lost == 99
