@@ -49,19 +49,10 @@ from soft_throw_ros.storage.mcap_file import (
 )
 from soft_throw_ros.storage.message import BagError, Message
 
-MAX_SEARCH = 4 * 2**30
-"""Largest size of everything unpacked in search of the next whole chunk after damage. [bytes]"""
-
-_WINDOW = 16 * 2**20
-"""Size of the part of a file that is searched at once. [bytes]"""
-
 _CHUNK_HEAD = re.compile(
-    rb'\x06(?=.{4}\0{4}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4}))', re.DOTALL
+    rb'\x06(?=.{4}\0{4}.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0{4})(.{8}))', re.DOTALL
 )
-"""The beginning of a chunk: opcode, length, times, size, checksum and kind of compression."""
-
-_HEAD_SIZE = 64
-"""More than the beginning of a chunk takes. [bytes]"""
+"""The beginning of a chunk: opcode, length, times, size, checksum, compression, size of data."""
 
 _OPCODES = {*map(int, Opcode), *range(0x80, 0x100)}  # those from 0x80 on are private records
 
@@ -109,8 +100,6 @@ class ScannedFile:
         self.attachments: list[mcap.Attachment] = []
         self.unreadable: list[UnreadableRange] = []
         self._path = path
-        self._searched = 0  # in search of whole chunks [bytes]
-        self._next_chunk: dict[int, int] = {}  # after the damage at an offset
         self._stream = open_mcap(path, is_lenient=True)
         self._size = os.fstat(self._stream.fileno()).st_size
         try:
@@ -178,9 +167,7 @@ class ScannedFile:
                 opcode, end = self._head(offset)
                 records = self._read(opcode, offset, end)
             except DamageError as error:
-                if offset not in self._next_chunk:
-                    self._next_chunk[offset] = self._find_chunk(offset + 1)
-                end = self._next_chunk[offset]
+                end = self._find_chunk(offset + 1)
                 self._note(offset, end - offset, str(error))
             else:
                 yield offset, end, records
@@ -216,20 +203,14 @@ class ScannedFile:
     def _find_chunk(self, start: int) -> int:
         """Return where the next chunk that is whole begins, or the file ends."""
         with mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            for begin in range(start, self._size, _WINDOW):
-                for match in _CHUNK_HEAD.finditer(data, begin, begin + _WINDOW + _HEAD_SIZE):
-                    offset = match.start()
-                    with contextlib.suppress(DamageError):
-                        opcode, end = self._head(offset)
-                        self._limit_search(end - offset)
-                        if self._read(opcode, offset, end):
-                            return offset
+            for match in _CHUNK_HEAD.finditer(data, start):
+                offset, size = match.start(), int.from_bytes(match[1], 'little')
+                with contextlib.suppress(DamageError):
+                    opcode, end = self._head(offset)
+                    # Few other bytes have two sizes that agree, so that few are unpacked in vain
+                    if match.end(1) + size == end and self._read(opcode, offset, end):
+                        return offset
         return self._size
-
-    def _limit_search(self, size: int) -> None:
-        self._searched += size
-        if self._searched > MAX_SEARCH:
-            raise BagError(f'more than {MAX_SEARCH} bytes look like chunks, but are none')
 
     def _note(self, offset: int, size: int, reason: str, messages: int = 0) -> None:
         """Add an unreadable range once."""

@@ -20,17 +20,19 @@ from pathlib import Path
 import random
 import subprocess
 import sys
-from test.recording.conftest import largest_file, plain, read
+from test.recording.conftest import largest_file, PLAIN, plain, read
 
-from bags import attachments
+from bags import attachments, write
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, Writer
 import pytest
 from rosbags.rosbag2 import Reader as RosbagsReader
+from soft_throw_ros.recording import mcap_scan
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.recovery import recover
+from soft_throw_ros.storage import mcap_file
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
-from soft_throw_ros.storage.message import BagError
+from soft_throw_ros.storage.message import BagError, Message
 
 ROOT = Path(__file__).parents[2]
 
@@ -200,6 +202,19 @@ def test_reading_continues_after_foreign_bytes(recording, tmp_path, size):
         assert recovered.unreadable[0].size == size
 
 
+def test_small_numbers_after_damage_are_not_unpacked_as_chunks(tmp_path, monkeypatch):
+    picture = bytes(random.Random(4).choices(range(8), [30, *[1] * 7], k=300_000))
+    messages = [Message(PLAIN, picture, number, number, number) for number in range(6)]
+    path = write(tmp_path / 'bag', messages, chunk=1, compression='none') / 'bag_0.mcap'
+    flip(path, chunks_of(path)[2].chunk_start_offset + 1000)
+    unpacked = []
+    monkeypatch.setattr(
+        mcap_scan, 'unpack', lambda chunk: unpacked.append(chunk) or mcap_file.unpack(chunk)
+    )
+    assert recover(path, tmp_path / 'whole').message_count == 5
+    assert len(unpacked) < 20
+
+
 def test_bag_with_a_damaged_beginning_can_be_recovered(recording, tmp_path):
     recording.write(500)
     (path,) = recording.files
@@ -232,6 +247,7 @@ def test_messages_in_no_chunk_are_read_up_to_the_damage(tmp_path):
     with path.open('wb') as file:
         writer = Writer(file, use_chunking=False)
         writer.start()
+        file.write(b'\x80' + (3).to_bytes(8, 'little') + b'abc')  # a private record
         schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data')
         channel = writer.register_channel('/plain', 'cdr', schema)
         for number in range(100):
