@@ -39,7 +39,6 @@ from soft_throw_ros.storage.mcap_file import (
     check_end,
     DamageError,
     HEAD,
-    KnownChannels,
     make_channels,
     make_message,
     MAX_RECORD,
@@ -95,7 +94,7 @@ class ScannedFile:
 
     """
 
-    def __init__(self, path: Path, known: KnownChannels) -> None:
+    def __init__(self, path: Path) -> None:
         self.metadata: list[mcap.Metadata] = []
         self.attachments: list[mcap.Attachment] = []
         self.unreadable: list[UnreadableRange] = []
@@ -103,7 +102,7 @@ class ScannedFile:
         self._stream = open_mcap(path, is_lenient=True)
         self._size = os.fstat(self._stream.fileno()).st_size
         try:
-            self._survey(known)
+            self._survey()
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
@@ -122,7 +121,7 @@ class ScannedFile:
                     except DamageError as error:
                         self._note(offset, end - offset, str(error))
 
-    def _survey(self, known: KnownChannels) -> None:
+    def _survey(self) -> None:
         """Read definitions, texts and attachments, and count the messages."""
         schemas: dict[int, mcap.Schema] = {}
         channels: dict[int, mcap.Channel] = {}
@@ -148,7 +147,7 @@ class ScannedFile:
         except DamageError as error:
             self._note(self._size, 0, f'the file has no sound end, {error}')
             promised = 0
-        self._channels = make_channels(channels, schemas, known)
+        self._channels = make_channels(channels, schemas)
         for number in counts.keys() - self._channels.keys():
             self._note(0, 0, f'nothing defines channel {number}', counts[number])
         missing = promised - counts.total()

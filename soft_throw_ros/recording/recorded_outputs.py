@@ -106,7 +106,7 @@ class RecordedStates:
         self.unreadable = 0  # number of messages that are no state of plate and projectile
         self.sequences = array('L')  # numbers that publishers gave to the messages
         stamps, values, read = array('q'), array('d'), JointStateReader().read
-        for message in reader.messages(topic, by_log_time=False):
+        for message in reader.messages([topic], by_log_time=False):
             self.sequences.append(message.sequence)
             try:
                 stamp, names, *series = read(message.data)

@@ -26,7 +26,6 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_reader import BagFolder, unrepeated_metadata
-from soft_throw_ros.storage.mcap_file import KnownChannels
 from soft_throw_ros.storage.message import BagError
 
 _BUFFER_SIZE = 2**20
@@ -80,11 +79,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
-    known: KnownChannels = {}
     with ExitStack() as stack:
-        files = [
-            stack.enter_context(closing(ScannedFile(path, known))) for path in folder.files
-        ]
+        files = [stack.enter_context(closing(ScannedFile(path))) for path in folder.files]
         if not any(file.channels for file in files):
             damage = [*(item for file in files for item in file.unreadable), *folder.defects]
             raise BagError(f'{damage[0] if damage else source}; there is no message to recover')

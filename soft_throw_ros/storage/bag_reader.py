@@ -30,7 +30,7 @@ from typing import Any
 from mcap import records as mcap
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
-from soft_throw_ros.storage.mcap_file import CONVERSION, KnownChannels, McapFile, UnfinishedError
+from soft_throw_ros.storage.mcap_file import CONVERSION, McapFile, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
@@ -118,11 +118,10 @@ class BagReader:
         self.distribution = folder.distribution
         more = f'; and {len(folder.defects) - 1} more' if len(folder.defects) > 1 else ''
         self.damage = f'{folder.defects[0]}{more}' if folder.defects else ''
-        known: KnownChannels = {}
         self._files: list[McapFile] = []
         try:
             for file_path in folder.files:
-                self._files.append(McapFile(file_path, known))
+                self._files.append(McapFile(file_path))
         except BagError as error:
             self.close()
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
@@ -148,18 +147,13 @@ class BagReader:
             file.close()
 
     @property
-    def message_count(self) -> int:
-        """Number of all messages."""
-        return sum(self.counts.values())
-
-    @property
     def metadata(self) -> list[mcap.Metadata]:
         """Named texts in their order, without those that a next file repeats."""
         return unrepeated_metadata(file.metadata for file in self._files)
 
     def messages(
         self,
-        topics: Collection[str] | str | None = None,
+        topics: Collection[str] | None = None,
         start: int | None = None,
         end: int | None = None,
         *,
@@ -170,7 +164,7 @@ class BagReader:
 
         Parameters
         ----------
-        topics : str or collection of str, optional
+        topics : collection of str, optional
             Yield only messages of these topics.
         start, end : int, optional
             Yield only messages from `start` on and before `end`. [ns]
@@ -183,12 +177,11 @@ class BagReader:
             Where a chunk is damaged.
 
         """
-        wanted = {topics} if isinstance(topics, str) else topics
         span = range(max(start or 0, 0), 2**64 if end is None else max(end, 0))
         chunks = [
             (number, file, chunk)
             for number, file in enumerate(self._files)
-            for chunk in file.chunks_with(wanted, span)
+            for chunk in file.chunks_with(topics, span)
         ]
         if by_log_time:
             chunks.sort(key=lambda item: item[2].message_start_time)
@@ -197,7 +190,7 @@ class BagReader:
             while waiting and waiting[0][0] < chunk.message_start_time:
                 yield heapq.heappop(waiting)[-1]
             for index, message in enumerate(file.read_chunk(chunk)):
-                is_wanted = wanted is None or message.channel.topic in wanted
+                is_wanted = topics is None or message.channel.topic in topics
                 if not is_wanted or message.log_time not in span:
                     continue
                 if by_log_time:

@@ -21,6 +21,7 @@ the library reads or unpacks the data.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+import functools
 from io import BytesIO
 import os
 from pathlib import Path
@@ -56,8 +57,8 @@ _OTHER_FORMATS = {
 }
 """First bytes of files of other formats, with a description."""
 
-KnownChannels = dict[tuple[object, ...], Channel]
-"""One channel for all equal ones in the files of a bag, by its values."""
+_unique_channel = functools.cache(Channel)
+"""Return one object for all equal channels, since the files of a bag repeat them."""
 
 
 class DamageError(ValueError):
@@ -126,7 +127,7 @@ def unpack(chunk: mcap.Chunk) -> list[mcap.McapRecord]:
 
 
 def make_channels(
-    records: Mapping[int, mcap.Channel], schemas: Mapping[int, mcap.Schema], known: KnownChannels
+    records: Mapping[int, mcap.Channel], schemas: Mapping[int, mcap.Schema]
 ) -> dict[int, Channel]:
     """Return the channels of a file that have a schema; raise BagError if one is not of ROS 2."""
     channels = {}
@@ -139,7 +140,7 @@ def make_channels(
                 f'{record.topic} has messages in {record.message_encoding!r}, not in '
                 "'cdr' as those of ROS 2 are"
             )
-        channel = Channel(
+        channels[number] = _unique_channel(
             topic=record.topic,
             type=schema.name,
             schema=schema.data.decode(errors='replace'),
@@ -147,7 +148,6 @@ def make_channels(
             qos=record.metadata.get('offered_qos_profiles', ''),
             schema_encoding=schema.encoding,
         )
-        channels[number] = known.setdefault(tuple(vars(channel).values()), channel)
     return channels
 
 
@@ -189,14 +189,14 @@ class McapFile:
 
     """
 
-    def __init__(self, path: Path, known: KnownChannels) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self._stream = open_mcap(path)
         try:
             check_end(self._stream)
             self._stream.seek(0)
             reader = SeekingReader(self._stream, record_size_limit=MAX_RECORD)
-            self._read_index(reader.get_summary(), known)
+            self._read_index(reader.get_summary())
             self.metadata = list(reader.iter_metadata())
         except BagError as error:
             self.close()
@@ -238,7 +238,7 @@ class McapFile:
             reason = f'the chunk at {chunk.chunk_start_offset} is damaged, {reason_of(error)}'
             raise UnfinishedError(self.path, reason) from error
 
-    def _read_index(self, summary: Summary | None, known: KnownChannels) -> None:
+    def _read_index(self, summary: Summary | None) -> None:
         """Take over the index; raise DamageError if a part is missing or a chunk is too large."""
         if summary is None or summary.statistics is None:
             raise DamageError('its index has no statistics')
@@ -254,7 +254,7 @@ class McapFile:
             size = max(chunk.chunk_length, chunk.uncompressed_size)
             if size > MAX_RECORD:
                 raise DamageError(f'it has a chunk of {size} bytes, more than {MAX_RECORD}')
-        self._channels = make_channels(summary.channels, summary.schemas, known)
+        self._channels = make_channels(summary.channels, summary.schemas)
         self.counts = dict.fromkeys(self._channels.values(), 0)
         for number, count in statistics.channel_message_counts.items():
             if number not in self._channels:

@@ -164,7 +164,7 @@ def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
         assert bag.message_count == received - lost > 100
         assert sum(1 for _ in bag.messages()) == bag.message_count
     with BagReader(path) as own:
-        states = [message.sequence for message in own.messages('/twin/joint_states')]
+        states = [message.sequence for message in own.messages(['/twin/joint_states'])]
         assert own.damage == ''
     assert states == list(range(states[0], states[0] + len(states)))
 

@@ -40,10 +40,10 @@ ENCODE = JointStateEncoder('rig', ('plate', 'projectile')).encode
 PLAIN = Channel(topic='/plain', type='std_msgs/msg/String', schema='string data')
 
 
-def plain(number: int, *, time: int | None = None, size: int = 100) -> Message:
-    """Make a message that contains only its number."""
-    time = number if time is None else time
-    return Message(PLAIN, number.to_bytes(8, 'little') + bytes(size - 8), time, time, number)
+def plain(number: int, *, size: int = 100) -> Message:
+    """Make a message that contains only its number, which is also its time."""
+    data = number.to_bytes(8, 'little') + bytes(size - 8)
+    return Message(PLAIN, data, number, number, number)
 
 
 def wait_until(done: Callable[[], bool]) -> None:
@@ -76,7 +76,7 @@ def read(path: Path) -> SimpleNamespace:
             counts=list(bag.counts.values()),
             span=(bag.start_time, bag.end_time),
         )
-        assert bag.message_count == len(contents.messages)
+        assert sum(bag.counts.values()) == len(contents.messages)
         assert bag.damage == ''
         return contents
 

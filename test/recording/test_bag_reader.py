@@ -39,7 +39,7 @@ from soft_throw_ros.storage.message import BagError, Channel, Message
     times=st.lists(st.integers(0, 30), max_size=60),
     cuts=st.sets(st.integers(0, 60)),
     span=st.tuples(st.integers(-5, 35), st.integers(-5, 35)),
-    topics=st.sampled_from([None, '/even', ['/odd'], ('/even', '/odd'), [], ['/missing']]),
+    topics=st.sampled_from([None, ['/odd'], ('/even', '/odd'), [], ['/missing']]),
 )
 def test_messages_are_sorted_by_time_and_then_as_written(
     tmp_path_factory, times, cuts, span, topics
@@ -54,12 +54,11 @@ def test_messages_are_sorted_by_time_and_then_as_written(
             if message.sequence in cuts:  # a chunk, or a file, ends
                 writer.flush() if message.sequence % 2 else writer.split()
             writer.write(message)
-    wanted = [topics] if isinstance(topics, str) else topics
     start, end = span
     selected = [
         message
         for message in messages
-        if (wanted is None or message.channel.topic in wanted) and start <= message.log_time < end
+        if (topics is None or message.channel.topic in topics) and start <= message.log_time < end
     ]
     by_time = sorted(selected, key=lambda message: message.log_time)
     with BagReader(folder) as reader:
