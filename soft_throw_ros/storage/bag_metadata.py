@@ -47,15 +47,6 @@ class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[mi
         return True
 
 
-class _Loader(yaml.SafeLoader):
-    """Refuses aliases, which make a short text as large as one likes."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError('aliases are not allowed')
-        return super().compose_node(parent, index)
-
-
 def dump_yaml(data: object) -> str:
     """Write YAML."""
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
@@ -79,16 +70,14 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
     Notes
     -----
-    Texts are taken from the nodes of the file, which are not built into objects: a short file
-    can make these as large as it likes by aliases and merges. LibYAML would be faster, but many
-    opening brackets make it overflow its stack.
+    LibYAML would be faster, but many opening brackets make it overflow its stack.
 
     """
     try:
         text = read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode()
-        information = _values(_values(yaml.compose(text, yaml.SafeLoader))[_KEY])
-        result = {name: information[name].value for name in _WANTED if name in information}
-        files = [node.value for node in information['relative_file_paths'].value]
+        information = yaml.safe_load(text)[_KEY]
+        result = {name: information[name] or '' for name in _WANTED if name in information}
+        files = list(information['relative_file_paths'])
     except FileNotFoundError:
         raise ValueError('the file is missing') from None
     except OSError as error:
@@ -101,14 +90,10 @@ def read_metadata(path: Path) -> dict[str, Any]:
     return {**result, 'relative_file_paths': files}
 
 
-def _values(node: Any) -> dict[str, Any]:
-    return {key.value: value for key, value in node.value if isinstance(key, yaml.ScalarNode)}
-
-
 def load_profiles(text: str) -> list[Any]:
-    """Read a list in YAML without aliases; return an empty one if it is no such list."""
+    """Read a list in YAML; return an empty one if it is no list."""
     try:
-        return list(_Loader(text).get_single_data() or [])
+        return list(yaml.safe_load(text) or [])
     except _ERRORS:
         return []
 

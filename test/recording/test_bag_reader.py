@@ -16,10 +16,11 @@
 from __future__ import annotations
 
 import os
+import re
 from test.recording.conftest import plain, read, TYPES
 import tracemalloc
 
-from bags import profiles
+from bags import profiles, write
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Metadata
@@ -28,8 +29,11 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import parse_qos
+from soft_throw_ros.recording import mcap_scan
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
+from soft_throw_ros.storage import mcap_file
+from soft_throw_ros.storage.bag_metadata import MAX_FILE_SIZE
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
@@ -170,6 +174,7 @@ def test_mcap_with_any_index_is_read_or_recovered(tmp_path, chunked, index_types
         (lambda text: text[:300], 'metadata.yaml'),
         (lambda _: 'rosbag2_bagfile_information: [', 'metadata.yaml'),
         (lambda _: '[' * 1000, 'metadata.yaml'),
+        (lambda text: f'{text}# {"x" * MAX_FILE_SIZE}', 'metadata.yaml'),
         (lambda text: text.replace('bag_3.mcap', 'bag_x.mcap'), 'bag_x.mcap'),
     ],
 )
@@ -259,3 +264,30 @@ def test_damaged_index_is_refused(recording):
     path.write_bytes(data)
     with pytest.raises(UnfinishedError, match='checksum of its index'):
         BagReader(path)
+
+
+# Large claims
+
+
+@pytest.mark.parametrize('compression', ['none', 'zstd'])
+def test_too_large_chunk_is_refused_and_left_out(tmp_path, monkeypatch, compression):
+    messages = [plain(0, size=200_000), plain(1)]
+    path = write(tmp_path / 'bag', messages, chunk=1, compression=compression)
+    for module in (mcap_file, mcap_scan):
+        monkeypatch.setattr(module, 'MAX_RECORD', 100_000)
+    with pytest.raises(UnfinishedError, match=r'chunk of .* more than 100000'):
+        BagReader(path)
+    recovery = recover(path, tmp_path / 'new')
+    chunk, missing = recovery.skipped
+    kind = 'record' if compression == 'none' else 'chunk'
+    assert re.search(rf'a {kind} of .* more than 100000', chunk.reason)
+    assert missing.messages == 1
+    assert [message.sequence for message in read(recovery.target).messages] == [1]
+
+
+def test_too_large_index_is_refused_and_not_needed_to_recover(tmp_path, monkeypatch):
+    path = write(tmp_path / 'bag', map(plain, range(50)), chunk=1)
+    monkeypatch.setattr(mcap_file, 'MAX_RECORD', 3_000)
+    with pytest.raises(UnfinishedError, match='index'):
+        BagReader(path)
+    assert recover(path, tmp_path / 'new').message_count == 50

@@ -20,7 +20,7 @@ from pathlib import Path
 import shutil
 from test.recording.conftest import largest_file, PLAIN, plain, read, TYPES
 
-from bags import profiles, saved
+from bags import channel, profiles, saved, write
 from mcap.reader import make_reader
 import pytest
 from rosbags.interfaces import QosDurability
@@ -139,6 +139,13 @@ def test_changed_metadata_are_kept_and_the_last_are_repeated(tmp_path):
     ]
     bag = read(tmp_path / 'bag/bag_1.mcap')
     assert [record.metadata for record in bag.metadata] == [{'gravity': '2'}, {'/plain': '0'}]
+
+
+def test_equal_profiles_are_written_without_aliases(tmp_path):
+    assert '*' not in profiles({'depth': 3}, {'depth': 3})
+    topics = [channel(f'/talk{number}', depth=7) for number in range(3)]
+    path = write(tmp_path / 'bag', [Message(topic, b'', 1, 1) for topic in topics])
+    assert '*' not in (path / 'metadata.yaml').read_text()
 
 
 def test_bag_is_locked_and_never_overwritten(tmp_path):
