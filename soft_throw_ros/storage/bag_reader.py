@@ -20,6 +20,7 @@ The error for a damaged or unfinished bag names the command that recovers its me
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 import heapq
 import itertools
@@ -94,7 +95,7 @@ class BagReader:
         Path of the bag, as passed to the reader.
     channels : tuple of Channel
         The topics; all files share one object for each.
-    counts : dict of Channel to int
+    counts : Counter of Channel
         Numbers of messages.
     start_time, end_time : int
         Log times of the first and the last message; 0 if there is none. [ns]
@@ -127,9 +128,9 @@ class BagReader:
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
                 raise BagError(f'{self.path} is being written; stop the recorder before') from None
             raise
-        self.counts: dict[Channel, int] = {}
-        for channel, count in itertools.chain(*(file.counts.items() for file in self._files)):
-            self.counts[channel] = self.counts.get(channel, 0) + count
+        self.counts: Counter[Channel] = Counter()
+        for file in self._files:
+            self.counts.update(file.counts)
         self.channels = tuple(self.counts)
         parts = [file.statistics for file in self._files if file.statistics.message_count]
         self.start_time = min((part.message_start_time for part in parts), default=0)

@@ -120,7 +120,7 @@ def check_end(stream: BinaryIO) -> None:
 
 
 def unpack(chunk: mcap.Chunk) -> list[mcap.McapRecord]:
-    """Return the records of a chunk; any error is raised if it is damaged."""
+    """Return the records of a chunk; the library raises errors of many kinds for damage."""
     if chunk.uncompressed_size > MAX_RECORD:
         raise DamageError(f'a chunk of {chunk.uncompressed_size} bytes, more than {MAX_RECORD}')
     return breakup_chunk(chunk, validate_crc=True)
@@ -234,12 +234,12 @@ class McapFile:
                 for record in unpack(mcap.Chunk.read(ReadDataStream(BytesIO(data))))
                 if isinstance(record, mcap.Message)
             ]
-        except Exception as error:  # as above
+        except Exception as error:  # damaged bytes may cause any error in the library
             reason = f'the chunk at {chunk.chunk_start_offset} is damaged, {reason_of(error)}'
             raise UnfinishedError(self.path, reason) from error
 
     def _read_index(self, summary: Summary | None) -> None:
-        """Take over the index; raise DamageError if a part is missing or a chunk is too large."""
+        """Keep the index; raise DamageError if a part is missing or a chunk is too large."""
         if summary is None or summary.statistics is None:
             raise DamageError('its index has no statistics')
         self.statistics = statistics = summary.statistics
