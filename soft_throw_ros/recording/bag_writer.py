@@ -125,7 +125,7 @@ class BagWriter:
             raise BagError(f'{folder} exists, and a bag is never overwritten') from None
         except OSError as error:
             raise BagError(f'{folder}: {error.strerror}') from None
-        # The folder is new: if somebody has it, then `is_being_written`, and only for a moment
+        # Only `is_being_written` can hold the lock of a new folder, and for a moment
         self._lock = lock_folder(self.folder)
         self._begin_file()
         try:
@@ -151,7 +151,7 @@ class BagWriter:
         BagError
             If the bag is closed.
         ValueError
-            If its times are none.
+            If a time is negative or too large for ROS.
 
         """
         channel, log_time = message.channel, message.log_time
@@ -386,9 +386,9 @@ class _File:
 
     def define(self, channel: Channel) -> None:
         """
-        Define a channel, in the chunk of its messages, and before in a chunk of its own.
+        Define a channel twice: in a chunk of its own, and in the chunk of its first messages.
 
-        A damaged chunk would otherwise make all messages useless that follow.
+        Otherwise a damaged chunk would make all later messages of the channel useless.
         """
         if channel in self._ids:
             return

@@ -18,14 +18,13 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import closing, ExitStack
 from dataclasses import dataclass
-import itertools
 from pathlib import Path
 import shutil
 
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.mcap_scan import ScannedFile, UnreadableRange
 from soft_throw_ros.storage.bag_lock import is_being_written
-from soft_throw_ros.storage.bag_reader import BagFolder, unrepeated_metadata
+from soft_throw_ros.storage.bag_reader import BagFolder, unrepeated
 from soft_throw_ros.storage.message import BagError
 
 _BUFFER_SIZE = 2**20
@@ -106,13 +105,10 @@ def _copy(files: list[ScannedFile], writer: BagWriter) -> None:
     """Write definitions, texts, attachments and messages of files into a bag."""
     for channel in dict.fromkeys(channel for file in files for channel in file.channels):
         writer.add_channel(channel)
-    for text in unrepeated_metadata(file.metadata for file in files):
+    for text in unrepeated(file.metadata for file in files):
         writer.add_metadata(text.name, text.metadata)
-    attached = set()  # each file repeats the attachments of the one before
-    for item in itertools.chain.from_iterable(file.attachments for file in files):
-        if (item.name, item.data) not in attached:
-            attached.add((item.name, item.data))
-            writer.attach(item.name, item.data, item.media_type, time=item.log_time)
+    for item in unrepeated(file.attachments for file in files):
+        writer.attach(item.name, item.data, item.media_type, time=item.log_time)
     for file in files:
         for message in file.messages():
             writer.write(message)

@@ -186,7 +186,7 @@ class WriterThread:
                 continue
             try:
                 self.bag.write(item)
-            except ValueError:  # its times are none
+            except ValueError:  # invalid times
                 self._dropped[item.channel] += 1
             self._written_size += item.memory
 

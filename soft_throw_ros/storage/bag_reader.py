@@ -26,7 +26,7 @@ import heapq
 import itertools
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, TypeVar
 
 from mcap import records as mcap
 from soft_throw_ros.storage.bag_lock import is_being_written
@@ -35,6 +35,8 @@ from soft_throw_ros.storage.mcap_file import CONVERSION, McapFile, UnfinishedErr
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
+
+Named = TypeVar('Named', mcap.Metadata, mcap.Attachment)
 
 
 class BagFolder:
@@ -150,7 +152,7 @@ class BagReader:
     @property
     def metadata(self) -> list[mcap.Metadata]:
         """Named texts in their order, without those that a next file repeats."""
-        return unrepeated_metadata(file.metadata for file in self._files)
+        return unrepeated(file.metadata for file in self._files)
 
     def messages(
         self,
@@ -203,15 +205,15 @@ class BagReader:
             yield heapq.heappop(waiting)[-1]
 
 
-def unrepeated_metadata(files: Iterable[Iterable[mcap.Metadata]]) -> list[mcap.Metadata]:
-    """Return named texts of files, without those of rosbag2 and those that a next file repeats."""
-    texts: list[mcap.Metadata] = []
-    last: dict[str, mcap.Metadata] = {}
+def unrepeated(files: Iterable[Iterable[Named]]) -> list[Named]:
+    """Return the records of files, without those of rosbag2 and those that a next file repeats."""
+    records: list[Named] = []
+    last: dict[str, Named] = {}
     for record in itertools.chain.from_iterable(files):
         if record.name != 'rosbag2' and last.get(record.name) != record:
             last[record.name] = record
-            texts.append(record)
-    return texts
+            records.append(record)
+    return records
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:

@@ -152,7 +152,7 @@ def make_channels(
 
 
 def make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Message:
-    """Return a message; raise DamageError if its channel is not defined or its times are none."""
+    """Return a message; raise DamageError if its channel or its times are invalid."""
     channel = channels.get(record.channel_id)
     if channel is None:
         raise DamageError(f'nothing defines channel {record.channel_id} of a message')
