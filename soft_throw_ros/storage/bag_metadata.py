@@ -37,7 +37,7 @@ MAX_FILE_SIZE = 512 * 2**10
 _WANTED = ('ros_distro', 'storage_identifier', 'compression_mode')
 
 _ERRORS = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""Errors that PyYAML raises for texts of all kinds."""
+"""Errors for texts that are no YAML, or do not have the expected values."""
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
@@ -112,8 +112,8 @@ def profiles_of(text: str) -> list[dict[str, Any]]:
 
     """
     profiles = load_profiles(text)
-    try:
-        are_named = all(isinstance(profile['reliability'], str) for profile in profiles)
-    except _ERRORS:
-        return []
-    return profiles if are_named else []
+    has_names = all(
+        isinstance(profile, dict) and isinstance(profile.get('reliability'), str)
+        for profile in profiles
+    )
+    return profiles if has_names else []
