@@ -75,14 +75,12 @@ class Viewer(RunnableNode):
         wanted = [full_name(self, name) for name in settings['topics']]
         self.raw_subscriptions = RawSubscriptions(self, wanted, is_accepted=is_drawn)
         path = Path(settings['file']).expanduser()
-        self._display: LiveDisplay | None = None
         try:
             self._display = LiveDisplay(
                 settings['sink'], settings['port'], path, self.get_logger().info
             )
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
-        self.add_cleanup(self.close)
         self.create_steady_timer(DISCOVERY_PERIOD, self._discover)
         self.create_steady_timer(DRAIN_PERIOD, self._drain)
         self.create_steady_timer(1.0, self._report)
@@ -94,33 +92,26 @@ class Viewer(RunnableNode):
 
     def close(self) -> None:
         """Draw the last messages, and close the sink."""
-        display, self._display = self._display, None
-        if display is None:
-            return
-        display.put(self.raw_subscriptions.drain())
+        self._drain()
         self.raw_subscriptions.close()
-        display.close()
+        self._display.close()
         received = sum(item.received for item in self.raw_subscriptions)
-        text = f'{received} messages, {display.dropped} not shown'
-        self.get_logger().info(text)
+        self.get_logger().info(f'{received} messages, {self._display.dropped} not shown')
 
     def _discover(self) -> None:
         for topic, reason in self.raw_subscriptions.discover().items():
             self.get_logger().warning(f'{topic} is not shown: {reason}')
 
     def _drain(self) -> None:
-        if self._display is not None:
-            self._display.put(self.raw_subscriptions.drain())
+        self._display.put(self.raw_subscriptions.drain())
 
     def _report(self) -> None:
         """Publish how many messages are not shown."""
-        display = self._display
-        if display is None:
-            return
+        scene, dropped = self._display.scene, self._display.dropped
         lost = sum(item.lost for item in self.raw_subscriptions)
-        values = {'dropped': display.dropped, 'lost': lost, 'damaged': display.damaged}
+        values = {'dropped': dropped, 'lost': lost, 'damaged': scene.damaged}
         missing = sum(values.values())
-        text = '; '.join(filter(None, [f'{missing} messages not shown', display.damage]))
+        text = '; '.join(filter(None, [f'{missing} messages not shown', scene.damage]))
         status = status_to_msg(
             self.get_fully_qualified_name(), 'display', text, values, warn=missing > 0
         )

@@ -61,33 +61,23 @@ class LiveDisplay:
 
     def __init__(self, sink: str, port: int, path: Path, log: Callable[[str], None]) -> None:
         self.dropped = 0  # number of messages that came too fast to be drawn
-        self._scene = Scene('live', is_live=True)
+        self.scene = Scene('live', is_live=True)
         self._stream = output.new_stream()
         self._connection: _ViewerConnection | None = None
         self._is_file = sink == 'file'
         if sink == 'viewer':
-            self._connection = _ViewerConnection(self._scene, self._stream, port, log)
+            self._connection = _ViewerConnection(self.scene, self._stream, port, log)
         elif sink == 'serve':
             output.serve(self._stream, port)
             log(f'to see it: rerun {rerun_viewer.url_of(port)}')
         else:
             output.save_to(self._stream, path, is_live=True)
         if self._connection is None:
-            self._scene.connect(self._stream)
+            self.scene.connect(self._stream)
         self._inbox: queue.Queue[Message] = queue.Queue(MAX_WAITING)
         self._is_closing = threading.Event()
         self._thread = threading.Thread(name='drawing', target=self._run, daemon=True)
         self._thread.start()
-
-    @property
-    def damaged(self) -> int:
-        """Number of messages that could not be read."""
-        return self._scene.damaged
-
-    @property
-    def damage(self) -> str:
-        """The error of the first unreadable message, or an empty text."""
-        return self._scene.damage
 
     def put(self, messages: Iterable[Message]) -> None:
         """Queue messages to be drawn; drop and count those beyond `MAX_WAITING`."""
@@ -108,8 +98,8 @@ class LiveDisplay:
             is_last = self._is_closing.wait(FILE_PERIOD if self._is_file else LIVE_PERIOD)
             if self._connection is not None:
                 self._connection.check()
-            self._scene.show([self._inbox.get() for _ in range(self._inbox.qsize())])
-        self._scene.finish()
+            self.scene.show([self._inbox.get() for _ in range(self._inbox.qsize())])
+        self.scene.finish()
         if output.flush(self._stream, EXIT_TIME):
             self._stream.disconnect()
 

@@ -21,14 +21,12 @@ from functools import partial
 from importlib import util
 import os
 from pathlib import Path
-import shutil
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
-from typing import NoReturn, TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from soft_throw_ros.recording.child_process import bound_to_parent
 
@@ -46,7 +44,7 @@ _TIMEOUT = 60.0
 """Longest wait until the viewer has loaded a recording, or has drawn. [s]"""
 
 _END_TIME = 20.0
-"""Longest wait for the reason why a viewer does not answer: its last message, or its end. [s]"""
+"""Longest wait for the end of a viewer that does not answer, and for its last message. [s]"""
 
 _MAX_MESSAGES = 1 << 16
 """Number of bytes of a viewer's messages that are read. [byte]"""
@@ -83,14 +81,9 @@ class NoGraphicsError(ViewerError):
 def find_viewer() -> Path:
     """Return the path of the program `rerun`; raise ViewerError if there is none."""
     package = util.find_spec('rerun_cli')
-    if package is not None and package.origin is not None:
-        path = Path(package.origin).with_name('rerun')
-        if path.exists():
-            return path
-    result = shutil.which('rerun', path=f'{Path(sys.executable).parent}:{os.environ.get("PATH")}')
-    if result is None:
-        raise ViewerError("no program rerun is on the PATH; pip install 'soft_throw_ros[rerun]'")
-    return Path(result)
+    if package is None or package.origin is None:
+        raise ViewerError("Rerun has no viewer; pip install 'soft_throw_ros[rerun]'")
+    return Path(package.origin).with_name('rerun')
 
 
 def has_display() -> bool:
@@ -153,26 +146,25 @@ class Viewer:
     def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:
         viewer = str(find_viewer())
         command = [viewer, '--bind', HOST, '--port', str(port), *_MEMORY, *map(str, options)]
-        if not stays:
-            command = bound_to_parent(command)
         self.port = port
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115
         # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
         environment = {'RUST_LOG': 'error', **os.environ, 'CI': '1'}
         self._process = subprocess.Popen(
-            command,
+            command if stays else bound_to_parent(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._errors,
             start_new_session=True,
             env=environment,
         )
+        self.pid = self._process.pid  # of the process, and of its group
         deadline = time.monotonic() + START_TIME
         while not listens(port):
-            self.check()
+            if self._process.poll() is not None:
+                raise self._end_with_error('has ended')
             if time.monotonic() > deadline:
-                self.end()
-                raise ViewerError(f'the viewer has not answered within {START_TIME:g} s')
+                raise self._end_with_error(f'has not answered within {START_TIME:g} s')
             time.sleep(_POLL)
 
     def __enter__(self) -> Viewer:
@@ -180,16 +172,6 @@ class Viewer:
 
     def __exit__(self, *_: object) -> None:
         self.end()
-
-    @property
-    def pid(self) -> int:
-        """Return the id of the process, and of its group."""
-        return self._process.pid
-
-    def check(self) -> None:
-        """Raise ViewerError if the process has ended."""
-        if self._process.poll() is not None:
-            self._raise_reason()
 
     def client(self) -> ViewerClient:
         """Return a client after a first picture; raise NoGraphicsError without Vulkan."""
@@ -219,7 +201,7 @@ class Viewer:
     def end(self) -> None:
         """End the process."""
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
+            os.killpg(self.pid, signal.SIGKILL)
         self._process.wait()
         self._errors.close()
 
@@ -229,33 +211,23 @@ class Viewer:
         try:
             yield
         except _CLIENT_ERRORS as error:
-            # without graphics the viewer closes its connections seconds before it ends
-            deadline = time.monotonic() + _END_TIME
-            while time.monotonic() < deadline:
-                if self._process.poll() is not None or self._has_no_graphics():
-                    self._raise_reason()
-                time.sleep(_POLL)
-            raise ViewerError(f'the viewer does not draw: {error}') from None
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                # without graphics the viewer closes its connections seconds before it ends
+                self._process.wait(_END_TIME)
+            raise self._end_with_error(f'does not draw ({error})') from None
 
-    def _messages(self) -> str:
-        """Return the messages of the viewer so far."""
+    def _end_with_error(self, problem: str) -> ViewerError:
+        """End the process, and return an error with its first message."""
         # the viewer writes at the end of the same file
-        return os.pread(self._errors.fileno(), _MAX_MESSAGES, 0).decode(errors='replace').strip()
-
-    def _has_no_graphics(self) -> bool:
-        return any(word in self._messages() for word in _NO_GRAPHICS)
-
-    def _raise_reason(self) -> NoReturn:
-        """Raise ViewerError with the messages of a viewer that has ended, or cannot draw."""
-        messages, has_no_graphics = self._messages(), self._has_no_graphics()
+        output = os.pread(self._errors.fileno(), _MAX_MESSAGES, 0).decode(errors='replace')
         self.end()
-        if has_no_graphics:
-            raise NoGraphicsError(
+        if any(word in output for word in _NO_GRAPHICS):
+            return NoGraphicsError(
                 'the viewer finds no graphics; on Debian and Ubuntu `apt install '
                 'mesa-vulkan-drivers libvulkan1` installs a software renderer'
             )
-        reason = messages.partition('\n')[0] or 'without a message'
-        raise ViewerError(f'the viewer has ended: {reason}')
+        reason = output.strip().partition('\n')[0] or 'it has left no message'
+        return ViewerError(f'the viewer {problem}: {reason}')
 
 
 def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> None:

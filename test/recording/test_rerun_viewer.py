@@ -67,13 +67,10 @@ def test_viewer_listens_on_this_machine_only_and_its_connections_end_with_it(hea
     connection = connect(headless.port)
     assert connection is not None
     assert is_open(connection)
-    headless.check()
     os.kill(headless.pid, signal.SIGKILL)
     wait_until(lambda: not is_open(connection))
     assert not listens(headless.port)
     connection.close()
-    with pytest.raises(ViewerError, match='has ended'):  # a moment after its connections
-        wait_until(headless.check)
 
 
 @pytest.mark.parametrize('stays', [False, True])
@@ -113,7 +110,5 @@ def test_missing_or_failing_program_is_reported(monkeypatch) -> None:
     with pytest.raises(ViewerError, match=r'has ended: .*--no-such-option'):
         Viewer(free_port(), '--no-such-option')
     monkeypatch.setattr(rerun_viewer.util, 'find_spec', lambda _name: None)
-    monkeypatch.setattr(sys, 'executable', '/nowhere/python')
-    monkeypatch.setenv('PATH', '/nowhere')
     with pytest.raises(ViewerError, match=r'soft_throw_ros\[rerun\]'):
         find_viewer()
