@@ -16,11 +16,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 import contextlib
 from functools import partial
 import itertools
-import math
 import os
 from pathlib import Path
 import re
@@ -36,10 +34,12 @@ from soft_throw_ros.commands.output import (
     require,
     run_command,
     slow_notice,
+    written_file,
 )
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer as viewer
-from soft_throw_ros.recording.timeseries import find_throws, has_throws, ThrowStart
+from soft_throw_ros.recording.timeseries import find_throws, identify, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
 
 if TYPE_CHECKING:
@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 
 _BATCH = 5000
 """Number of messages of a bag that are drawn at once."""
+
+_MOMENT = 0.7
+"""Default time of the cursor in a contact. [ejection times]"""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -67,15 +70,19 @@ def main(args: list[str] | None = None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     require('inspect', 'rerun', 'rerun', 'matplotlib')
     os.environ.setdefault('RUST_LOG', 'off')  # the command has messages of its own
+    handler = signal.getsignal(signal.SIGINT)
+    if arguments.sink == 'viewer' and not (arguments.save or arguments.screenshot):
+        # A call of Rerun does not return while its viewer hangs, and Python would wait for it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        is_sent = arguments.sink == 'viewer' and not (arguments.save or arguments.screenshot)
-        with _signals_handled(at_once=is_sent):
-            _show_bag(arguments)
+        _show_bag(arguments)
     except viewer.ViewerError as error:
         print_note('inspect', str(error))
         return 1
     except KeyboardInterrupt:
         return 130
+    finally:
+        signal.signal(signal.SIGINT, handler)
     return 0
 
 
@@ -140,13 +147,13 @@ def _show_bag(arguments: argparse.Namespace) -> None:
         stream = output.new_stream()
         draw = partial(_draw, scene, stream, reader)
         if arguments.save:
-            with report_io_errors(arguments.save):
-                output.save_recording(stream, arguments.save, draw)
+            with written_file(arguments.save) as unfinished:
+                output.save_recording(stream, unfinished, draw)
         elif arguments.screenshot:
             with report_io_errors(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
                 output.save_recording(stream, recording, draw)
-                cursor = _cursor(scene, arguments.at)
+                cursor = _cursor(scene, throw, arguments.at)
                 options = ('--headless', '--window-size', arguments.size, recording)
                 with viewer.Viewer(viewer.free_port(), *options) as process:
                     picture = process.photograph(THROW_TIME, cursor)
@@ -161,21 +168,25 @@ def _show_bag(arguments: argparse.Namespace) -> None:
         else:
             output.check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
             output.send_recording(stream, arguments.port, draw)
-            cursor = _cursor(scene, arguments.at)
+            cursor = _cursor(scene, throw, arguments.at)
             viewer.go_to(arguments.port, output.store_of(stream), THROW_TIME, cursor)
             stream.disconnect()
 
 
 def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     """Return the throw to show; None if the bag contains none and none is requested."""
-    topics = [item.topic for item in reader.channels if has_throws(item.topic, item.type)]
-    result = find_throws(reader.messages(topics)) if topics else {}
-    throws = next((throws for throws in result.values() if throws), [])  # of the view in front
+    journals = [
+        channel.topic
+        for channel in reader.channels
+        if identify(channel.topic, channel.type)[1] == TWIN_TOPICS.journal
+    ]
+    result = find_throws(reader.messages(journals))
+    throws = next(iter(result.values()), [])  # of the view in front
     chosen = [throw for throw in throws if number in (None, throw.number)]
     if number is not None and not chosen:
         known = f'{throws[0].number}-{throws[-1].number}' if throws else 'no throws'
         raise ValueError(f'{reader.path}: throw {number} not found (bag contains {known})')
-    whole = [throw for throw in chosen if throw.has_field] or chosen
+    whole = [throw for throw in chosen if throw.ejection_time is not None] or chosen
     return whole[-1] if whole else None
 
 
@@ -196,32 +207,20 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
         print_note('inspect', f'{path}: {scene.damaged} messages are left out{damage}')
 
 
-def _cursor(scene: Scene, at: float | None) -> float | None:
+def _cursor(scene: Scene, throw: ThrowStart | None, at: float | None) -> float | None:
     """Return the time of the cursor since the start of the throw, None without a throw [s]."""
-    low, high = scene.span
-    if at is not None and scene.moment is None:
-        raise ValueError(f'--at is a time since a throw started, and the bag has none, got {at:g}')
-    if at is not None and not (low <= at <= high and math.isfinite(at)):
+    if throw is None:
+        if at is not None:
+            raise ValueError(
+                f'--at is a time since a throw started, and the bag has none, got {at:g}'
+            )
+        return None
+    if at is None:
+        return _MOMENT * (throw.ejection_time or 0.0)
+    low, high = (throw.seconds_to(stamp) for stamp in scene.span)
+    if not low <= at <= high:
         raise ValueError(
             f'--at must be within the recorded times, from {low:.6g} to {high:.6g} s since the '
             f'throw started, got {at:g}'
         )
-    return scene.moment if at is None else at
-
-
-@contextlib.contextmanager
-def _signals_handled(*, at_once: bool) -> Iterator[None]:
-    """
-    End the process by a signal: at once, or by KeyboardInterrupt.
-
-    Python handles a signal only after a call of Rerun has returned, and a call that sends to a
-    viewer which hangs never returns.
-    """
-    handler = signal.SIG_DFL if at_once else signal.default_int_handler
-    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-    handlers = {number: signal.signal(number, handler) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, former in handlers.items():
-            signal.signal(number, former)
+    return at

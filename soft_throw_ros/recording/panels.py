@@ -21,6 +21,7 @@ from matplotlib.ticker import MaxNLocator
 import numpy as np
 import rerun as rr
 from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
@@ -31,9 +32,6 @@ from soft_throw_ros.recording.rerun_layout import with_hysteresis
 from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps, StrainField, Values
 
 _MILLI = 1e3
-
-_CELLS = 64
-"""Into which the layer is divided where it is drawn."""
 
 _PLATE_WIDTH = 1.5
 """Width of the plate, over the diameter of the layer."""
@@ -52,7 +50,7 @@ class RigPicture:
         self._rig: Rig | None = None
         self._diameter = self._high = 0.0  # that the view is made for [mm]
         pixels = rr.components.ImageFormat(
-            width=1, height=_CELLS, color_model='RGB', channel_datatype='U8'
+            width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
         )
         style = rr.Image.from_fields(format=pixels, magnification_filter='linear')
         canvas.log_style(f'{path}/layer', style)
@@ -104,24 +102,19 @@ class RigPicture:
             self._canvas.log_columns(f'{self._path}/{name}', stamps, columns)
 
     def draw_layer(self, layer: LayerStates) -> None:
-        """Colour cells that are even in height, wherever their matter is."""
+        """Draw the colours of the strain, stretched from the lower to the upper end."""
         if self._rig is None:
             return
-        bottom, top = layer.height[:, 0], layer.height[:, -1]
-        fractions = (np.arange(_CELLS)[::-1] + 0.5) / _CELLS
-        rows = zip(bottom, top, layer.height, layer.strain, strict=True)
-        strain = np.array(
-            [np.interp(low + fractions * (high - low), *curve) for low, high, *curve in rows]
-        )
-        limit = self.largest_strain
-        pixels = charts.signed_colours(strain, limit)
-        diameter = _MILLI * self._rig.layer.diameter
-        nothing, one = np.zeros_like(top), np.ones_like(top)
-        corner = np.stack([nothing - 0.5 * diameter, -_MILLI * top, nothing], axis=1)
-        scale = np.stack([diameter * one, _MILLI * (top - bottom) / _CELLS, one], axis=1)
+        pixels = charts.signed_colours(layer.strain[:, ::-1], self.largest_strain)
+        diameter, nothing = _MILLI * self._rig.layer.diameter, np.zeros_like(layer.top)
+        corner = [nothing - 0.5 * diameter, -_MILLI * layer.top, nothing]
+        height = _MILLI * (layer.top - layer.bottom) / FIELD_POINTS
+        scale = [nothing + diameter, height, nothing + 1.0]
         columns = [
             *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
-            *rr.Transform3D.columns(translation=corner, scale=scale),
+            *rr.Transform3D.columns(
+                translation=np.stack(corner, axis=1), scale=np.stack(scale, axis=1)
+            ),
         ]
         self._canvas.log_columns(f'{self._path}/layer', layer.stamps, columns)
 
@@ -174,25 +167,31 @@ class RecommendationPanel:
         self._canvas = canvas
         self._root = root
         self._executor = executor
-        self._recommended_for: Rig | None = None
-        self._values: Values = {}  # of the last recommendation
-        self._map_rig: Rig | None = None
+        self._rig: Rig | None = None  # of the table and the map; None while unknown
+        self._message = words.UNKNOWN_BEST  # of the last recommendation
+        self._values: Values = {}
+        self._stamp = 0  # of the table [ns]
         self._maps: list[tuple[int, Future[EnergyMap]]] = []  # with their stamps [ns]
 
     def change_rig(self, stamp: int, rig: Rig, settings: Settings) -> None:
-        """Request the map of a rig, unless its recommendation has done so before."""
-        if self._map_rig != rig:
-            self._request_map(stamp, rig, settings)
+        """Draw the map of a rig, without a recommendation if the last one is of another rig."""
+        if self._rig is None:  # the recommendation may have come before the journal
+            self.draw(stamp, self._message, self._values, rig, settings)
+        elif self._rig != rig:
+            self.draw(stamp, words.UNKNOWN_BEST, {}, rig, settings)
 
     def draw(
         self, stamp: int, message: str, values: Values, rig: Rig | None, settings: Settings
     ) -> None:
-        """Draw a recommendation, and request the map of its rig if that is known."""
-        self._recommended_for, self._values = rig, values
+        """Write the table of a recommendation, and compute the map of its rig if it is known."""
+        self._rig, self._message, self._values = rig, message, values
+        self._stamp = stamp = max(self._stamp, stamp)  # the last one is shown last
         text = words.recommendation_text(message, values)
         self._canvas.log_text(f'{self._root}/recommendation', stamp, text)
         if rig is not None:
-            self._request_map(stamp, rig, settings)
+            self._maps.append(
+                (stamp, self._executor.submit(compute_energy_map, rig, settings, values))
+            )
 
     def draw_maps(self, *, is_waiting: bool) -> None:
         """Draw the maps that are complete; with `is_waiting` wait for all."""
@@ -200,15 +199,3 @@ class RecommendationPanel:
             stamp, future = self._maps.pop(0)
             image = drawing.encoded_image(charts.to_png(future.result().draw()))
             self._canvas.log_latched(f'{self._root}/landscape', stamp, image)
-
-    def _request_map(self, stamp: int, rig: Rig, settings: Settings) -> None:
-        """Compute a map in the background; the last requested one is shown last."""
-        values = self._values
-        if self._recommended_for not in (None, rig):
-            values = {}
-            text = words.UNKNOWN_BEST  # the recommendation was of another rig
-            self._canvas.log_text(f'{self._root}/recommendation', stamp, text)
-        self._map_rig = rig
-        stamp = max([stamp, *(earlier for earlier, _ in self._maps)])
-        future = self._executor.submit(compute_energy_map, rig, settings, values)
-        self._maps.append((stamp, future))

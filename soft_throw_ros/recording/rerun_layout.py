@@ -81,7 +81,6 @@ class Panel(NamedTuple):
     kind: str  # of view
     title: str
     share: float  # of the height of its column
-    is_optional: bool = False  # whether it is left out while it would be empty
 
 
 COLUMNS = (
@@ -94,18 +93,21 @@ COLUMNS = (
         Panel('position', 'plot', 'Position z (mm)', 3.0),
         Panel('velocity', 'plot', 'Velocity v (m/s)', 3.0),
         Panel('force', 'plot', 'Compressive force F (N)', 3.0),
-        Panel('energy', 'plot', 'Energy (mJ)', 3.0, is_optional=True),
-        Panel('residual', 'plot', 'Model less measurement (µm)', 3.0, is_optional=True),
+        Panel('energy', 'plot', 'Energy (mJ)', 3.0),
+        Panel('residual', 'plot', 'Model less measurement (µm)', 3.0),
     )),
     (4.2, (
         Panel('strain', 'strain', 'Strain ε(y, t) in the throw', 2.7),
         Panel('landscape', 'map', 'Energy transfer α(Lₛ, cₛ)', 3.5),
         Panel('recommendation', 'text', 'Recommended layer', 4.15),
-        Panel('track', 'text', 'Measured track', 1.9, is_optional=True),
-        Panel(LOG, 'log', 'Log', 2.25, is_optional=True),
+        Panel('track', 'text', 'Measured track', 1.9),
+        Panel(LOG, 'log', 'Log', 2.25),
     )),
 )
 """The window of a twin: columns from left to right with their share of the width, top down."""
+
+OPTIONAL = {'energy', 'residual', 'track', LOG}
+"""Panels that are left out while they would be empty."""
 
 BEFORE, AFTER = 0.7, 1.8
 """Time that plots show before and after the cursor. [periods of the plate]"""
@@ -123,7 +125,7 @@ class TwinLayout:
     period: float  # of the plate, on the timeline that is shown [s]
     side: tuple[float, float, float]  # half the width of the side view, and its heights [mm]
     residual_limit: float  # beyond which the model is reported as wrong [um]
-    present: frozenset[str]  # optional panels that are there
+    present: set[str]  # optional panels that are there
 
 
 def with_hysteresis(now: float, before: float) -> float:
@@ -153,7 +155,7 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     window = rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end))
     shares, columns = [], []
     for share, panels in COLUMNS:
-        shown = [item for item in panels if not item.is_optional or item.name in twin.present]
+        shown = [item for item in panels if item.name not in OPTIONAL or item.name in twin.present]
         views = [_view(panel, twin, window) for panel in shown]
         shares.append(share)
         columns.append(rrb.Vertical(*views, row_shares=[panel.share for panel in shown]))

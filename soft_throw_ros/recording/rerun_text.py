@@ -19,11 +19,10 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
 from soft_throw_ros.recording.timeseries import Values
 
-UNKNOWN_BEST = 'The rig has changed; there is no recommendation for it yet.'
+UNKNOWN_BEST = 'There is no recommendation for this rig yet.'
 
 
 class _Row(NamedTuple):
@@ -89,9 +88,7 @@ def throw_text(values: Values) -> str:
     ]
     if not values.get('recontacts'):
         values = {key: value for key, value in values.items() if not key.startswith('last_')}
-    former = TWIN.by_name['model'].deprecated  # as in older bags
-    labels = {model: _MODELS.get(former.get(model, model), model) for model in models}
-    columns = {'twin': '', **{labels[model]: f'{model}.' for model in models}}
+    columns = {'twin': '', **{_MODELS.get(model, model): f'{model}.' for model in models}}
     number, strain, limit = (values.get(key) for key in ('throw', 'peak_strain', 'max_strain'))
     text = f'**Throw {f"{number:.0f}" if isinstance(number, float) else "?"}**, '
     text += _STAGES.get(str(values.get('stage')), 'up to the release')

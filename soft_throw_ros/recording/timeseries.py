@@ -14,13 +14,14 @@
 """
 Time series from the messages of a twin, recorded or live.
 
-All times are stamps. A message without a stamp (a phase, a line of the journal, a field) was
-published right after the state message of its step, and gets the stamp of this state message.
+All times are stamps. A message without a stamp (a line of the journal, a field, a line of the log)
+was published right after the state message of its step, and gets the stamp of this state message.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, replace
 import functools
 import math
@@ -29,17 +30,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
+from scipy.integrate import trapezoid
 from scipy.interpolate import CubicHermiteSpline
 from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
-from soft_throw_ros.configuration.interface import ENERGIES, find_topic, JOINTS, Topic, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import (
+    ENERGIES,
+    FIELD_POINTS,
+    find_topic,
+    JOINTS,
+    Topic,
+    TWIN_TOPICS,
+)
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.cdr import decode, JointStateReader, JointStates, MessageError
 from soft_throw_ros.storage.message import Message
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Floats, Phase
-from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 Stamps = NDArray[np.int64]
 Values = Mapping[str, float | str]
@@ -49,7 +57,7 @@ DECODING_ERRORS = (
 )
 """Errors caused by damaged bytes, or by another program's messages on a topic of that name."""
 
-_KEPT_STATES = 100_000
+_KEPT_STATES = 20_000
 """Number of state messages kept for the times of a throw's field, which comes after the throw."""
 
 _FIELD_SPAN = 1.5
@@ -60,68 +68,27 @@ _LARGEST = 1e6
 
 _LAST_TIME = 2**62  # [ns]
 
-_DEFAULT_TICK = 1_000_000
-"""Assumed time between state messages before two have arrived. [ns]"""
-
-_SAME_CLOCK = 3600 * SECOND
-"""Time between journal and message beyond which the journal used another clock. [ns]"""
-
 _PHASES = {float(number): phase.value for number, phase in enumerate(Phase)}
 """Names of phases by their numbers in `~/phase_change`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RigStates:
-    """States of plate and projectile."""
+class RigStates(NamedTuple):
+    """States of plate and projectile over time."""
 
     stamps: Stamps  # (n,) [ns]
-    published: Stamps  # (n,) Times of publishing. [ns]
     # (n, 2) Plate and projectile, with the upward force of the layer on them. [m], [m/s], [N]
     position: Floats
     velocity: Floats
     force: Floats
-
-    def select(self, rows: slice | NDArray[np.intp]) -> RigStates:
-        """Return some of the states."""
-        return RigStates(**{name: values[rows] for name, values in vars(self).items()})
-
-    @classmethod
-    def join(cls, *batches: RigStates) -> RigStates:
-        """Concatenate states in the order of their stamps, without repeated stamps."""
-        joined = cls(**{
-            name: np.concatenate([getattr(batch, name) for batch in batches])
-            for name in vars(batches[0])
-        })
-        return joined.select(np.unique(joined.stamps, return_index=True)[1])
-
-    @property
-    def tick(self) -> int:
-        """Time between two states [ns]."""
-        recent = self.stamps[-100:]
-        return int(np.median(np.diff(recent))) if recent.size > 1 else _DEFAULT_TICK
-
-    def stamp_of(self, published: int) -> int:
-        """Return the stamp of the step for a time of publishing [ns]."""
-        # The clock of the stamps may differ from the clock of publishing
-        row = max(int(np.searchsorted(self.published, published, side='right')) - 1, 0)
-        stamp = published + int(self.stamps[row] - self.published[row])
-        nearest = int(self.stamps[np.abs(self.stamps - stamp).argmin()])
-        return nearest if abs(nearest - stamp) <= self.tick // 2 else stamp
-
-    def are_complete(self, begin: int, end: int) -> bool:
-        """Return whether the states cover a time span without a gap."""
-        first, last = np.searchsorted(self.stamps, [begin + 1, end])
-        if first == 0 or last == self.stamps.size:
-            return False
-        return bool(np.diff(self.stamps[first - 1:last + 1]).max() < 1.5 * self.tick)
 
 
 class LayerStates(NamedTuple):
     """States of the layer over time."""
 
     stamps: Stamps  # (n,) [ns]
-    height: Floats  # (n, points) Heights of points from plate to top, evenly spaced at rest. [m]
-    strain: Floats  # (n, points) Strain at these points. [-]
+    bottom: Floats  # (n,) Height of the lower end. [m]
+    top: Floats  # (n,) Height of the upper end. [m]
+    strain: Floats  # (n, points) Strain from plate to top, at points evenly spaced at rest. [-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +109,7 @@ class ThrowStart:
     stamp: int
     number: int
     time_scale: float
-    has_field: bool = False  # as far as is known
+    ejection_time: float | None = None  # from the start; None if there is none so far [s]
 
     def seconds_to(self, stamps: Any) -> Any:
         """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
@@ -154,28 +121,17 @@ class ThrowStart:
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
-    """Return the throws of each twin; only messages with `has_throws` are needed."""
-    throws: dict[str, list[ThrowStart]] = {}
+    """Return the throws of each twin from the messages of journals."""
+    throws: dict[str, dict[int, ThrowStart]] = {}  # by twin and stamp
     readers: dict[str, TwinReader] = {}
     for message in messages:
-        node, topic = identify(message.channel.topic, message.channel.type)
-        if topic == TWIN_TOPICS.throw_field and throws.get(node):
-            throws[node][-1] = replace(throws[node][-1], has_field=True)
-        elif topic == TWIN_TOPICS.journal:
-            reader = readers.setdefault(node, TwinReader())
-            before = reader.throw
-            try:
-                reader.read_journal(message)
-            except DECODING_ERRORS:
-                continue  # the view counts it as unreadable
-            if reader.throw is not None and reader.throw is not before:
-                throws.setdefault(node, []).append(reader.throw)
-    return throws
-
-
-def has_throws(topic: str, type_name: str) -> bool:
-    """Return whether a topic contains the starts of throws, or shows that they are complete."""
-    return identify(topic, type_name)[1] in (TWIN_TOPICS.journal, TWIN_TOPICS.throw_field)
+        node, _ = identify(message.channel.topic, message.channel.type)
+        reader = readers.setdefault(node, TwinReader())
+        with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
+            reader.read_journal(message)
+        if reader.throw is not None:
+            throws.setdefault(node, {})[reader.throw.stamp] = reader.throw
+    return {node: list(by_stamp.values()) for node, by_stamp in throws.items()}
 
 
 @functools.cache
@@ -193,11 +149,12 @@ class TwinReader:
         self.settings: Settings = TWIN.defaults()  # of the present throw
         self.wanted: Settings = {}  # of the next throw, with all pending changes
         self.throw: ThrowStart | None = None  # the last one
-        self.ejection_time: float | None = None  # in this throw; None if unknown [s]
-        self.states: RigStates | None = None  # from one state before this throw on
-        self._schedule: TickSchedule | None = None
         self._motions: dict[str, str] = {}  # encoded motions by file
         self._rest_heights: tuple[float, float] | None = None  # heights measured before the throw
+        self._published = np.empty(0, np.int64)  # when the last states were published [ns]
+        self.span = math.inf, -math.inf  # stamps of the first and the last state [ns]
+        none = np.empty((0, len(JOINTS)))
+        self._states = RigStates(self._published, none, none, none)  # the last ones
 
     @property
     def time_scale(self) -> float:
@@ -211,18 +168,24 @@ class TwinReader:
 
     def stamp_of(self, message: Message) -> int:
         """Return the stamp of the step of a message without a stamp [ns]."""
-        published = _published(message)
-        return published if self.states is None else self.states.stamp_of(published)
+        published = _published(message)  # by another clock, perhaps, than the stamps
+        if not self._published.size:
+            return published
+        row = int(np.searchsorted(self._published, published, side='right')) - 1
+        return int(self._states.stamps[max(row, 0)])
 
     # the journal
 
-    def read_journal(self, message: Message) -> None:
-        """Apply a line of the journal: a throw, a rig, or pending changes."""
+    def read_journal(self, message: Message) -> tuple[int, Rig] | None:
+        """
+        Apply a line of the journal: a throw, a rig, or pending changes.
+
+        Return a rig that takes effect, with the stamp of that time [ns]; None if none does.
+        """
         entry = journal.decode(str(decode(message).data))
         self._motions |= entry.get('motions', {})
+        rig, stamp = self.rig, self.stamp_of(message)
         match entry['kind']:
-            case 'tick_schedule':
-                self._schedule = journal.decode_schedule(entry)
             case 'input' if entry.get('input') == 'parameters':
                 self.wanted = {**self.wanted, **_known(entry['values'])}
             case 'input' if entry.get('input') == 'reset' and self.wanted:
@@ -230,15 +193,12 @@ class TwinReader:
             case 'start':
                 self._set_rig(_complete(entry))
             case 'throw':
-                self._start_throw(entry, self.stamp_of(message))
-            case 'result':
-                self.note_result(entry['result'])
-
-    def note_result(self, values: Mapping[str, object]) -> None:
-        """Store the ejection time of the present throw."""
-        time = values.get('ejection_time')
-        if self.throw is None or values.get('throw') == self.throw.number:
-            self.ejection_time = time if isinstance(time, float) and time > 0.0 else None
+                stamp = self._start_throw(entry)
+            case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
+                time = entry['result'].get('ejection_time')
+                is_release = isinstance(time, float) and time > 0.0
+                self.throw = replace(self.throw, ejection_time=time if is_release else None)
+        return None if self.rig is None or self.rig is rig else (stamp, self.rig)
 
     def _set_rig(self, settings: Settings) -> None:
         """Apply settings, and clear pending changes."""
@@ -250,26 +210,21 @@ class TwinReader:
         """Return the motion of a file from the journal; the file itself is not opened."""
         return _decode_motion(self._motions[path])
 
-    def _start_throw(self, entry: journal.Entry, stamp: int) -> None:
-        """Apply the line of the start of a throw, and determine the stamp of the start."""
-        settings, step = _complete(entry), operator.index(entry['step'])
-        number = operator.index(entry.get('throw', 0))
-        if entry.get('schedule'):
-            self._schedule = journal.decode_schedule(entry['schedule'])
-        due = stamp if self._schedule is None else self._schedule.deadline(step)
-        onset = entry.get('onset')
-        self._rest_heights = None
-        if onset is not None:
-            due = operator.index(onset['onset_ns'])
-            self._rest_heights = onset['plate_rest'], onset['projectile_rest'] or math.nan
-        stamp = due if abs(due - stamp) < _SAME_CLOCK else stamp
-        if self.states is not None:
-            first = max(int(np.searchsorted(self.states.stamps, stamp)) - 1, 0)
-            self.states = self.states.select(slice(first, None))
+    def _start_throw(self, entry: journal.Entry) -> int:
+        """Apply the line of the start of a throw, and return the stamp of the start."""
+        settings = _complete(entry)
+        if 'onset' in entry:
+            onset = journal.decode_onset(entry['onset'])
+            stamp, rest_heights = onset.onset_ns, (onset.rest.plate, onset.rest.projectile)
+        else:
+            stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
+            rest_heights = None
+        number = operator.index(entry['throw'])
         self._set_rig(settings)
         self.wanted = {**settings, **_known(entry.get('pending', {}))}
+        self._rest_heights = rest_heights
         self.throw = ThrowStart(stamp=stamp, number=number, time_scale=self.time_scale)
-        self.ejection_time = None
+        return stamp
 
     # plate and projectile
 
@@ -280,24 +235,21 @@ class TwinReader:
             return None
         columns = [joints.names.index(name) for name in JOINTS]
         missing = np.zeros((len(messages), len(JOINTS)))
-        position, velocity, force = (
+        states = RigStates(joints.stamps, *(
             values[:, columns] if values.shape[1] == len(joints.names) else missing
             for values in (joints.position, joints.velocity, joints.effort)
-        )
-        _check_numbers(position, velocity, force)
-        states = RigStates.join(RigStates(
-            stamps=joints.stamps,
-            published=np.array([_published(message) for message in messages]),
-            position=position,
-            velocity=velocity,
-            force=force,
         ))
-        before = () if self.states is None else (self.states,)
-        self.states = RigStates.join(*before, states).select(slice(-_KEPT_STATES, None))
+        first, last = self.span
+        self.span = min(first, int(states.stamps.min())), max(last, int(states.stamps.max()))
+        published = [_published(message) for message in messages]
+        self._published = np.append(self._published, published)[-_KEPT_STATES:]
+        self._states = RigStates(*(
+            np.concatenate(pair)[-_KEPT_STATES:] for pair in zip(self._states, states, strict=True)
+        ))
         return states
 
     def read_positions(
-        self, topic: Topic, messages: Sequence[Message]
+        self, messages: Sequence[Message], topic: Topic
     ) -> tuple[Stamps, Floats] | None:
         """
         Read measured positions, predicted positions or residuals.
@@ -316,8 +268,7 @@ class TwinReader:
             if self._rest_heights is None or self.rig is None:
                 return None
             position -= [self._rest_heights[0], self._rest_heights[1] - self.rig.rest_height]
-        is_number = (np.abs(position) <= _LARGEST).any(axis=1)
-        return joints.stamps[is_number], position[is_number]
+        return joints.stamps, position
 
     def read_phase_changes(self, messages: Sequence[Message]) -> list[tuple[int, str]]:
         """Read stamps [ns] and names of phases; those of another machine are left out."""
@@ -332,30 +283,29 @@ class TwinReader:
     def read_layer(self, messages: Sequence[Message]) -> LayerStates | None:
         """Read messages of the layer; None while the rig is not known."""
         joints = _read_joint_states(messages)
-        if len(joints.names) < 2 or joints.position.shape[1] != len(joints.names):
-            raise MessageError(f'a layer of {len(joints.names)} joints')
-        _check_numbers(joints.position)
+        if joints.position.shape[1] != FIELD_POINTS:
+            raise MessageError(f'a layer of {FIELD_POINTS} joints, got {joints.position.shape[1]}')
         if self.rig is None:
             return None
-        step = self.rig.layer.thickness / (len(joints.names) - 1)
-        strain = np.asarray(np.gradient(joints.position, step, axis=1) - 1.0)
-        return LayerStates(joints.stamps, joints.position, strain)
+        height, step = joints.position, self.rig.layer.thickness / (FIELD_POINTS - 1)
+        strain = np.asarray(np.gradient(height, step, axis=1) - 1.0)
+        return LayerStates(joints.stamps, height[:, 0], height[:, -1], strain)
 
     def read_field(self, message: Message) -> StrainField | None:
         """Read the field of the throw under way; None while no throw is known."""
-        strain, throw = _read_array(message), self.throw
+        strain, throw = _read_array(message, FIELD_POINTS), self.throw
         if self.rig is None or throw is None:
             return None
         span = max(throw.seconds_to(self.stamp_of(message)), throw.time_scale / SECOND)
-        if self.ejection_time is not None:
-            span = _FIELD_SPAN * self.ejection_time
+        if throw.ejection_time is not None:
+            span = _FIELD_SPAN * throw.ejection_time
         times = np.linspace(0.0, span, strain.shape[0])
         return StrainField(
             times=times,
             stamps=throw.stamps_at(times),
             strain=strain,
             thickness=self.rig.layer.thickness,
-            ejection_time=self.ejection_time,
+            ejection_time=throw.ejection_time,
         )
 
     def read_energies(self, message: Message) -> tuple[Stamps, Floats] | None:
@@ -364,49 +314,65 @@ class TwinReader:
 
         Return None while no throw is known.
         """
-        array = _read_array(message)
-        if array.shape[1] != len(ENERGIES):
-            raise MessageError(f'energies of {len(ENERGIES)} columns, got {array.shape[1]}')
+        array = _read_array(message, len(ENERGIES))
         return None if self.throw is None else (self.throw.stamps_at(array[:, 0]), array[:, 1:])
 
     def interpolate_throw(self, field: StrainField) -> tuple[Floats, LayerStates] | None:
         """
         Return positions of plate and projectile, shape (n, 2), and the layer at times of a field.
 
-        Return None if not all state messages of the throw are there.
+        Return None if the states of the throw are not there.
         """
-        states, throw = self.states, self.throw
-        if states is None or throw is None:
-            return None
-        if not states.are_complete(int(field.stamps[0]), int(field.stamps[-1])):
+        stamps, rows = np.unique(self._states.stamps, return_index=True)
+        if self.throw is None or not stamps.size or field.stamps[0] < stamps[0]:
             return None
         path = CubicHermiteSpline(
-            throw.seconds_to(states.stamps), states.position, states.velocity
+            self.throw.seconds_to(stamps),
+            self._states.position[rows],
+            self._states.velocity[rows],
         )
         position = path(field.times)
-        step = field.thickness / (field.strain.shape[1] - 1)
-        rise = cumulative_trapezoid(1.0 + field.strain, dx=step, axis=1, initial=0.0)
-        return position, LayerStates(field.stamps, rise + position[:, :1], field.strain)
+        stretch = trapezoid(field.strain, dx=1.0 / (FIELD_POINTS - 1), axis=1)
+        bottom = position[:, 0]
+        top = bottom + field.thickness * (1.0 + stretch)
+        return position, LayerStates(field.stamps, bottom, top, field.strain)
+
+    # results
+
+    def read_results(self, message: Message) -> list[tuple[int, Values]]:
+        """Read results of throws with their stamps; early ones have the stamp of the start."""
+        results = []
+        for stamp, _, values in read_statuses(message):
+            is_early = values.get('stage') in ('predicted', 'release')
+            if self.throw and is_early and values.get('throw') == self.throw.number:
+                stamp = self.throw.stamp  # noqa: PLW2901
+            results.append((stamp, values))
+        return results
+
+    def read_recommendations(self, message: Message) -> list[tuple[int, str, Values]]:
+        """Read stamps, sentences and values of recommendations."""
+        return [
+            (stamp, str(status.message), values)
+            for stamp, status, values in read_statuses(message)
+        ]
 
 
 # messages
 
 
-def _read_joint_states(messages: Sequence[Message]) -> JointStates:
-    return JointStateReader().read_all([message.data for message in messages])
+def read_statuses(message: Message) -> list[tuple[int, Any, Values]]:
+    """Return stamp, status and its named values, for each status of a DiagnosticArray."""
+    array = decode(message)
+    stamp = to_ns(array.header.stamp)
+    return [
+        (stamp, status, {str(item.key): _number_or_text(item.value) for item in status.values})
+        for status in array.status
+    ]
 
 
 def to_ns(time: Any) -> int:  # a builtin_interfaces/Time
     """Return a time [ns]."""
     return int(time.sec * SECOND + time.nanosec)
-
-
-def read_statuses(message: Message) -> Iterator[tuple[int, Any, dict[str, float | str]]]:
-    """Yield stamp, status and its named values, for each status of a DiagnosticArray."""
-    array = decode(message)
-    for status in array.status:
-        values = {str(item.key): _number_or_text(item.value) for item in status.values}
-        yield to_ns(array.header.stamp), status, values
 
 
 def _number_or_text(text: str) -> float | str:
@@ -424,19 +390,25 @@ def _published(message: Message) -> int:
     return published
 
 
-def _read_array(message: Message) -> Floats:
-    """Read an array of at least two rows and columns."""
+def _read_joint_states(messages: Sequence[Message]) -> JointStates:
+    joints = JointStateReader().read_all([message.data for message in messages])
+    _check_numbers(joints.position, joints.velocity, joints.effort)
+    return joints
+
+
+def _read_array(message: Message, columns: int) -> Floats:
+    """Read an array of at least two rows, and of a number of columns."""
     array = decode(message)
     values = np.reshape(array.data, [axis.size for axis in array.layout.dim])
-    if values.ndim != 2 or min(values.shape) < 2 or values.size > _LARGEST:
-        raise MessageError(f'an array of 2 dimensions, not {values.shape}')
+    if values.ndim != 2 or values.shape[0] < 2 or values.shape[1] != columns:
+        raise MessageError(f'an array of {columns} columns, got shape {values.shape}')
     _check_numbers(values)
     return values
 
 
 def _check_numbers(*arrays: Floats) -> None:
-    """Refuse numbers that no twin has, nor NaN."""
-    if not all((np.abs(values) <= _LARGEST).all() for values in arrays):
+    """Refuse numbers that no twin has; NaN is a missing measurement."""
+    if any((np.abs(values) > _LARGEST).any() for values in arrays):
         raise MessageError(f'a number beyond {_LARGEST:g}')
 
 
@@ -458,3 +430,28 @@ def _known(settings: Settings) -> Settings:
         for name, value in TWIN.without_deprecated(settings).items()
         if name in TWIN.by_name
     }
+
+
+READERS: Mapping[Topic, Callable[[TwinReader, Any], Any]] = {
+    TWIN_TOPICS.journal: TwinReader.read_journal,
+    TWIN_TOPICS.joint_states: TwinReader.read_states,
+    **{
+        topic: functools.partial(TwinReader.read_positions, topic=topic)
+        for topic in (
+            TWIN_TOPICS.measured_joint_states,
+            TWIN_TOPICS.predicted_joint_states,
+            TWIN_TOPICS.residual,
+        )
+    },
+    TWIN_TOPICS.layer_joint_states: TwinReader.read_layer,
+    TWIN_TOPICS.phase_change: TwinReader.read_phase_changes,
+    TWIN_TOPICS.throw_result: TwinReader.read_results,
+    TWIN_TOPICS.recommendation: TwinReader.read_recommendations,
+    TWIN_TOPICS.throw_field: TwinReader.read_field,
+    TWIN_TOPICS.throw_energies: TwinReader.read_energies,
+}
+"""
+Methods that read a message, or several ones of joints; None or an empty result shows nothing.
+
+Later methods need the data of earlier ones.
+"""

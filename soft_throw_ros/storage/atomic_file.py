@@ -37,7 +37,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
         Temporary file for the content.
 
     """
-    beside = path.with_name(f'{path.name}.{os.getpid()}.tmp')
+    beside = path.parent / f'{path.name}.{os.getpid()}.tmp'
     try:
         yield beside
         with beside.open('rb+') as file:

@@ -22,16 +22,14 @@ from typing import Any
 from bags import text
 import numpy as np
 import pytest
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.configuration.interface import JOINT_STATE, Topic, TWIN_TOPICS
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.timeseries import (
     DECODING_ERRORS,
     find_throws,
     identify,
-    LayerStates,
-    read_statuses,
-    StrainField,
+    READERS,
     TwinReader,
 )
 from soft_throw_ros.storage.message import Message
@@ -67,71 +65,32 @@ def measured() -> Any:
 
 
 class Read:
-    """Series read from messages, one by one or in batches of states."""
+    """The content of messages, read one by one, by topic."""
 
-    def __init__(self, messages: Sequence[Message], *, batch: int = 1) -> None:
-        self.reader = reader = TwinReader()
-        self.states: list[Any] = []
-        self.layers: list[LayerStates] = []
-        self.fields: list[StrainField] = []
+    def __init__(self, messages: Sequence[Message]) -> None:
+        self.reader = TwinReader()
+        self.contents: dict[Topic, list[Any]] = {topic: [] for topic in READERS}
+        self.fields = self.contents[TWIN_TOPICS.throw_field]
         self.throws: list[Any] = []  # positions and layer at the times of the field
-        self.energies: list[Any] = []  # stamps and values
-        self.positions: dict[Any, list[Any]] = {}
-        self.rigs: list[tuple[int, Rig]] = []
-        waiting: list[Message] = []
         for message in messages:
             _, topic = identify(message.channel.topic, message.channel.type)
-            if topic == TWIN_TOPICS.joint_states:
-                waiting.append(message)
-                if len(waiting) < batch:
-                    continue
-            if waiting:
-                self._add(self.states, reader.read_states(waiting))
-                waiting = []
-            rig = reader.rig
-            if topic == TWIN_TOPICS.journal:
-                reader.read_journal(message)
-                if reader.rig is not rig:
-                    self.rigs.append((reader.stamp_of(message), reader.rig))
-            elif topic == TWIN_TOPICS.layer_joint_states:
-                self._add(self.layers, reader.read_layer([message]))
-            elif topic == TWIN_TOPICS.throw_result:
-                for _, _, values in read_statuses(message):
-                    reader.note_result(values)
-            elif topic == TWIN_TOPICS.throw_field:
-                field = reader.read_field(message)
-                self._add(self.fields, field)
-                self._add(self.throws, reader.interpolate_throw(field))
-            elif topic == TWIN_TOPICS.throw_energies:
-                self._add(self.energies, reader.read_energies(message))
-            elif topic in AUXILIARY:
-                self._add(
-                    self.positions.setdefault(topic, []), reader.read_positions(topic, [message])
-                )
-        if waiting:
-            self._add(self.states, reader.read_states(waiting))
-
-    @staticmethod
-    def _add(items: list[Any], item: Any) -> None:
-        if item is not None:
-            items.append(item)
+            if topic not in READERS:
+                continue
+            data = [message] if topic.type == JOINT_STATE else message
+            content = READERS[topic](self.reader, data)
+            if content:
+                self.contents[topic].append(content)
+            if content and topic == TWIN_TOPICS.throw_field:
+                self.throws.append(self.reader.interpolate_throw(content))
 
 
-AUXILIARY = (
-    TWIN_TOPICS.measured_joint_states,
-    TWIN_TOPICS.predicted_joint_states,
-    TWIN_TOPICS.residual,
-)
-
-
-def joined(items: Sequence[Any], name: str | int) -> Any:
-    return np.concatenate(
-        [item[name] if isinstance(name, int) else getattr(item, name) for item in items]
-    )
+def joined(items: Sequence[Any], index: int) -> Any:
+    return np.concatenate([item[index] for item in items])
 
 
 def test_energies_of_a_throw_have_its_times(slow) -> None:
-    ((stamps, energies),), (field,) = slow.read.energies, slow.read.fields
+    ((stamps, energies),) = slow.read.contents[TWIN_TOPICS.throw_energies]
+    (field,) = slow.read.fields
     (shown,) = [outputs.throw_field for outputs in slow.outputs if outputs.throw_field]
     np.testing.assert_array_equal(energies, shown.energies[:, 1:])
     assert stamps.tolist() == field.stamps[::4][:stamps.size].tolist()
@@ -143,10 +102,11 @@ def test_layer_agrees_with_the_session(slow) -> None:
     stamps = [slow.schedule.deadline(step) for step, _ in rows]
     height, _, force = (np.array([layer[index] for _, layer in rows]) for index in range(3))
     strain = -force / (Rig().layer.youngs_modulus * Rig().layer.section)
-    layers = slow.read.layers
-    assert joined(layers, 'stamps').tolist() == stamps
-    np.testing.assert_allclose(joined(layers, 'height'), height, atol=2e-6)
-    assert np.abs(joined(layers, 'strain') - strain).mean() < 1e-3
+    layers = slow.read.contents[TWIN_TOPICS.layer_joint_states]
+    assert joined(layers, 0).tolist() == stamps
+    np.testing.assert_allclose(joined(layers, 1), height[:, 0], atol=2e-6)
+    np.testing.assert_allclose(joined(layers, 2), height[:, -1], atol=2e-6)
+    assert np.abs(joined(layers, 3) - strain).mean() < 1e-3
 
 
 def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None:
@@ -158,7 +118,7 @@ def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None
     assert field.stamps[0] == slow.schedule.deadline(0)
     np.testing.assert_array_equal(layer.stamps, field.stamps)
     in_contact = field.times < field.ejection_time
-    top = layer.height[in_contact, -1]
+    top = layer.top[in_contact]
     np.testing.assert_allclose(top, position[in_contact, 1], atol=2e-6)
     assert np.ptp(top) > 1e-3
 
@@ -172,26 +132,20 @@ def test_positions_between_states_agree_with_the_model(real) -> None:
     np.testing.assert_allclose(position[:, 1], path.projectile_position, atol=5e-6)
 
 
-def test_result_does_not_depend_on_batches(real) -> None:
-    one = real.read.states
-    for batch in (7, 100):
-        many = Read(real.messages, batch=batch).states
-        for name in ('stamps', 'position', 'velocity'):
-            np.testing.assert_allclose(joined(many, name), joined(one, name), rtol=0, atol=1e-15)
-
-
 def test_rig_changes_with_a_throw_or_reset_and_requests_are_known_before() -> None:
     twin = TwinMessages(throw__period=0.1, time_scale=0.1).go(1500)
     twin.change(layer__thickness=0.01)
     before = Read(twin.messages).reader
     assert (before.wanted_rig(), before.rig) == (Rig(layer=Layer(thickness=0.01)), Rig())
     read = Read(twin.go(1000).messages)
-    first, second = find_throws(twin.messages)['/twin'][:2]
-    assert first.has_field
-    assert read.energies[1][0][0] == read.fields[1].stamps[0] == second.stamp
+    journal = [item for item in twin.messages if item.channel.topic == '/twin/journal']
+    first, second = find_throws(journal)['/twin'][:2]
+    assert first.ejection_time == read.fields[0].ejection_time
+    energies = read.contents[TWIN_TOPICS.throw_energies]
+    assert energies[1][0][0] == read.fields[1].stamps[0] == second.stamp
     twin.change(layer__thickness=0.012)
     twin.session.reset()
-    rigs = Read(twin.go(1).messages).rigs
+    rigs = Read(twin.go(1).messages).contents[TWIN_TOPICS.journal]
     assert [rig.layer.thickness for _, rig in rigs] == [0.0168, 0.01, 0.012]
 
 
@@ -216,7 +170,7 @@ def test_former_names_in_a_journal_give_the_present_rig(real) -> None:
         '{"kind": "throw", "step": 3}',
         '{"kind": "start", "step": 3, "settings": {"layer.thickness": "thick"}}',
         '{"kind": "start", "step": 3, "settings": [1]}',
-        '{"kind": "tick_schedule", "step": 3, "anchor_step": 0, "anchor_time_ns": 0, "rate": -1}',
+        '{"kind": "throw", "step": 3, "throw": 1, "settings": {}, "schedule": {"rate": -1}}',
     ],
 )
 def test_invalid_journal_lines_are_refused_like_damage(real, line) -> None:
@@ -228,8 +182,8 @@ def test_invalid_journal_lines_are_refused_like_damage(real, line) -> None:
 
 
 def test_measured_throw_and_states_have_the_same_zero_height(measured) -> None:
-    positions_read = measured.read.positions
-    (truth, predicted) = (positions_read[topic] for topic in AUXILIARY[:2])
+    truth = measured.read.contents[TWIN_TOPICS.measured_joint_states]
+    predicted = measured.read.contents[TWIN_TOPICS.predicted_joint_states]
     times, positions = joined(predicted, 0), joined(predicted, 1)
     stamps, heights = joined(truth, 0), joined(truth, 1)
     is_compared = (times[0] < stamps) & (stamps < times[20])
