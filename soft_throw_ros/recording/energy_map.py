@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import time
 from typing import NamedTuple
 
@@ -24,9 +23,10 @@ from matplotlib.figure import Figure
 import numpy as np
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.closed_form import first_releases
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import ratios_of, Rig, values_of
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording.charts import MapAxis
+from soft_throw_ros.recording.timeseries import Values
 from soft_throw_ros.twin.results import Floats
 
 MAP_SIZE = 620, 250
@@ -39,36 +39,28 @@ _COARSENESSES = (8, 4, 2, 1)
 _TIME_BUDGET = 1.0
 """The finest map is chosen that needs no longer: too heavy a projectile takes minutes. [s]"""
 
-_SMALLEST, _LARGEST = 1e-6, 1e6
-"""Limits of plausible recommended thicknesses and wave speeds, in SI units."""
-
 _SAME = 0.01
 """Largest relative difference of two layers that share a mark. [-]"""
 
-_Layer = tuple[float, float]
-"""Thickness [m] and wave speed [m/s] of a layer."""
+_MILLI = 1e3
 
 
 class EnergyMap(NamedTuple):
     """Energy transfer over all layers that are considered."""
 
-    # From each value to the next by the same factor. [m], [m/s]
-    thickness: Floats
-    wave_speed: Floats
-    # A row for each thickness; NaN where nothing is thrown. [-]
-    energy_transfer: Floats
-    # Text and layer: the layer of the rig, and maybe a recommended one
-    marks: tuple[tuple[str, _Layer], ...]
-    title: str  # Of the colours
+    axes: tuple[MapAxis, MapAxis]  # thickness and wave speed
+    energy_transfer: Floats  # a row for each thickness; NaN where nothing is thrown [-]
+    marks: list[tuple[str, float, float]]  # the layer of the rig, and maybe a recommended one
+    title: str  # of the colours
 
     def draw(self) -> Figure:
         """Draw the map with its marks and a legend."""
-        axes = MapAxis('Lₛ (mm)', 1e3 * self.thickness), MapAxis('cₛ (m/s)', self.wave_speed)
-        marks = [(text, 1e3 * thickness, speed) for text, (thickness, speed) in self.marks]
         with mpl.rc_context(charts.STYLE):
             figure = charts.new_figure(MAP_SIZE, layout='constrained')
-            panel = figure.subplots()
-            charts.draw_map(panel, axes, self.energy_transfer, label=self.title, marks=marks)
+            charts.draw_map(
+                figure.subplots(), self.axes, self.energy_transfer,
+                label=self.title, marks=self.marks,
+            )
             figure.legend(
                 loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white',
                 frameon=True,
@@ -78,63 +70,43 @@ class EnergyMap(NamedTuple):
 
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
     """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
-    releases = first_releases(
-        mass_ratio=rig.projectile.mass / (rig.layer.density * rig.layer.section * thickness),
-        speed_ratio=wave_speed / (thickness * rig.engine.frequency),
-        damping_ratio=rig.engine.damping_ratio,
-        gravity_ratio=rig.gravity_ratio,
-    )
-    return np.asarray(releases.energy_transfer)
+    values = {**values_of(rig), 'thickness': thickness, 'wave_speed': wave_speed}
+    return np.asarray(first_releases(**ratios_of(rig, values).rigid).energy_transfer)
 
 
-def compute_energy_map(
-    rig: Rig, settings: Settings, recommendation: Mapping[str, float | str]
-) -> EnergyMap:
+def compute_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> EnergyMap:
     """
     Compute the map for a rig; the marks are within it.
 
     The limits in the settings of the twin select the layers. The marks use the values of
     `~/recommendation` for this rig, which may be empty, so that they agree with the table.
     """
-    now, best = (rig.layer.thickness, rig.layer.wave_speed), _layer_of(recommendation, '')
-    is_same = best is not None and np.allclose(now, best, rtol=_SAME)
-    name = 'now, as recommended' if is_same else 'now'
-    marks = [(_mark_text(name, rig, now, recommendation, 'now.'), now)]
-    if best is not None and not is_same:
-        marks.append((_mark_text('recommended', rig, best, recommendation, ''), best))
+    layers = [('now', 'now.', (rig.layer.thickness, rig.layer.wave_speed))]
+    match [recommendation.get(name) for name in _COUNTS]:
+        case float(thickness), float(wave_speed):
+            if np.allclose(layers[0][2], (thickness, wave_speed), rtol=_SAME):
+                layers = [('now, as recommended', *layers[0][1:])]
+            else:
+                layers.append(('recommended', '', (thickness, wave_speed)))
+    marks = []
+    for name, prefix, layer in layers:
+        alpha = recommendation.get(f'{prefix}energy_transfer')
+        if not isinstance(alpha, float):
+            alpha = float(energy_transfer(rig, *np.array(layer)))
+        text = f'α {alpha:.3f}' if alpha > 0.0 else 'no release'
+        marks.append((f'{name}: {text}', _MILLI * layer[0], layer[1]))
     limits = {}
     for column, axis in enumerate(_COUNTS):
         low, high = (settings[f'recommendation.{axis}_{limit}'] for limit in ('min', 'max'))
-        marked = [layer[column] for _, layer in marks]
+        marked = [layer[column] for *_, layer in layers]
         limits[axis] = min(low, *marked), max(high, *marked)
     for coarseness in _COARSENESSES:
         begin = time.monotonic()
-        thickness, wave_speed = (
+        thicknesses, wave_speeds = (
             np.geomspace(*limits[axis], count // coarseness) for axis, count in _COUNTS.items()
         )
-        values = energy_transfer(rig, thickness[:, None], wave_speed)
+        transfer = energy_transfer(rig, thicknesses[:, None], wave_speeds)
         if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # duration of the next grid
             break
-    title = 'α, lossless' if rig.layer.loss_tangent else 'α'
-    return EnergyMap(thickness, wave_speed, values, tuple(marks), title)
-
-
-def _mark_text(
-    name: str, rig: Rig, layer: _Layer, recommendation: Mapping[str, float | str], prefix: str
-) -> str:
-    """Return the text of a mark, with the recommendation's alpha if it is of the same layer."""
-    stated = _layer_of(recommendation, prefix)
-    alpha = recommendation.get(f'{prefix}energy_transfer')
-    is_known = stated is not None and np.allclose(layer, stated, rtol=1e-6)
-    if not (is_known and isinstance(alpha, float)):
-        alpha = float(energy_transfer(rig, *np.array(layer)))
-    return f'{name}: α {alpha:.3f}' if alpha > 0.0 else f'{name}: no release'
-
-
-def _layer_of(values: Mapping[str, float | str], prefix: str) -> _Layer | None:
-    """Return thickness and wave speed if they could be those of a layer."""
-    match values.get(f'{prefix}thickness'), values.get(f'{prefix}wave_speed'):
-        case float(thickness), float(wave_speed):
-            if all(_SMALLEST < value < _LARGEST for value in (thickness, wave_speed)):
-                return thickness, wave_speed
-    return None
+    axes = MapAxis('Lₛ (mm)', _MILLI * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
+    return EnergyMap(axes, transfer, marks, 'α, lossless' if rig.layer.loss_tangent else 'α')

@@ -57,33 +57,25 @@ def test_energy_transfer_of_other_layers_agrees_with_the_model() -> None:
         ({}, ['now: α 3.637']),
         (BEST, ['now: α 3.637', 'recommended: α 4.143']),
         ({'thickness': 0.0169, 'wave_speed': 7.8}, ['now, as recommended: α 3.637']),
-        ({**BEST, 'thickness': -1.0}, ['now: α 3.637']),
-        # present values count only if they are those of the shown rig
-        (
-            {'now.thickness': 0.0168, 'now.wave_speed': 7.8, 'now.energy_transfer': 3.5, **BEST},
-            ['now: α 3.500', 'recommended: α 4.143'],
-        ),
-        (
-            {'now.thickness': 0.0100, 'now.wave_speed': 7.8, 'now.energy_transfer': 3.5},
-            ['now: α 3.637'],
-        ),
+        ({'now.energy_transfer': 3.5, **BEST}, ['now: α 3.500', 'recommended: α 4.143']),
     ],
 )
 def test_marks_are_the_layer_of_the_rig_and_the_recommended_one(values, expected) -> None:
     energy_map = compute_energy_map(Rig(), TWIN.defaults(), values)
-    assert [text for text, _ in energy_map.marks] == expected
+    assert [text for text, *_ in energy_map.marks] == expected
 
 
 def test_map_extends_beyond_the_considered_layers() -> None:
     energy_map = compute_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {})
-    assert (energy_map.thickness[0], energy_map.thickness[-1]) == pytest.approx((1e-3, 0.08))
+    thickness = energy_map.axes[0].values
+    assert (thickness[0], thickness[-1]) == pytest.approx((1.0, 80.0))
     assert np.nanmax(energy_map.energy_transfer) > 4.0
 
 
 def test_map_without_a_release_has_a_note() -> None:
     """Proving that a layer never throws takes milliseconds, so the map is coarse."""
     energy_map = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
-    assert [text for text, _ in energy_map.marks] == ['now: no release']
+    assert [text for text, *_ in energy_map.marks] == ['now: no release']
     assert np.isnan(energy_map.energy_transfer).any()
     assert energy_map.energy_transfer.size < 160 * 100
 
