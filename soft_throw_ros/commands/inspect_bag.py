@@ -101,7 +101,7 @@ def _parser() -> CommandParser:
     )
     add('--size', metavar='WxH', type=_size, default='1600x1000',
         help='screenshot size in pixels (default %(default)s)')
-    add('--throw', metavar='N', type=int, help='show this throw (default the last whole one)')
+    add('--throw', metavar='N', type=int, help='show this throw (default the last one with a release)')
     add(
         '--at', metavar='TIME', type=any_number,
         help='show it at this time of the rig since the throw started, in seconds '

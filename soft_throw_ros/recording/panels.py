@@ -27,7 +27,6 @@ from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
-from soft_throw_ros.recording.rerun_canvas import Text
 from soft_throw_ros.recording.rerun_layout import with_hysteresis
 from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps, StrainField, Values
 
@@ -80,7 +79,7 @@ class RigPicture:
             ('plate/layer_text', 'layer', -0.5 * _MILLI * rig.layer.thickness),
             ('projectile/text', 'projectile', -0.5 * length),
         ):
-            label = drawing.texts([Text(0.95 * diameter, y, text, drawing.WHITE)])
+            label = drawing.texts([(0.95 * diameter, y)], [text], drawing.WHITE)
             self._canvas.log_latched(f'{self._path}/{name}', stamp, label)
         width, low, high = self.bounds
         locator = MaxNLocator(8, steps=[1, 2, 5, 10])
@@ -90,8 +89,9 @@ class RigPicture:
         strips += [[(x - 0.06 * width, -tick), (x, -tick)] for tick in ticks]
         self._canvas.log_latched(f'{self._path}/ruler', stamp, drawing.lines(strips, drawing.GREY))
         lift = 0.009 * (high - low)  # texts stand below their places
-        rows = [Text(x - 0.17 * width, -tick - lift, f'{tick:g}') for tick in ticks]
-        self._canvas.log_latched(f'{self._path}/ruler/texts', stamp, drawing.texts(rows))
+        places = [(x - 0.17 * width, -tick - lift) for tick in ticks]
+        numbers = drawing.texts(places, [f'{tick:g}' for tick in ticks])
+        self._canvas.log_latched(f'{self._path}/ruler/texts', stamp, numbers)
 
     def draw_positions(self, stamps: Stamps, position: Floats) -> None:
         """Move plate and projectile."""
@@ -137,13 +137,13 @@ class StrainPicture:
         log(f'{path}/frame', start, drawing.encoded_image(frame))
         pixels = charts.signed_colours(field.strain.T[::-1], limit)
         log(f'{path}/picture', start, *drawing.picture(pixels, x=x, y=y, w=width, h=height))
-        strips, titles = [], []
+        strips, places, titles = [], [], []  # nothing replaces the line of another throw
         if field.ejection_time is not None:
             at = x + width * field.ejection_time / end
-            strips = [[(at, y), (at, y + height)]]
-            titles = [Text(at, y - 37.0, f'tₑ {_MILLI * field.ejection_time:.2f} ms')]
+            strips, places = [[(at, y), (at, y + height)]], [(at, y - 37.0)]
+            titles = [f'tₑ {_MILLI * field.ejection_time:.2f} ms']
         log(f'{path}/ejection', start, drawing.lines(strips, drawing.BLACK))
-        log(f'{path}/ejection/text', start, drawing.texts(titles))
+        log(f'{path}/ejection/text', start, drawing.texts(places, titles))
         cursors = np.zeros((stamps.size, 2, 2), np.float32)
         cursors[:, :, 0] = (x + width * field.times / end)[:, None]
         cursors[:, :, 1] = y, y + height

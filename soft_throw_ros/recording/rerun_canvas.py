@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,15 +113,6 @@ class Canvas:
 # shapes
 
 
-class Text(NamedTuple):
-    """A text whose upper edge is a little below the point (x, y) of a view."""
-
-    x: float
-    y: float
-    text: str
-    colour: Colour = GREY
-
-
 def picture(
     pixels: Bytes, *, x: float, y: float, w: float, h: float
 ) -> tuple[rr.AsComponents, rr.AsComponents]:
@@ -149,13 +139,15 @@ def encoded_image(png: bytes) -> rr.EncodedImage:
     )
 
 
-def texts(rows: Sequence[Text]) -> rr.Points2D:
-    """Write texts."""
+def texts(
+    points: Sequence[tuple[float, float]], labels: Sequence[str], colour: Colour = GREY
+) -> rr.Points2D:
+    """Write texts whose upper edges are a little below points of a view."""
     return rr.Points2D(
-        [(row.x, row.y) for row in rows],
+        points,
         radii=rr.Radius.ui_points(0.0),
-        colors=[row.colour for row in rows],
-        labels=[row.text for row in rows],
+        colors=[colour],
+        labels=labels,
         show_labels=True,
         draw_order=_IN_FRONT,
     )
