@@ -39,7 +39,7 @@ from soft_throw_ros.commands.output import (
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer as viewer
-from soft_throw_ros.recording.timeseries import find_throws, identify, ThrowStart
+from soft_throw_ros.recording.timeseries import find_throws, identify, READERS, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
 
 if TYPE_CHECKING:
@@ -101,7 +101,8 @@ def _parser() -> CommandParser:
     )
     add('--size', metavar='WxH', type=_size, default='1600x1000',
         help='screenshot size in pixels (default %(default)s)')
-    add('--throw', metavar='N', type=int, help='show this throw (default the last one with a release)')
+    add('--throw', metavar='N', type=int,
+        help='show this throw (default the last one with a release)')
     add(
         '--at', metavar='TIME', type=any_number,
         help='show it at this time of the rig since the throw started, in seconds '
@@ -136,11 +137,11 @@ def _port(text: str) -> int:
 def _show_bag(arguments: argparse.Namespace) -> None:
     """Show a bag in one of four ways."""
     from soft_throw_ros.recording.rerun_canvas import THROW_TIME
-    from soft_throw_ros.recording.rerun_view import is_shown, Scene
+    from soft_throw_ros.recording.rerun_view import Scene
 
     with BagReader(arguments.bag) as reader:
-        if not any(is_shown(channel.topic, channel.type) for channel in reader.channels):
-            topics = ', '.join(channel.topic for channel in reader.channels)
+        if not any(identify(item.topic, item.type)[1] in READERS for item in reader.channels):
+            topics = ', '.join(item.topic for item in reader.channels)
             raise ValueError(f'{reader.path}: no topic of a twin is in the bag; topics: {topics}')
         throw = _choose_throw(reader, arguments.throw)
         scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
@@ -169,7 +170,8 @@ def _show_bag(arguments: argparse.Namespace) -> None:
             output.check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
             output.send_recording(stream, arguments.port, draw)
             cursor = _cursor(scene, throw, arguments.at)
-            viewer.go_to(arguments.port, output.store_of(stream), THROW_TIME, cursor)
+            if cursor is not None:
+                viewer.go_to(stream, arguments.port, THROW_TIME, cursor)
             stream.disconnect()
 
 

@@ -142,12 +142,12 @@ def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
     """
     with mpl.rc_context(STYLE):
         figure = new_figure(FRAME_SIZE)
-        panel = figure.add_axes(_figure_fractions(FRAME_BOX))
+        panel = _add_axes(figure, FRAME_BOX)
         panel.set(
             xlim=(0.0, duration), ylim=(0.0, thickness), xlabel='t (ms)', ylabel='y (mm)'
         )
         image = ScalarMappable(Normalize(-limit, limit), _SIGNED)
-        figure.colorbar(image, cax=figure.add_axes(_figure_fractions(_BAR_BOX)), label='ε (%)')
+        figure.colorbar(image, cax=_add_axes(figure, _BAR_BOX), label='ε (%)')
         return to_png(figure)
 
 
@@ -169,11 +169,7 @@ def new_figure(size: tuple[int, int], **options: Any) -> Figure:
     return Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, **options)
 
 
-def _figure_fractions(box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """Convert pixels, from the top left, into fractions of the frame, from the bottom left."""
-    x, y, width, height = box
-    full_width, full_height = FRAME_SIZE
-    return (
-        x / full_width, 1.0 - (y + height) / full_height,
-        width / full_width, height / full_height,
-    )
+def _add_axes(figure: Figure, box: tuple[int, int, int, int]) -> Any:
+    """Return new axes in a box of the frame: left and upper edge, width and height [pixel]."""
+    x, y, width, height = np.divide(box, 2 * FRAME_SIZE)
+    return figure.add_axes((x, 1.0 - y - height, width, height))

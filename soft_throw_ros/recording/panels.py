@@ -119,41 +119,34 @@ class RigPicture:
         self._canvas.log_columns(f'{self._path}/layer', layer.stamps, columns)
 
 
-class StrainPicture:
-    """Strain over time and height in one throw, with axes, the ejection and a moving cursor."""
+def draw_strain(canvas: drawing.Canvas, path: str, field: StrainField, limit: float) -> None:
+    """
+    Draw the strain over time and height in one throw, with axes, the ejection and a moving cursor.
 
-    def __init__(self, canvas: drawing.Canvas, path: str) -> None:
-        self._canvas = canvas
-        self._path = path
-        smooth = rr.Image.from_fields(magnification_filter='linear')
-        canvas.log_style(f'{path}/picture', smooth)
-
-    def draw(self, field: StrainField, limit: float) -> None:
-        """Draw the strain of a throw; the colours end at a limit to either side [-]."""
-        log, path, stamps = self._canvas.log_latched, self._path, field.stamps
-        start, end = int(stamps[0]), float(field.times[-1])
-        x, y, width, height = charts.FRAME_BOX
-        frame = charts.strain_frame(_MILLI * end, _MILLI * field.thickness, 100.0 * limit)
-        log(f'{path}/frame', start, drawing.encoded_image(frame))
-        pixels = charts.signed_colours(field.strain.T[::-1], limit)
-        log(f'{path}/picture', start, *drawing.picture(pixels, x=x, y=y, w=width, h=height))
-        strips, places, titles = [], [], []  # nothing replaces the line of another throw
-        if field.ejection_time is not None:
-            at = x + width * field.ejection_time / end
-            strips, places = [[(at, y), (at, y + height)]], [(at, y - 37.0)]
-            titles = [f'tₑ {_MILLI * field.ejection_time:.2f} ms']
-        log(f'{path}/ejection', start, drawing.lines(strips, drawing.BLACK))
-        log(f'{path}/ejection/text', start, drawing.texts(places, titles))
-        cursors = np.zeros((stamps.size, 2, 2), np.float32)
-        cursors[:, :, 0] = (x + width * field.times / end)[:, None]
-        cursors[:, :, 1] = y, y + height
-        columns = rr.LineStrips2D.columns(
-            strips=cursors,
-            colors=[drawing.RED] * stamps.size,
-            radii=rr.Radius.ui_points([1.0] * stamps.size),
-        ).partition([1] * stamps.size + [0])
-        after = 2 * stamps[-1] - stamps[-2]  # when the cursor disappears
-        self._canvas.log_columns(f'{path}/now', np.append(stamps, after), columns)
+    The colours end at a limit to either side [-].
+    """
+    log, stamps = canvas.log_latched, field.stamps
+    start, end = int(stamps[0]), float(field.times[-1])
+    x, y, width, height = charts.FRAME_BOX
+    frame = charts.strain_frame(_MILLI * end, _MILLI * field.thickness, 100.0 * limit)
+    log(f'{path}/frame', start, drawing.encoded_image(frame))
+    pixels = charts.signed_colours(field.strain.T[::-1], limit)
+    log(f'{path}/picture', start, *drawing.picture(pixels, x=x, y=y, w=width, h=height))
+    strips, places, titles = [], [], []  # nothing replaces the line of another throw
+    if field.ejection_time is not None:
+        at = x + width * field.ejection_time / end
+        strips, places = [[(at, y), (at, y + height)]], [(at, y - 37.0)]
+        titles = [f'tₑ {_MILLI * field.ejection_time:.2f} ms']
+    log(f'{path}/ejection', start, drawing.lines(strips, drawing.BLACK))
+    log(f'{path}/ejection/text', start, drawing.texts(places, titles))
+    cursors = np.zeros((stamps.size, 2, 2), np.float32)
+    cursors[:, :, 0] = (x + width * field.times / end)[:, None]
+    cursors[:, :, 1] = y, y + height
+    style = rr.LineStrips2D.from_fields(colors=[drawing.RED], radii=rr.Radius.ui_points(1.0))
+    canvas.log_style(f'{path}/now', style)
+    columns = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
+    after = 2 * stamps[-1] - stamps[-2]  # when the cursor disappears
+    canvas.log_columns(f'{path}/now', np.append(stamps, after), columns)
 
 
 class RecommendationPanel:

@@ -120,7 +120,8 @@ def picture(
     rows, columns = pixels.shape[:2]
     # The buffer has an explicit size, because Rerun drops sides of one pixel from an array.
     image = rr.Image(
-        bytes=pixels.tobytes(), width=columns, height=rows, color_model='RGB', datatype='U8'
+        bytes=pixels.tobytes(), width=columns, height=rows, color_model='RGB', datatype='U8',
+        magnification_filter='linear',
     )
     scale = [w / columns, h / rows, 1.0]
     return image, rr.Transform3D(translation=[x, y, 0.0], scale=scale)

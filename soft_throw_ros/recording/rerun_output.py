@@ -38,9 +38,6 @@ PROBE_TIME = 1.0
 WINDOW = ('--hide-welcome-screen', '--expect-data-soon')
 """Options of a viewer with a window."""
 
-_APPLICATION = 'soft_throw_ros'
-"""Name of the application in Rerun."""
-
 _SERVER_MEMORY = '256MB'
 
 
@@ -49,12 +46,7 @@ def new_stream() -> rr.RecordingStream:
     import rerun as rr
 
     batches = rr.ChunkBatcherConfig.LOW_LATENCY()
-    return rr.RecordingStream(_APPLICATION, batcher_config=batches, send_properties=False)
-
-
-def store_of(stream: rr.RecordingStream) -> str:
-    """Return the name of a recording in a viewer."""
-    return f'Recording:{_APPLICATION}:{stream.get_recording_id()}'
+    return rr.RecordingStream('soft_throw_ros', batcher_config=batches, send_properties=False)
 
 
 def flush(stream: rr.RecordingStream, seconds: float) -> bool:

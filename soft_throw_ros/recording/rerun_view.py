@@ -30,7 +30,7 @@ from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording import timeseries as series
-from soft_throw_ros.recording.panels import RecommendationPanel, RigPicture, StrainPicture
+from soft_throw_ros.recording.panels import draw_strain, RecommendationPanel, RigPicture
 from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart, Values
 from soft_throw_ros.storage.cdr import decode
 from soft_throw_ros.storage.message import Message
@@ -205,7 +205,6 @@ class _TwinView:
         self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
         self._canvas = canvas
         self._side = RigPicture(canvas, self._path('side'))
-        self._strain = StrainPicture(canvas, self._path('strain'))
         self._recommendation = RecommendationPanel(canvas, self._root, pool)
         self._track: dict[str, str] = {}  # texts by the task of the node
         self._present: set[str] = set()  # optional panels that are there
@@ -265,7 +264,7 @@ class _TwinView:
         contact = field.strain[field.times <= (field.ejection_time or field.times[-1])]
         limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
-        self._strain.draw(field, limit)
+        draw_strain(self._canvas, self._path('strain'), field, limit)
         throw = self.reader.interpolate_throw(field)
         if throw is not None:
             position, layer = throw
@@ -341,11 +340,6 @@ def _round_up(value: float) -> float:
     """Return a round number that is not less than a positive one."""
     unit = 10.0 ** math.floor(math.log10(value))
     return unit * next(digit for digit in (1.0, 1.5, 2.0, 3.0, 5.0, 10.0) if digit * unit >= value)
-
-
-def is_shown(topic: str, type_name: str) -> bool:
-    """Return whether a topic is one of a twin that is drawn."""
-    return _identify(topic, type_name)[1] in _DRAWERS
 
 
 def is_drawn(topic: str, type_name: str) -> bool:

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, TypeVar
 from soft_throw_ros.recording.child_process import bound_to_parent
 
 if TYPE_CHECKING:
+    import rerun as rr
     from rerun.experimental import ViewerClient
 
 Result = TypeVar('Result')
@@ -38,16 +39,10 @@ Result = TypeVar('Result')
 HOST = '127.0.0.1'
 
 START_TIME = 20.0
-"""Longest wait for a viewer to listen. [s]"""
+"""Longest wait for a viewer to listen, and for the end of one that does not answer. [s]"""
 
 _TIMEOUT = 60.0
 """Longest wait until the viewer has loaded a recording, or has drawn. [s]"""
-
-_END_TIME = 20.0
-"""Longest wait for the end of a viewer that does not answer, and for its last message. [s]"""
-
-_MAX_MESSAGES = 1 << 16
-"""Number of bytes of a viewer's messages that are read. [byte]"""
 
 _POLL = 0.05
 """Time between two checks whether a viewer listens. [s]"""
@@ -147,7 +142,7 @@ class Viewer:
         viewer = str(find_viewer())
         command = [viewer, '--bind', HOST, '--port', str(port), *_MEMORY, *map(str, options)]
         self.port = port
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        self._errors = tempfile.TemporaryFile('a+')  # noqa: SIM115
         # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
         environment = {'RUST_LOG': 'error', **os.environ, 'CI': '1'}
         self._process = subprocess.Popen(
@@ -213,13 +208,13 @@ class Viewer:
         except _CLIENT_ERRORS as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 # without graphics the viewer closes its connections seconds before it ends
-                self._process.wait(_END_TIME)
+                self._process.wait(START_TIME)
             raise self._end_with_error(f'does not draw ({error})') from None
 
     def _end_with_error(self, problem: str) -> ViewerError:
         """End the process, and return an error with its first message."""
-        # the viewer writes at the end of the same file
-        output = os.pread(self._errors.fileno(), _MAX_MESSAGES, 0).decode(errors='replace')
+        self._errors.seek(0)
+        output = self._errors.read()
         self.end()
         if any(word in output for word in _NO_GRAPHICS):
             return NoGraphicsError(
@@ -230,12 +225,12 @@ class Viewer:
         return ViewerError(f'the viewer {problem}: {reason}')
 
 
-def go_to(port: int, recording: str, timeline: str, seconds: float | None) -> None:
+def go_to(stream: rr.RecordingStream, port: int, timeline: str, seconds: float) -> None:
     """Move the cursor of a viewer to a time of a recording, if the viewer can do that [s]."""
+    import rerun as rr
     from rerun.experimental import ViewerClient
 
-    if seconds is None:
-        return
+    recording = f'Recording:{rr.get_application_id(stream)}:{rr.get_recording_id(stream)}'
     with contextlib.suppress(*_CLIENT_ERRORS):
         client = ViewerClient.connect(url_of(port))
         _request(
