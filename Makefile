@@ -36,7 +36,6 @@ PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py recorder_proce
 
 # Tests that draw with Vulkan if it is available.
 VIEWER_TESTS := $(addprefix test/,recording/test_rerun_viewer.py commands/test_inspect_bag.py \
-	recording/test_rerun_view.py::test_picture_shows_the_throw \
 	commands/test_design_map.py::test_map_is_sent_to_the_viewer_that_is_there)
 
 BIN := .venv/$(ROS_DISTRO)/bin

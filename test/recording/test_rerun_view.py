@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-import io
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.rerun_viewer import free_port
 from soft_throw_ros.recording.timeseries import find_throws
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Message
@@ -34,7 +32,7 @@ from twin_messages import TwinMessages
 
 rr = pytest.importorskip('rerun')
 
-from test.recording.rrd_files import record, RrdFile, viewer_at  # noqa: E402, I100
+from test.recording.rrd_files import record, RrdFile  # noqa: E402, I100
 
 from soft_throw_ros.recording import charts  # noqa: E402
 from soft_throw_ros.recording.energy_map import EnergyMap  # noqa: E402
@@ -294,21 +292,6 @@ def test_late_viewer_gets_the_present_state_only(twin, tmp_path) -> None:
             name.split(':')[-1] in ('colors', 'format') for name in after.components(entity)
         )
     assert 'Scalars:scalars' not in after.components('/twin/position')
-
-
-def test_picture_shows_the_throw(path) -> None:
-    image = pytest.importorskip('PIL.Image')
-    with viewer_at(free_port(), '--window-size', '1600x1000', path) as viewer:
-        data = viewer.photograph('time since throw', 0.005)
-    with image.open(io.BytesIO(data)) as opened:
-        picture = np.asarray(opened.convert('RGB')).astype(int)
-    assert picture.shape == (1000, 1600, 3)
-    red, green, blue = picture[60:580, 20:360].reshape(-1, 3).T
-    is_compressed = (red > green + 40) & (green > blue + 40)
-    is_projectile = (blue > red + 80) & (blue > green + 20)
-    assert is_compressed.sum() > 1000
-    # Areas are to scale: 16.8 mm of layer, partly unstrained, below 8.2 mm of projectile
-    assert 0.3 < is_projectile.sum() / is_compressed.sum() < 1.0
 
 
 def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
