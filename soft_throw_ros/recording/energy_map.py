@@ -29,8 +29,8 @@ from soft_throw_ros.recording.charts import MapAxis
 from soft_throw_ros.recording.timeseries import Values
 from soft_throw_ros.twin.results import Floats
 
-MAP_SIZE = 620, 250
-"""Width and height of the map in the viewer. [pixel]"""
+_SIZE = 620, 250
+"""Width and height of the picture. [pixel]"""
 
 _COUNTS = {'thickness': 160, 'wave_speed': 100}
 """Values on each axis of the finest map. [-]"""
@@ -56,7 +56,7 @@ class EnergyMap(NamedTuple):
     def draw(self) -> Figure:
         """Draw the map with its marks and a legend."""
         with mpl.rc_context(charts.STYLE):
-            figure = charts.new_figure(MAP_SIZE, layout='constrained')
+            figure = charts.new_figure(_SIZE, layout='constrained')
             charts.draw_map(
                 figure.subplots(), self.axes, self.energy_transfer,
                 label=self.title, marks=self.marks,

@@ -133,10 +133,11 @@ def draw_strain(canvas: drawing.Canvas, path: str, field: StrainField, limit: fl
     pixels = charts.signed_colours(field.strain.T[::-1], limit)
     log(f'{path}/picture', start, *drawing.picture(pixels, x=x, y=y, w=width, h=height))
     strips, places, titles = [], [], []  # nothing replaces the line of another throw
-    if field.ejection_time is not None:
-        at = x + width * field.ejection_time / end
+    ejection_time = field.throw.ejection_time
+    if ejection_time is not None:
+        at = x + width * ejection_time / end
         strips, places = [[(at, y), (at, y + height)]], [(at, y - 37.0)]
-        titles = [f'tₑ {_MILLI * field.ejection_time:.2f} ms']
+        titles = [f'tₑ {_MILLI * ejection_time:.2f} ms']
     log(f'{path}/ejection', start, drawing.lines(strips, drawing.BLACK))
     log(f'{path}/ejection/text', start, drawing.texts(places, titles))
     cursors = np.zeros((stamps.size, 2, 2), np.float32)

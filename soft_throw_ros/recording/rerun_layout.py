@@ -21,7 +21,6 @@ from typing import NamedTuple
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.configuration.interface import ENERGIES, TWIN_TOPICS
-from soft_throw_ros.recording import charts, energy_map
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording.rerun_canvas import BLUE, Colour, GREEN, GREY, ORANGE, RED
 
@@ -97,8 +96,8 @@ COLUMNS = (
         Panel('residual', 'plot', 'Model less measurement (µm)', 3.0),
     )),
     (4.2, (
-        Panel('strain', 'strain', 'Strain ε(y, t) in the throw', 2.7),
-        Panel('landscape', 'map', 'Energy transfer α(Lₛ, cₛ)', 3.5),
+        Panel('strain', 'image', 'Strain ε(y, t) in the throw', 2.7),
+        Panel('landscape', 'image', 'Energy transfer α(Lₛ, cₛ)', 3.5),
         Panel('recommendation', 'text', 'Recommended layer', 4.15),
         Panel('track', 'text', 'Measured track', 1.9),
         Panel(LOG, 'log', 'Log', 2.25),
@@ -170,10 +169,8 @@ def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
             half, low, high = twin.side
             bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
-        case 'strain' | 'map':
-            width, height = charts.FRAME_SIZE if panel.kind == 'strain' else energy_map.MAP_SIZE
-            bounds = rrb.VisualBounds2D(x_range=[0.0, width], y_range=[0.0, height])
-            return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
+        case 'image':
+            return rrb.Spatial2DView(origin=origin, name=panel.title)
         case 'phase':
             return rrb.StateTimelineView(origin=origin, name=panel.title, time_view=window)
         case 'plot':

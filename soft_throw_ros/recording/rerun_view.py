@@ -261,7 +261,7 @@ class _TwinView:
         self._side.draw_layer(layer)
 
     def draw_field(self, field: series.StrainField) -> None:
-        contact = field.strain[field.times <= (field.ejection_time or field.times[-1])]
+        contact = field.strain[field.times <= (field.throw.ejection_time or field.times[-1])]
         limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
         self._side.largest_strain = limit
         draw_strain(self._canvas, self._path('strain'), field, limit)

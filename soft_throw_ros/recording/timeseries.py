@@ -92,17 +92,6 @@ class LayerStates(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StrainField:
-    """Strain of the layer over time and height, in one throw."""
-
-    times: Floats  # (n,) Time of the rig since the start. [s]
-    stamps: Stamps  # (n,) The same times as stamps. [ns]
-    strain: Floats  # (n, points) Strain from plate to top. [-]
-    thickness: float  # Thickness of the layer at rest. [m]
-    ejection_time: float | None  # Time of the release, None without a release. [s]
-
-
-@dataclass(frozen=True, kw_only=True)
 class ThrowStart:
     """Start of a throw [ns]; `time_scale` is time of the rig over time of the stamps [-]."""
 
@@ -118,6 +107,16 @@ class ThrowStart:
     def stamps_at(self, seconds: Floats) -> Stamps:
         """Return the stamps for times of the rig since the start [ns]."""
         return self.stamp + np.rint(seconds * (SECOND / self.time_scale)).astype(np.int64)
+
+
+class StrainField(NamedTuple):
+    """Strain of the layer over time and height, in one throw."""
+
+    throw: ThrowStart
+    times: Floats  # (n,) Time of the rig since the start. [s]
+    stamps: Stamps  # (n,) The same times as stamps. [ns]
+    strain: Floats  # (n, points) Strain from plate to top. [-]
+    thickness: float  # Thickness of the layer at rest. [m]
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
@@ -234,11 +233,8 @@ class TwinReader:
         if not set(JOINTS) <= set(joints.names):
             return None
         columns = [joints.names.index(name) for name in JOINTS]
-        missing = np.zeros((len(messages), len(JOINTS)))
-        states = RigStates(joints.stamps, *(
-            values[:, columns] if values.shape[1] == len(joints.names) else missing
-            for values in (joints.position, joints.velocity, joints.effort)
-        ))
+        series = joints.position, joints.velocity, joints.effort
+        states = RigStates(joints.stamps, *(values[:, columns] for values in series))
         first, last = self.span
         self.span = min(first, int(states.stamps.min())), max(last, int(states.stamps.max()))
         published = [_published(message) for message in messages]
@@ -300,13 +296,8 @@ class TwinReader:
         if throw.ejection_time is not None:
             span = _FIELD_SPAN * throw.ejection_time
         times = np.linspace(0.0, span, strain.shape[0])
-        return StrainField(
-            times=times,
-            stamps=throw.stamps_at(times),
-            strain=strain,
-            thickness=self.rig.layer.thickness,
-            ejection_time=throw.ejection_time,
-        )
+        stamps = throw.stamps_at(times)
+        return StrainField(throw, times, stamps, strain, self.rig.layer.thickness)
 
     def read_energies(self, message: Message) -> tuple[Stamps, Floats] | None:
         """
@@ -324,13 +315,10 @@ class TwinReader:
         Return None if the states of the throw are not there.
         """
         stamps, rows = np.unique(self._states.stamps, return_index=True)
-        if self.throw is None or not stamps.size or field.stamps[0] < stamps[0]:
+        if not stamps.size or field.stamps[0] < stamps[0]:
             return None
-        path = CubicHermiteSpline(
-            self.throw.seconds_to(stamps),
-            self._states.position[rows],
-            self._states.velocity[rows],
-        )
+        states, seconds = self._states, field.throw.seconds_to(stamps)
+        path = CubicHermiteSpline(seconds, states.position[rows], states.velocity[rows])
         position = path(field.times)
         stretch = trapezoid(field.strain, dx=1.0 / (FIELD_POINTS - 1), axis=1)
         bottom = position[:, 0]

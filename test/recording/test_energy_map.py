@@ -15,8 +15,6 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
@@ -25,11 +23,9 @@ from soft_throw_ros.core.rig import Layer, Projectile, Rig
 
 pytest.importorskip('matplotlib')
 
-from soft_throw_ros.recording.charts import to_png  # noqa: E402
 from soft_throw_ros.recording.energy_map import (  # noqa: E402
     compute_energy_map,
     energy_transfer,
-    MAP_SIZE,
 )
 
 BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
@@ -80,10 +76,7 @@ def test_map_without_a_release_has_a_note() -> None:
     assert energy_map.energy_transfer.size < 160 * 100
 
 
-def test_figure_has_the_size_of_its_view_and_a_legend_of_its_marks() -> None:
-    image = pytest.importorskip('PIL.Image')
-    figure = compute_energy_map(Rig(), TWIN.defaults(), BEST).draw()
-    assert image.open(io.BytesIO(to_png(figure))).size == MAP_SIZE
-    (legend,) = figure.legends
+def test_legend_names_the_marks() -> None:
+    (legend,) = compute_energy_map(Rig(), TWIN.defaults(), BEST).draw().legends
     titles = [text.get_text() for text in legend.get_texts()]
     assert titles == ['now: α 3.637', 'recommended: α 4.143']

@@ -94,7 +94,7 @@ def test_energies_of_a_throw_have_its_times(slow) -> None:
     (shown,) = [outputs.throw_field for outputs in slow.outputs if outputs.throw_field]
     np.testing.assert_array_equal(energies, shown.energies[:, 1:])
     assert stamps.tolist() == field.stamps[::4][:stamps.size].tolist()
-    assert 0.0 < field.ejection_time - shown.energies[-1, 0] <= field.times[4]
+    assert 0.0 < field.throw.ejection_time - shown.energies[-1, 0] <= field.times[4]
 
 
 def test_layer_agrees_with_the_session(slow) -> None:
@@ -117,7 +117,7 @@ def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None
     np.testing.assert_array_equal(field.strain, shown.strain)
     assert field.stamps[0] == slow.schedule.deadline(0)
     np.testing.assert_array_equal(layer.stamps, field.stamps)
-    in_contact = field.times < field.ejection_time
+    in_contact = field.times < field.throw.ejection_time
     top = layer.top[in_contact]
     np.testing.assert_allclose(top, position[in_contact, 1], atol=2e-6)
     assert np.ptp(top) > 1e-3
@@ -140,7 +140,7 @@ def test_rig_changes_with_a_throw_or_reset_and_requests_are_known_before() -> No
     read = Read(twin.go(1000).messages)
     journal = [item for item in twin.messages if item.channel.topic == '/twin/journal']
     first, second = find_throws(journal)['/twin'][:2]
-    assert first.ejection_time == read.fields[0].ejection_time
+    assert first.ejection_time == read.fields[0].throw.ejection_time
     energies = read.contents[TWIN_TOPICS.throw_energies]
     assert energies[1][0][0] == read.fields[1].stamps[0] == second.stamp
     twin.change(layer__thickness=0.012)
@@ -199,5 +199,5 @@ def test_measured_throw_starts_with_the_plate_and_the_journal_replaces_a_lost_re
     results = [item for item in measured.messages if item.channel.topic != '/twin/throw_result']
     (field,), (whole,) = Read(results).fields, measured.read.fields
     assert field.stamps[0] == pytest.approx(measured.schedule.time_ns + 50_000_000, abs=5000)
-    assert field.times[-1] == pytest.approx(1.5 * field.ejection_time)
-    assert field.ejection_time == pytest.approx(whole.ejection_time, rel=1e-12)
+    assert field.times[-1] == pytest.approx(1.5 * field.throw.ejection_time)
+    assert field.throw.ejection_time == pytest.approx(whole.throw.ejection_time, rel=1e-12)
