@@ -199,7 +199,7 @@ def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
         messages = reader.messages()
         while batch := list(itertools.islice(messages, _BATCH)):
             scene.show(batch)
-        scene.finish()
+        scene.arrange()
     path, damage = reader.path, f', {scene.damage}' if scene.damage else ''
     if scene.is_empty:
         raise ValueError(f'{path}: nothing of a twin could be read{damage}')

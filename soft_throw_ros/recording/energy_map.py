@@ -11,12 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The map of the energy transfer of a rig over all layers, computed and drawn."""
+"""The map of the energy transfer of a rig over all layers."""
 
 from __future__ import annotations
 
 import time
-from typing import NamedTuple
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -45,38 +44,15 @@ _SAME = 0.01
 _MILLI = 1e3
 
 
-class EnergyMap(NamedTuple):
-    """Energy transfer over all layers that are considered."""
-
-    axes: tuple[MapAxis, MapAxis]  # thickness and wave speed
-    energy_transfer: Floats  # a row for each thickness; NaN where nothing is thrown [-]
-    marks: list[tuple[str, float, float]]  # the layer of the rig, and maybe a recommended one
-    title: str  # of the colours
-
-    def draw(self) -> Figure:
-        """Draw the map with its marks and a legend."""
-        with mpl.rc_context(charts.STYLE):
-            figure = charts.new_figure(_SIZE, layout='constrained')
-            charts.draw_map(
-                figure.subplots(), self.axes, self.energy_transfer,
-                label=self.title, marks=self.marks,
-            )
-            figure.legend(
-                loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white',
-                frameon=True,
-            )
-        return figure
-
-
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
     """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
     values = {**values_of(rig), 'thickness': thickness, 'wave_speed': wave_speed}
     return np.asarray(first_releases(**ratios_of(rig, values).rigid).energy_transfer)
 
 
-def compute_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> EnergyMap:
+def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Figure:
     """
-    Compute the map for a rig; the marks are within it.
+    Draw the map for a rig with its marks and a legend; the marks are within it.
 
     The limits in the settings of the twin select the layers. The marks use the values of
     `~/recommendation` for this rig, which may be empty, so that they agree with the table.
@@ -109,4 +85,12 @@ def compute_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> 
         if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # duration of the next grid
             break
     axes = MapAxis('Lₛ (mm)', _MILLI * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
-    return EnergyMap(axes, transfer, marks, 'α, lossless' if rig.layer.loss_tangent else 'α')
+    title = 'α, lossless' if rig.layer.loss_tangent else 'α'
+    with mpl.rc_context(charts.STYLE):
+        figure = charts.new_figure(_SIZE, layout='constrained')
+        charts.draw_map(figure.subplots(), axes, transfer, label=title, marks=marks)
+        figure.legend(
+            loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white',
+            frameon=True,
+        )
+    return figure

@@ -99,7 +99,6 @@ class LiveDisplay:
             if self._connection is not None:
                 self._connection.check()
             self.scene.show([self._inbox.get() for _ in range(self._inbox.qsize())])
-        self.scene.finish()
         if output.flush(self._stream, EXIT_TIME):
             self._stream.disconnect()
 

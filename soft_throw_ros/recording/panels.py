@@ -15,8 +15,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, Future
-
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 import rerun as rr
@@ -26,7 +24,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_text as words
-from soft_throw_ros.recording.energy_map import compute_energy_map, EnergyMap
+from soft_throw_ros.recording.energy_map import draw_energy_map
 from soft_throw_ros.recording.rerun_layout import with_hysteresis
 from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps, StrainField, Values
 
@@ -151,21 +149,15 @@ def draw_strain(canvas: drawing.Canvas, path: str, field: StrainField, limit: fl
 
 
 class RecommendationPanel:
-    """
-    Table and map below the root of a twin.
+    """Table and map below the root of a twin."""
 
-    The executor computes the maps, which may take a second each.
-    """
-
-    def __init__(self, canvas: drawing.Canvas, root: str, executor: Executor) -> None:
+    def __init__(self, canvas: drawing.Canvas, root: str) -> None:
         self._canvas = canvas
         self._root = root
-        self._executor = executor
         self._rig: Rig | None = None  # of the table and the map; None while unknown
         self._message = words.UNKNOWN_BEST  # of the last recommendation
         self._values: Values = {}
-        self._stamp = 0  # of the table [ns]
-        self._maps: list[tuple[int, Future[EnergyMap]]] = []  # with their stamps [ns]
+        self._stamp = 0  # of the table and the map [ns]
 
     def change_rig(self, stamp: int, rig: Rig, settings: Settings) -> None:
         """Draw the map of a rig, without a recommendation if the last one is of another rig."""
@@ -177,19 +169,11 @@ class RecommendationPanel:
     def draw(
         self, stamp: int, message: str, values: Values, rig: Rig | None, settings: Settings
     ) -> None:
-        """Write the table of a recommendation, and compute the map of its rig if it is known."""
+        """Write the table of a recommendation, and draw the map of its rig if that is known."""
         self._rig, self._message, self._values = rig, message, values
-        self._stamp = stamp = max(self._stamp, stamp)  # the last one is shown last
+        self._stamp = max(self._stamp, stamp)  # the last one is shown last
         text = words.recommendation_text(message, values)
-        self._canvas.log_text(f'{self._root}/recommendation', stamp, text)
+        self._canvas.log_text(f'{self._root}/recommendation', self._stamp, text)
         if rig is not None:
-            self._maps.append(
-                (stamp, self._executor.submit(compute_energy_map, rig, settings, values))
-            )
-
-    def draw_maps(self, *, is_waiting: bool) -> None:
-        """Draw the maps that are complete; with `is_waiting` wait for all."""
-        while self._maps and (is_waiting or self._maps[0][1].done()):
-            stamp, future = self._maps.pop(0)
-            image = drawing.encoded_image(charts.to_png(future.result().draw()))
-            self._canvas.log_latched(f'{self._root}/landscape', stamp, image)
+            image = drawing.encoded_image(charts.to_png(draw_energy_map(rig, settings, values)))
+            self._canvas.log_latched(f'{self._root}/landscape', self._stamp, image)

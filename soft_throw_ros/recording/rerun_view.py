@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 import math
 from typing import Any
@@ -74,7 +73,6 @@ class Scene:
         self._is_live = is_live
         self._is_picture = is_picture
         self._canvas = drawing.Canvas(throw)
-        self._pool = ThreadPoolExecutor(1)  # maps take up to a second, which nothing waits for
         self._twins: dict[str, _TwinView] = {}
         self._has_log = False
         self._arranged: object = None
@@ -97,7 +95,7 @@ class Scene:
         self._canvas.connect(stream)
         self._arranged = None
         if self._is_live:
-            self._arrange()
+            self.arrange()
 
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages topic by topic, in an order that respects their dependencies."""
@@ -111,16 +109,8 @@ class Scene:
             waiting.setdefault(node, {}).setdefault(topic, []).append(message)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
             self._read(node, groups)
-        for twin in self._twins.values():
-            twin.draw_maps()
         if self._is_live:
-            self._arrange()
-
-    def finish(self) -> None:
-        """Wait for the maps that are not drawn yet, and arrange all panels."""
-        for twin in self._twins.values():
-            twin.draw_maps(is_waiting=True)
-        self._arrange()
+            self.arrange()
 
     def _read(self, node: str, groups: Mapping[Topic, Sequence[Message]]) -> None:
         """Draw messages of one node, or messages that belong to no node."""
@@ -129,7 +119,7 @@ class Scene:
         }
         if node:
             if node not in self._twins:
-                self._twins[node] = _TwinView(node, self._canvas, self._pool)
+                self._twins[node] = _TwinView(node, self._canvas)
             twin = self._twins[node]
             readers = {topic: partial(twin.show, topic) for topic in series.READERS}
         for topic, read in readers.items():
@@ -170,8 +160,8 @@ class Scene:
                 if name == node or (is_beside and task == 'identification'):
                     twin.draw_track(stamp, task, status, values)
 
-    def _arrange(self) -> None:
-        """Send the layout if it has changed."""
+    def arrange(self) -> None:
+        """Send the layout if it has changed, as every call of `show` does in a live view."""
         drawn = [twin for twin in self._twins.values() if twin.is_drawn]
         twins = [twin.layout_state(has_log=self._has_log) for twin in drawn]
         if not twins or twins == self._arranged:
@@ -197,15 +187,15 @@ class Scene:
 class _TwinView:
     """The drawing of one twin from its messages."""
 
-    def __init__(self, node: str, canvas: drawing.Canvas, pool: Executor) -> None:
+    def __init__(self, node: str, canvas: drawing.Canvas) -> None:
         self.reader = series.TwinReader()
         # Whether anything was drawn: topics with these names may belong to another machine
         self.is_drawn = False
         self._node = node
-        self._root = rr.new_entity_path(node.split('/')) if node.strip('/') else ''
+        self._root = rr.new_entity_path(node.split('/'))
         self._canvas = canvas
         self._side = RigPicture(canvas, self._path('side'))
-        self._recommendation = RecommendationPanel(canvas, self._root, pool)
+        self._recommendation = RecommendationPanel(canvas, self._root)
         self._track: dict[str, str] = {}  # texts by the task of the node
         self._present: set[str] = set()  # optional panels that are there
         self._period = 0.0  # of the layout [s]
@@ -298,10 +288,6 @@ class _TwinView:
             rig, settings = self.reader.wanted_rig(), self.reader.wanted
             self._recommendation.draw(stamp, text, values, rig, settings)
 
-    def draw_maps(self, *, is_waiting: bool = False) -> None:
-        """Draw the maps that are complete; with `is_waiting` wait for all."""
-        self._recommendation.draw_maps(is_waiting=is_waiting)
-
     # layout
 
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
@@ -312,7 +298,7 @@ class _TwinView:
         self._period = layout.with_hysteresis(period, self._period)
         return layout.TwinLayout(
             root=self._root,
-            title=self._node or '/',
+            title=self._node,
             period=self._period,
             side=self._side.bounds,
             residual_limit=_MICRO * reader.settings['measured.residual_threshold'],

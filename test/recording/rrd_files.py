@@ -100,7 +100,7 @@ def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000)
     scene.connect(stream)
     for begin in range(0, len(messages), batch):
         scene.show(messages[begin:begin + batch])
-    scene.finish()
+    scene.arrange()
     assert flush(stream, 10.0)
     stream.disconnect()
     scene.connect(None)

@@ -23,10 +23,7 @@ from soft_throw_ros.core.rig import Layer, Projectile, Rig
 
 pytest.importorskip('matplotlib')
 
-from soft_throw_ros.recording.energy_map import (  # noqa: E402
-    compute_energy_map,
-    energy_transfer,
-)
+from soft_throw_ros.recording.energy_map import draw_energy_map, energy_transfer  # noqa: E402
 
 BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
 
@@ -57,26 +54,23 @@ def test_energy_transfer_of_other_layers_agrees_with_the_model() -> None:
     ],
 )
 def test_marks_are_the_layer_of_the_rig_and_the_recommended_one(values, expected) -> None:
-    energy_map = compute_energy_map(Rig(), TWIN.defaults(), values)
-    assert [text for text, *_ in energy_map.marks] == expected
+    figure = draw_energy_map(Rig(), TWIN.defaults(), values)
+    assert [line.get_label() for line in figure.axes[0].lines] == expected
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == expected
 
 
 def test_map_extends_beyond_the_considered_layers() -> None:
-    energy_map = compute_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {})
-    thickness = energy_map.axes[0].values
-    assert (thickness[0], thickness[-1]) == pytest.approx((1.0, 80.0))
-    assert np.nanmax(energy_map.energy_transfer) > 4.0
+    panel = draw_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {}).axes[0]
+    assert panel.get_xlim() == pytest.approx((1.0, 80.0))
+    assert np.nanmax(panel.collections[0].get_array()) > 4.0
 
 
 def test_map_without_a_release_has_a_note() -> None:
     """Proving that a layer never throws takes milliseconds, so the map is coarse."""
-    energy_map = compute_energy_map(Rig(projectile=Projectile(mass=1.0)), TWIN.defaults(), {})
-    assert [text for text, *_ in energy_map.marks] == ['now: no release']
-    assert np.isnan(energy_map.energy_transfer).any()
-    assert energy_map.energy_transfer.size < 160 * 100
-
-
-def test_legend_names_the_marks() -> None:
-    (legend,) = compute_energy_map(Rig(), TWIN.defaults(), BEST).draw().legends
-    titles = [text.get_text() for text in legend.get_texts()]
-    assert titles == ['now: α 3.637', 'recommended: α 4.143']
+    rig = Rig(projectile=Projectile(mass=1.0))
+    panel = draw_energy_map(rig, TWIN.defaults(), {}).axes[0]
+    assert [line.get_label() for line in panel.lines] == ['now: no release']
+    values = np.ma.filled(panel.collections[0].get_array(), np.nan)
+    assert np.isnan(values).any()
+    assert values.size < 160 * 100

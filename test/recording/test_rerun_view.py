@@ -34,8 +34,8 @@ rr = pytest.importorskip('rerun')
 
 from test.recording.rrd_files import record, RrdFile  # noqa: E402, I100
 
-from soft_throw_ros.recording import charts  # noqa: E402
-from soft_throw_ros.recording.energy_map import EnergyMap  # noqa: E402
+from soft_throw_ros.recording import charts, panels  # noqa: E402
+from soft_throw_ros.recording.energy_map import draw_energy_map  # noqa: E402
 from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
 
 
@@ -154,13 +154,12 @@ def table_of(text: str) -> list[list[str]]:
 def maps(monkeypatch) -> list[Any]:
     """Return a list that gets the figures of all maps that are drawn."""
     figures: list[Any] = []
-    draw = EnergyMap.draw
 
-    def draw_and_keep(energy_map: EnergyMap) -> Any:
-        figures.append(draw(energy_map))
+    def draw(*arguments: Any) -> Any:
+        figures.append(draw_energy_map(*arguments))
         return figures[-1]
 
-    monkeypatch.setattr(EnergyMap, 'draw', draw_and_keep)
+    monkeypatch.setattr(panels, 'draw_energy_map', draw)
     return figures
 
 
