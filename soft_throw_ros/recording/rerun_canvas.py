@@ -24,9 +24,9 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 import rerun as rr
 import rerun.blueprint as rrb
+from soft_throw_ros.recording.charts import Bytes
 from soft_throw_ros.recording.timeseries import Stamps, ThrowStart
 
 STAMP = 'stamp'
@@ -35,7 +35,6 @@ STAMP = 'stamp'
 THROW_TIME = 'time since throw'
 """Timeline of the rig, from the start of the throw that is shown."""
 
-Bytes = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 # The colours of Okabe and Ito, which people with colour blindness can distinguish.

@@ -25,7 +25,6 @@ import contextlib
 from dataclasses import dataclass, replace
 import functools
 import math
-import operator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,6 +75,7 @@ class RigStates(NamedTuple):
     """States of plate and projectile over time."""
 
     stamps: Stamps  # (n,) [ns]
+    published: Stamps  # (n,) Times of publishing, perhaps by another clock. [ns]
     # (n, 2) Plate and projectile, with the upward force of the layer on them. [m], [m/s], [N]
     position: Floats
     velocity: Floats
@@ -150,10 +150,9 @@ class TwinReader:
         self.throw: ThrowStart | None = None  # the last one
         self._motions: dict[str, str] = {}  # encoded motions by file
         self._rest_heights: tuple[float, float] | None = None  # heights measured before the throw
-        self._published = np.empty(0, np.int64)  # when the last states were published [ns]
         self.span = math.inf, -math.inf  # stamps of the first and the last state [ns]
-        none = np.empty((0, len(JOINTS)))
-        self._states = RigStates(self._published, none, none, none)  # the last ones
+        times, numbers = np.empty(0, np.int64), np.empty((0, len(JOINTS)))
+        self._states = RigStates(times, times, numbers, numbers, numbers)  # the last ones
 
     @property
     def time_scale(self) -> float:
@@ -167,11 +166,11 @@ class TwinReader:
 
     def stamp_of(self, message: Message) -> int:
         """Return the stamp of the step of a message without a stamp [ns]."""
-        published = _published(message)  # by another clock, perhaps, than the stamps
-        if not self._published.size:
+        published, states = _published(message), self._states
+        if not states.stamps.size:
             return published
-        row = int(np.searchsorted(self._published, published, side='right')) - 1
-        return int(self._states.stamps[max(row, 0)])
+        row = int(np.searchsorted(states.published, published, side='right')) - 1
+        return int(states.stamps[max(row, 0)])
 
     # the journal
 
@@ -218,11 +217,12 @@ class TwinReader:
         else:
             stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
             rest_heights = None
-        number = operator.index(entry['throw'])
         self._set_rig(settings)
         self.wanted = {**settings, **_known(entry.get('pending', {}))}
         self._rest_heights = rest_heights
-        self.throw = ThrowStart(stamp=stamp, number=number, time_scale=self.time_scale)
+        self.throw = ThrowStart(
+            stamp=stamp, number=entry['throw'], time_scale=self.time_scale
+        )
         return stamp
 
     # plate and projectile
@@ -234,11 +234,10 @@ class TwinReader:
             return None
         columns = [joints.names.index(name) for name in JOINTS]
         series = joints.position, joints.velocity, joints.effort
-        states = RigStates(joints.stamps, *(values[:, columns] for values in series))
+        published = np.array([_published(message) for message in messages])
+        states = RigStates(joints.stamps, published, *(values[:, columns] for values in series))
         first, last = self.span
         self.span = min(first, int(states.stamps.min())), max(last, int(states.stamps.max()))
-        published = [_published(message) for message in messages]
-        self._published = np.append(self._published, published)[-_KEPT_STATES:]
         self._states = RigStates(*(
             np.concatenate(pair)[-_KEPT_STATES:] for pair in zip(self._states, states, strict=True)
         ))
