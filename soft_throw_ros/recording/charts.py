@@ -36,8 +36,8 @@ Marks = Iterable[tuple[str, float, float]]
 DPI = 100
 """Resolution of the images for Rerun, in pixels per inch, which suits a window of usual size."""
 
-FRAME_SIZE = 620, 190
-"""Width and height of the frame around the strain of a throw. [pixel]"""
+_FRAME_SIZE = 6.2, 1.9
+"""Width and height of the frame around the strain of a throw. [inch]"""
 
 FRAME_BOX = 50, 28, 490, 117
 """Left and upper edge, width and height of the strain within its frame. [pixel]"""
@@ -141,7 +141,7 @@ def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
     `limit` [%] to either side.
     """
     with mpl.rc_context(STYLE):
-        figure = new_figure(FRAME_SIZE)
+        figure = Figure(figsize=_FRAME_SIZE)
         panel = _add_axes(figure, FRAME_BOX)
         panel.set(
             xlim=(0.0, duration), ylim=(0.0, thickness), xlabel='t (ms)', ylabel='y (mm)'
@@ -164,12 +164,7 @@ def to_png(figure: Figure, *, dpi: float = DPI) -> bytes:
     return output.getvalue()
 
 
-def new_figure(size: tuple[int, int], **options: Any) -> Figure:
-    """Return a figure of a given size [pixel]."""
-    return Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, **options)
-
-
 def _add_axes(figure: Figure, box: tuple[int, int, int, int]) -> Any:
     """Return new axes in a box of the frame: left and upper edge, width and height [pixel]."""
-    x, y, width, height = np.divide(box, 2 * FRAME_SIZE)
+    x, y, width, height = np.divide(box, np.multiply(DPI, 2 * _FRAME_SIZE))
     return figure.add_axes((x, 1.0 - y - height, width, height))

@@ -28,8 +28,8 @@ from soft_throw_ros.recording.charts import MapAxis
 from soft_throw_ros.recording.timeseries import Values
 from soft_throw_ros.twin.results import Floats
 
-_SIZE = 620, 250
-"""Width and height of the picture. [pixel]"""
+_SIZE = 6.2, 2.5
+"""Width and height of the picture. [inch]"""
 
 _COUNTS = {'thickness': 160, 'wave_speed': 100}
 """Values on each axis of the finest map. [-]"""
@@ -87,7 +87,7 @@ def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Fig
     axes = MapAxis('Lₛ (mm)', _MILLI * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
     title = 'α, lossless' if rig.layer.loss_tangent else 'α'
     with mpl.rc_context(charts.STYLE):
-        figure = charts.new_figure(_SIZE, layout='constrained')
+        figure = Figure(figsize=_SIZE, layout='constrained')
         charts.draw_map(figure.subplots(), axes, transfer, label=title, marks=marks)
         figure.legend(
             loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white',

@@ -33,29 +33,6 @@ from soft_throw_ros.recording.child_process import (
     RestartedProcess,
 )
 
-PARENT = """
-import subprocess, sys
-from soft_throw_ros.recording.child_process import bound_to_parent
-
-child = subprocess.Popen(bound_to_parent([sys.executable, '-c', 'print("started"); input()']))
-child.wait()
-"""
-
-
-def test_child_ends_when_its_parent_is_killed():
-    # The pipe reaches its end when all processes that write to the pipe have ended
-    parent = subprocess.Popen(
-        [sys.executable, '-u', '-c', PARENT],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env=os.environ | {'PYTHONUNBUFFERED': '1'},
-    )
-    with parent:
-        assert parent.stdout.readline() == b'started\n'
-        parent.send_signal(signal.SIGKILL)
-        assert parent.stdout.read() == b''
-        assert parent.wait() == -signal.SIGKILL
-
 
 def test_child_of_another_process_does_not_start():
     command = bound_to_parent([sys.executable, '-c', 'print("started")'])
