@@ -140,10 +140,13 @@ def _show_bag(arguments: argparse.Namespace) -> None:
     from soft_throw_ros.recording.rerun_view import Scene
 
     with BagReader(arguments.bag) as reader:
-        if not any(identify(item.topic, item.type)[1] in READERS for item in reader.channels):
-            topics = ', '.join(item.topic for item in reader.channels)
-            raise ValueError(f'{reader.path}: no topic of a twin is in the bag; topics: {topics}')
-        throw = _choose_throw(reader, arguments.throw)
+        topics = {item.topic: identify(item.topic, item.type)[1] for item in reader.channels}
+        if not any(topic in READERS for topic in topics.values()):
+            raise ValueError(
+                f'{reader.path}: no topic of a twin is in the bag; topics: {", ".join(topics)}'
+            )
+        journals = [name for name, topic in topics.items() if topic == TWIN_TOPICS.journal]
+        throw = _choose_throw(reader, journals, arguments.throw)
         scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
         stream = output.new_stream()
         draw = partial(_draw, scene, stream, reader)
@@ -175,13 +178,10 @@ def _show_bag(arguments: argparse.Namespace) -> None:
             stream.disconnect()
 
 
-def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
+def _choose_throw(
+    reader: BagReader, journals: list[str], number: int | None
+) -> ThrowStart | None:
     """Return the throw to show; None if the bag contains none and none is requested."""
-    journals = [
-        channel.topic
-        for channel in reader.channels
-        if identify(channel.topic, channel.type)[1] == TWIN_TOPICS.journal
-    ]
     result = find_throws(reader.messages(journals))
     throws = next(iter(result.values()), [])  # of the view in front
     chosen = [throw for throw in throws if number in (None, throw.number)]

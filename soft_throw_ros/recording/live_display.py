@@ -143,6 +143,6 @@ class _ViewerConnection:
     def _start(self) -> None:
         """Start a viewer that stays when this process ends."""
         try:
-            rerun_viewer.Viewer(self._port, *output.WINDOW, stays=True)
+            rerun_viewer.Viewer(self._port, stays=True)
         except rerun_viewer.ViewerError as error:
             self._log(str(error))

@@ -35,9 +35,6 @@ PORT = 9876
 PROBE_TIME = 1.0
 """Time between two attempts to connect to a viewer. [s]"""
 
-WINDOW = ('--hide-welcome-screen', '--expect-data-soon')
-"""Options of a viewer with a window."""
-
 _SERVER_MEMORY = '256MB'
 
 
@@ -111,7 +108,7 @@ def send_recording(
     recording is still connected afterwards.
     """
     if not listens(port):
-        Viewer(port, *WINDOW, stays=True)
+        Viewer(port, stays=True)
     connection = rerun_viewer.connect(port)
     if connection is None:
         raise ViewerError(f'no viewer listens at {HOST}:{port} any more')

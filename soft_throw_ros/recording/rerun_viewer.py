@@ -56,7 +56,10 @@ _MAX_PICTURES = 40
 _CONNECT_TIME = 0.2
 """Longest wait for a connection on this machine. [s]"""
 
-_MEMORY = ('--memory-limit', '2GB', '--server-memory-limit', '256MB')
+_OPTIONS = (
+    '--memory-limit', '2GB', '--server-memory-limit', '256MB',
+    '--hide-welcome-screen', '--expect-data-soon',
+)
 
 _NO_GRAPHICS = ('render context', 'adapter')
 """Words in the last message of a viewer that finds no Vulkan."""
@@ -140,7 +143,7 @@ class Viewer:
 
     def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:
         viewer = str(find_viewer())
-        command = [viewer, '--bind', HOST, '--port', str(port), *_MEMORY, *map(str, options)]
+        command = [viewer, '--bind', HOST, '--port', str(port), *_OPTIONS, *map(str, options)]
         self.port = port
         self._errors = tempfile.TemporaryFile('a+')  # noqa: SIM115
         # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
