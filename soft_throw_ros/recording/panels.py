@@ -155,7 +155,7 @@ class RecommendationPanel:
         self._canvas = canvas
         self._root = root
         self._rig: Rig | None = None  # of the table and the map; None while unknown
-        self._message = words.UNKNOWN_BEST  # of the last recommendation
+        self._message = words.NO_RECOMMENDATION  # of the last recommendation
         self._values: Values = {}
         self._stamp = 0  # of the table and the map [ns]
 
@@ -164,7 +164,7 @@ class RecommendationPanel:
         if self._rig is None:  # the recommendation may have come before the journal
             self.draw(stamp, self._message, self._values, rig, settings)
         elif self._rig != rig:
-            self.draw(stamp, words.UNKNOWN_BEST, {}, rig, settings)
+            self.draw(stamp, words.NO_RECOMMENDATION, {}, rig, settings)
 
     def draw(
         self, stamp: int, message: str, values: Values, rig: Rig | None, settings: Settings

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
 from soft_throw_ros.recording.timeseries import Values
 
-UNKNOWN_BEST = 'There is no recommendation for this rig yet.'
+NO_RECOMMENDATION = 'There is no recommendation for this rig yet.'
 
 
 class _Row(NamedTuple):

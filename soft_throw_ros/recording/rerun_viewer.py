@@ -145,7 +145,7 @@ class Viewer:
         viewer = str(find_viewer())
         command = [viewer, '--bind', HOST, '--port', str(port), *_OPTIONS, *map(str, options)]
         self.port = port
-        self._errors = tempfile.TemporaryFile('a+')  # noqa: SIM115
+        self._errors = tempfile.TemporaryFile('w+', errors='replace')  # noqa: SIM115
         # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
         environment = {'RUST_LOG': 'error', **os.environ, 'CI': '1'}
         self._process = subprocess.Popen(

@@ -211,6 +211,7 @@ class TwinReader:
     def _start_throw(self, entry: journal.Entry) -> int:
         """Apply the line of the start of a throw, and return the stamp of the start."""
         settings = _complete(entry)
+        wanted = {**settings, **_known(entry.get('pending', {}))}
         if 'onset' in entry:
             onset = journal.decode_onset(entry['onset'])
             stamp, rest_heights = onset.onset_ns, (onset.rest.plate, onset.rest.projectile)
@@ -218,7 +219,7 @@ class TwinReader:
             stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
             rest_heights = None
         self._set_rig(settings)
-        self.wanted = {**settings, **_known(entry.get('pending', {}))}
+        self.wanted = wanted
         self._rest_heights = rest_heights
         self.throw = ThrowStart(
             stamp=stamp, number=entry['throw'], time_scale=self.time_scale

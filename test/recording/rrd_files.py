@@ -24,7 +24,7 @@ import warnings
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from soft_throw_ros.recording.rerun_output import flush, new_stream, save_to
+from soft_throw_ros.recording.rerun_output import new_stream, save_recording
 from soft_throw_ros.recording.rerun_view import Scene
 from soft_throw_ros.recording.rerun_viewer import NoGraphicsError, Viewer
 
@@ -96,12 +96,13 @@ class RrdFile:
 def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> RrdFile:
     """Write a scene, including its earlier state, to a file and return the recording."""
     stream = new_stream()
-    save_to(stream, path, is_live=False)
-    scene.connect(stream)
-    for begin in range(0, len(messages), batch):
-        scene.show(messages[begin:begin + batch])
-    scene.arrange()
-    assert flush(stream, 10.0)
-    stream.disconnect()
+
+    def draw() -> None:
+        scene.connect(stream)
+        for begin in range(0, len(messages), batch):
+            scene.show(messages[begin:begin + batch])
+        scene.arrange()
+
+    save_recording(stream, path, draw)
     scene.connect(None)
     return RrdFile(path)

@@ -51,9 +51,3 @@ def test_messages_beyond_the_limit_are_dropped_and_counted_while_rerun_hangs(mon
     assert time.monotonic() - begin < 10.0
     goes_on.set()
     assert url_of(port) in lines[0]
-
-
-def test_port_in_use_is_refused(monkeypatch) -> None:
-    monkeypatch.setattr(live_display.output, 'listens', lambda _port: True)
-    with pytest.raises(ValueError, match='9876'):
-        LiveDisplay('serve', 9876, Path(), print)
