@@ -115,12 +115,8 @@ class _ViewerConnection:
         self._log = log
         self._connection: socket.socket | None = None
         self._next_probe = 0.0  # by `time.monotonic` [s]
-        if rerun_viewer.listens(port):
-            return
-        if rerun_viewer.has_display():
+        if not rerun_viewer.listens(port):
             threading.Thread(target=self._start, name='viewer', daemon=True).start()
-        else:
-            log(output.no_screen(port, '-p sink:=file (rerun.sink:=file of a recorder)'))
 
     def check(self) -> None:
         """Detach from a viewer that is gone, or connect to one that is there."""
@@ -143,6 +139,7 @@ class _ViewerConnection:
     def _start(self) -> None:
         """Start a viewer that stays when this process ends."""
         try:
+            output.check_viewer(self._port, '-p sink:=file (rerun.sink:=file of a recorder)')
             rerun_viewer.Viewer(self._port, stays=True)
         except rerun_viewer.ViewerError as error:
             self._log(str(error))

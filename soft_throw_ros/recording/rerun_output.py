@@ -83,19 +83,15 @@ def serve(stream: rr.RecordingStream, port: int) -> None:
     stream.set_sinks(sink)
 
 
-def no_screen(port: int, instead: str) -> str:
-    """Return the message for a machine with neither a screen nor a viewer."""
-    return (
+def check_viewer(port: int, instead: str) -> None:
+    """Raise ViewerError if there is neither a viewer nor a screen; `instead` is the remedy."""
+    if listens(port) or rerun_viewer.has_display():
+        return
+    raise ViewerError(
         'there is no screen for a window (DISPLAY and WAYLAND_DISPLAY are not set), and no viewer '
         f'at {HOST}:{port}; take {instead}, or start one where there is a screen: '
         f'{rerun_viewer.find_viewer()} --bind {HOST} --port {port}'
     )
-
-
-def check_viewer(port: int, instead: str) -> None:
-    """Raise ViewerError if there is neither a viewer nor a screen; `instead` is the remedy."""
-    if not listens(port) and not rerun_viewer.has_display():
-        raise ViewerError(no_screen(port, instead))
 
 
 def send_recording(

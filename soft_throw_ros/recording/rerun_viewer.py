@@ -244,7 +244,7 @@ def go_to(stream: rr.RecordingStream, port: int, timeline: str, seconds: float) 
 
 
 def _request(
-    request: Callable[[], Result], is_enough: Callable[[Result], object] = lambda _: True
+    request: Callable[[], Result], is_enough: Callable[[Result], object] = bool
 ) -> Result:
     """Repeat a request to a viewer until the result is enough; a busy one may time out."""
     deadline = time.monotonic() + _TIMEOUT
