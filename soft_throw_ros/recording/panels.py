@@ -44,8 +44,8 @@ class RigPicture:
         self.largest_strain = _DEFAULT_STRAIN  # where the colours end [-]
         self._canvas = canvas
         self._path = path
-        self._rig: Rig | None = None
-        self._diameter = self._high = 0.0  # that the view is made for [mm]
+        self._layer_width = 0.0  # [mm]
+        self._diameter, self._high = 12.0, 60.0  # of the view, before the first rig [mm]
         pixels = rr.components.ImageFormat(
             width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
         )
@@ -55,14 +55,12 @@ class RigPicture:
     @property
     def bounds(self) -> tuple[float, float, float]:
         """Half the width of the view, and its lowest and highest height [mm]."""
-        if self._rig is None:
-            return 15.0, -5.0, 60.0
         return 1.25 * self._diameter, -0.4 * self._diameter, self._high
 
     def change_rig(self, stamp: int, rig: Rig) -> None:
         """Draw the bodies of a rig, and a scale of heights on the left."""
-        self._rig = rig
         diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
+        self._layer_width = diameter
         high = 1.35 * (_MILLI * rig.layer.thickness + length) + 0.8 * diameter
         self._diameter = with_hysteresis(diameter, self._diameter)
         self._high = with_hysteresis(high, self._high)
@@ -101,13 +99,11 @@ class RigPicture:
 
     def draw_layer(self, layer: LayerStates) -> None:
         """Draw the colours of the strain, stretched from the lower to the upper end."""
-        if self._rig is None:
-            return
         pixels = charts.signed_colours(layer.strain[:, ::-1], self.largest_strain)
-        diameter, nothing = _MILLI * self._rig.layer.diameter, np.zeros_like(layer.top)
-        corner = [nothing - 0.5 * diameter, -_MILLI * layer.top, nothing]
+        width, nothing = self._layer_width, np.zeros_like(layer.top)
+        corner = [nothing - 0.5 * width, -_MILLI * layer.top, nothing]
         height = _MILLI * (layer.top - layer.bottom) / FIELD_POINTS
-        scale = [nothing + diameter, height, nothing + 1.0]
+        scale = [nothing + width, height, nothing + 1.0]
         columns = [
             *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
             *rr.Transform3D.columns(
