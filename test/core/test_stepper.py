@@ -217,7 +217,7 @@ def test_sampled_plate_agrees_with_the_method_of_steps(make, sign, gravity, end,
     rig = Rig(gravity=gravity)
     times = np.arange(1.7e-4, end, 2.5e-4)
     positions = sign * Underdamped.of(rig.engine).position(times)
-    motion = SampledMotion.from_positions(times + 7e-4, positions)
+    motion = SampledMotion.from_positions(times + 1e-3, positions)
     history, model = follow(rig, motion, until=until), make(rig, motion)
     model.advance_to(until)
     assert model.event_count == len(history.events) == (1 if sign > 0.0 else 3)

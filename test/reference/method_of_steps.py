@@ -281,10 +281,9 @@ class _Follower:
         event = self._first_event(half, upward, velocity)
         if event is not None:
             end = float(start + half * (event + 1.0))
-            if event > -1.0:
-                upward, velocity = _cut(upward, event), _cut(velocity, event)
-                half = 0.5 * (end - start)
-        if event is None or event > -1.0:
+            upward, velocity = _cut(upward, event), _cut(velocity, event)
+            half = 0.5 * (end - start)
+        if end > start:  # otherwise the event comes at once
             self._store(end, half, upward, velocity)
         if event is not None:
             self._happen(end)
