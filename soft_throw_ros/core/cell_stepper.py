@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from functools import partial
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ from soft_throw_ros.core.cell_kernels import (
     stored_energy,
 )
 from soft_throw_ros.core.models import CELL_MODELS
-from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
+from soft_throw_ros.core.plate import peak_velocity_ratios
 from soft_throw_ros.core.plate_kernels import BLOCK
 from soft_throw_ros.core.rig import Layer, Ratios, Rig
 from soft_throw_ros.core.stepper import (
@@ -284,7 +283,7 @@ class CellStepper(Stepper):
 
     Parameters
     ----------
-    rig, motion, field_points
+    rig, is_measured, field_points
         As for `throw.make_stepper`.
     model : str
         One of `CELL_MODELS`.
@@ -315,8 +314,8 @@ class CellStepper(Stepper):
     def __init__(
         self,
         rig: Rig,
-        motion: PlateMotion | Literal['measured'] | None = None,
         *,
+        is_measured: bool = False,
         model: str = 'cells',
         cells: int | None = None,
         field_points: int = 64,
@@ -338,7 +337,7 @@ class CellStepper(Stepper):
         self._points = grid.points(field_points)
         for name in ('cell', 'neighbour'):
             self._points[name] += model == 'cells_glued'
-        self._make_records(RECORD, motion, grid.step)
+        self._make_records(RECORD, grid.step, is_measured=is_measured)
         prepare(
             self._core, self._nodes, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
@@ -396,5 +395,5 @@ class CellStepper(Stepper):
 
 def warm_up() -> None:
     """Compile or load all kernels."""
-    load_kernels(CellStepper(Rig(), 'measured', field_points=2))
+    load_kernels(CellStepper(Rig(), is_measured=True, field_points=2))
     throw_batch(Ratios(mass_ratio=1.0, speed_ratio=8.0), Layer(), cells=8)

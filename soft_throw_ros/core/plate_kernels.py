@@ -24,12 +24,11 @@ stepper runs overwrite those that it has passed.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import kernel, Record, subroutine
-from soft_throw_ros.core.plate import motion_of, PlateMotion, quintic
+from soft_throw_ros.core.plate import motion_of, quintic, Underdamped
 from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
@@ -64,22 +63,13 @@ PLATE = [
 
 
 def write_motion(
-    core: NDArray[np.void],
-    motion: PlateMotion | Literal['measured'] | None,
-    engine: Engine,
-    step: float,
+    core: NDArray[np.void], engine: Engine, step: float, *, is_measured: bool
 ) -> Floats:
-    """
-    Write a motion into the third record, whose fields `PLATE` are zero; return its path.
-
-    A motion with the attribute `exponent` is taken as `Underdamped`, and one with `states` as
-    `SampledMotion`; a class of its own needs the attributes of the one or the other that are read
-    here.
-    """
+    """Write a motion into the third record, whose fields `PLATE` are zero; return its path."""
     record = core[2]
-    record['horizon'] = math.inf
-    plate: Any = motion_of(engine) if motion is None else motion
-    if hasattr(plate, 'exponent'):
+    plate = None if is_measured else motion_of(engine)
+    record['horizon'] = 0.0 if plate is None else math.inf
+    if isinstance(plate, Underdamped):
         exponent = plate.exponent
         record['plate_kind'] = DAMPED
         record['amplitude'] = plate.amplitude
@@ -90,15 +80,9 @@ def write_motion(
         return np.array([turns.real, turns.imag])
     record['plate_kind'] = PIECES
     record['pieces'] = 1
-    record['horizon'] = 0.0
     record['last'][0] = -math.inf
-    if plate == 'measured':
+    if plate is None:
         return np.zeros((_ROWS, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
-    if isinstance(plate, str) or not hasattr(plate, 'states'):
-        raise ValueError(
-            "motion must be 'measured', None, or an object with the attributes of Underdamped or "
-            f'SampledMotion, got {plate!r}; SampledMotion.from_positions takes any other'
-        )
     if plate.start_time < 0.0:
         raise ValueError(
             'a sampled motion must begin at time 0 or later, got a first sample at '
@@ -107,7 +91,7 @@ def write_motion(
     path = np.zeros((_ROWS, plate.times.size + 1))
     pieces = append_states(record['last'], 1, path, plate.times, plate.states)
     path[:2, -1] = plate.end_time, plate.states[-1, 0]  # there it stays
-    record['pieces'], record['horizon'] = pieces + 1, math.inf
+    record['pieces'] = pieces + 1
     return path
 
 

@@ -28,7 +28,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.kernels import Record, subroutine
-from soft_throw_ros.core.plate import PlateMotion, require_series
+from soft_throw_ros.core.plate import require_series
 from soft_throw_ros.core.plate_kernels import (
     append_states,
     extrapolate,
@@ -160,16 +160,13 @@ class Stepper(ABC):
         self._readable = np.empty(0)  # the array that was checked last
 
     def _make_records(
-        self,
-        record: np.dtype[np.void],
-        motion: PlateMotion | Literal['measured'] | None,
-        step: float,
+        self, record: np.dtype[np.void], step: float, *, is_measured: bool
     ) -> NDArray[np.void]:
         """Make records and path, and return the record to fill in."""
         self._use_records(np.zeros(3, record))
         start: NDArray[np.void] = self._core[2]
-        self._path = write_motion(self._core, motion, self.rig.engine, step)
-        self._is_measured = isinstance(motion, str)
+        self._path = write_motion(self._core, self.rig.engine, step, is_measured=is_measured)
+        self._is_measured = is_measured
         return start
 
     def _use_records(self, core: NDArray[np.void]) -> None:
@@ -271,12 +268,12 @@ class Stepper(ABC):
         Raises
         ------
         ValueError
-            If the stepper was not made with the motion 'measured', or states are not finite,
-            not increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
+            If the stepper was not made with `is_measured`, or states are not finite, not
+            increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
 
         """
         if not self._is_measured:
-            raise ValueError("append_plate_states needs a stepper made with motion 'measured'")
+            raise ValueError('append_plate_states needs a stepper made with is_measured')
         times = np.ascontiguousarray(times, dtype=np.float64)
         states = np.ascontiguousarray(states, dtype=np.float64)
         if times.ndim != 1 or states.shape != (times.size, 3):
@@ -307,10 +304,10 @@ class Stepper(ABC):
         Make a stepper that can go ahead of this one, see `sync_from`.
 
         They share the plate and the memory for events: `events` of the fork are right until this
-        stepper goes on. ValueError if this one was not made with the motion 'measured'.
+        stepper goes on. ValueError if this one was not made with `is_measured`.
         """
         if not self._is_measured:
-            raise ValueError("fork needs a stepper made with motion 'measured'")
+            raise ValueError('fork needs a stepper made with is_measured')
         other = object.__new__(type(self))
         vars(other).update(vars(self))
         other._use_records(self._core.copy())

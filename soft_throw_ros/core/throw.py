@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,8 +109,8 @@ def apex_height(ejection: Event, gravity: float) -> float:
 
 def make_stepper(
     rig: Rig,
-    motion: PlateMotion | Literal['measured'] | None = None,
     *,
+    is_measured: bool = False,
     model: str = 'travelling_wave',
     cells: int | None = None,
     field_points: int = 64,
@@ -120,8 +120,10 @@ def make_stepper(
 
     Parameters
     ----------
-    rig, motion, model, cells
-        As for `simulate`; the motion may also be 'measured', given by `append_plate_states`.
+    rig, model, cells
+        As for `simulate`.
+    is_measured : bool
+        Whether the plate moves by `append_plate_states` and not by the rig's engine.
     field_points : int
         Heights at which the layer is read, 2 or more.
 
@@ -135,8 +137,10 @@ def make_stepper(
     if model == 'travelling_wave':
         if cells is not None:
             raise ValueError(f'cells are for models with cells only, got {cells!r}')
-        return WaveStepper(rig, motion, field_points=field_points)
-    return CellStepper(rig, motion, model=model, cells=cells, field_points=field_points)
+        return WaveStepper(rig, is_measured=is_measured, field_points=field_points)
+    return CellStepper(
+        rig, is_measured=is_measured, model=model, cells=cells, field_points=field_points
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +153,6 @@ class Throw:
     """
 
     rig: Rig
-    motion: PlateMotion = field(repr=False)
     model: str
     cells: int | None = field(repr=False)
     max_strain: float
@@ -161,6 +164,11 @@ class Throw:
     """Time until which it was followed. [s]"""
     loads: Loads
     energies: Energies
+
+    @property
+    def motion(self) -> PlateMotion:
+        """Motion of the plate."""
+        return motion_of(self.rig.engine)
 
     @property
     def peak_plate_speed(self) -> float:
@@ -275,14 +283,11 @@ class Throw:
         return Fields(time, depth, strain, velocity)
 
     def _stepper(self, points: int = 2) -> Stepper:
-        return make_stepper(
-            self.rig, self.motion, model=self.model, cells=self.cells, field_points=points
-        )
+        return make_stepper(self.rig, model=self.model, cells=self.cells, field_points=points)
 
 
 def simulate(
     rig: Rig,
-    motion: PlateMotion | None = None,
     *,
     model: str = 'travelling_wave',
     cells: int | None = None,
@@ -297,8 +302,6 @@ def simulate(
     ----------
     rig : Rig
         The throwing rig.
-    motion : PlateMotion, optional
-        Motion of the plate; the motion of the rig's engine if not given.
     model : str
         One of `models.MODELS`, see below.
     cells : int, optional
@@ -357,10 +360,8 @@ def simulate(
         checks.require_positive('until', until)
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
-    if motion is None:
-        motion = motion_of(rig.engine)
-    stepper = make_stepper(rig, motion, model=model, cells=cells)
-    _run(stepper, motion, until=until, max_events=max_events)
+    stepper = make_stepper(rig, model=model, cells=cells)
+    _run(stepper, until=until, max_events=max_events)
     events = tuple(stepper.events()[:max_events])
     end_time = float(stepper.state[TIME])
     if not events:
@@ -371,7 +372,6 @@ def simulate(
     stepper.advance_to(events[0].time)
     return Throw(
         rig=rig,
-        motion=motion,
         model=model,
         cells=cells,
         max_strain=rig.layer.linear_range(max_strain),
@@ -390,11 +390,9 @@ def _energies(stepper: Stepper) -> Energies:
     return Energies(work, stored, 0.0 if is_lossless else max(0.0, work - stored))
 
 
-def _run(
-    stepper: Stepper, motion: PlateMotion, *, until: float | None, max_events: int | None
-) -> None:
+def _run(stepper: Stepper, *, until: float | None, max_events: int | None) -> None:
     """Go to the end of a throw as `simulate` defines it."""
-    rig = stepper.rig
+    rig, motion = stepper.rig, motion_of(stepper.rig.engine)
     latest = MAX_DURATION if until is None else until
     affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
     wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency

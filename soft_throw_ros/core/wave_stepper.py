@@ -21,12 +21,11 @@ from __future__ import annotations
 
 from functools import partial
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
-from soft_throw_ros.core.plate import peak_velocity_ratios, PlateMotion
+from soft_throw_ros.core.plate import peak_velocity_ratios
 from soft_throw_ros.core.plate_kernels import BLOCK
 from soft_throw_ros.core.rig import Ratios, Rig
 from soft_throw_ros.core.stepper import (
@@ -130,7 +129,7 @@ class WaveStepper(Stepper):
 
     Parameters
     ----------
-    rig, motion, field_points
+    rig, is_measured, field_points
         As for `throw.make_stepper`.
     steps : int, optional
         Per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
@@ -158,8 +157,8 @@ class WaveStepper(Stepper):
     def __init__(
         self,
         rig: Rig,
-        motion: PlateMotion | Literal['measured'] | None = None,
         *,
+        is_measured: bool = False,
         steps: int | None = None,
         field_points: int = 64,
     ) -> None:
@@ -168,7 +167,7 @@ class WaveStepper(Stepper):
         if steps is None:
             steps = steps_per_crossing(rig)
         self.steps = require_count('steps', steps, low=16, high=MAX_STEPS)
-        start = self._make_records(RECORD, motion, rig.crossing_time / self.steps)
+        start = self._make_records(RECORD, rig.crossing_time / self.steps, is_measured=is_measured)
         start['thickness'] = rig.layer.thickness
         start['rest_height'] = rig.rest_height
         prepare(
@@ -285,4 +284,4 @@ def _first_throw(s: np.void, peak_speed: float) -> tuple[float, ...]:
 
 def warm_up() -> None:
     """Compile or load all kernels that the twin needs."""
-    load_kernels(WaveStepper(Rig(), 'measured', field_points=2))
+    load_kernels(WaveStepper(Rig(), is_measured=True, field_points=2))

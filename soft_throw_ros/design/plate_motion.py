@@ -489,9 +489,10 @@ class _Programme:
         cells = None if model == 'travelling_wave' or is_fine else SEARCH_CELLS
         # A heavy weight keeps the projectile on the layer and changes nothing else. The responses
         # are to a pulse of 1 m/s.
-        heavy = replace(rig, layer=linear_layer(rig.layer), gravity=1e3 / self._step)
-        pulse = Pulses(self._step, np.ones(1)).motion()
-        stepper = make_stepper(heavy, pulse, model=model, cells=cells, field_points=_HEIGHTS)
+        pulse = replace(rig.engine, motion=Pulses(self._step, np.ones(1)).motion())
+        gravity = 1e3 / self._step
+        heavy = replace(rig, engine=pulse, layer=linear_layer(rig.layer), gravity=gravity)
+        stepper = make_stepper(heavy, model=model, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
         strains = np.empty((len(states), _HEIGHTS))
         for n, time in enumerate((self._step / _FINER * np.arange(len(states))).tolist()):

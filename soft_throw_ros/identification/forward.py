@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from dataclasses import replace
 import math
 import time
 from typing import NamedTuple
@@ -130,11 +131,12 @@ def _follow(
     if motion is not None:
         begin = motion.start_time
         motion = SampledMotion(motion.times - begin, motion.states)
+        rig = replace(rig, engine=replace(rig.engine, motion=motion))
     moments, indices = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
     until = float(moments[-1])
     model = 'cells' if by_cells or rig.layer.needs_cells else 'travelling_wave'
     try:
-        stepper = make_stepper(rig, motion, model=model, field_points=2)
+        stepper = make_stepper(rig, model=model, field_points=2)
         _check_cost(stepper, until, rig)
         stepper.advance_to(until)
         events = stepper.events()

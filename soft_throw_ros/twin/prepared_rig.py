@@ -198,7 +198,7 @@ def stepper_of(config: TwinConfig) -> Stepper:
     """
     return make_stepper(
         config.rig,
-        'measured' if config.is_measured else None,
+        is_measured=config.is_measured,
         model=config.model,
         field_points=FIELD_POINTS,
     )

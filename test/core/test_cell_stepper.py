@@ -619,7 +619,7 @@ def test_events_appear_at_their_time():
 
 
 def test_measured_plate_is_followed_to_the_last_whole_step():
-    stepper = CellStepper(LOSSY, 'measured', cells=64)
+    stepper = CellStepper(LOSSY, is_measured=True, cells=64)
     assert stepper.horizon == 0.0
     times = np.arange(0.0, 0.0101, 0.001)
     stepper.append_plate_states(times, np.zeros((11, 3)))

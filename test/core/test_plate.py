@@ -20,9 +20,6 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import PLATE_POSITION
-from soft_throw_ros.core.throw import make_stepper
 
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 TIMES = np.linspace(0.0, 0.05, 251)
@@ -107,20 +104,3 @@ def test_scaled_motion_is_the_same_in_other_units():
     scaled = motion.scaled(time=2.0, height=3.0)
     np.testing.assert_allclose(scaled.position(2.0 * TIMES), 3.0 * motion.position(TIMES))
     assert scaled.peak_velocity == pytest.approx(1.5 * motion.peak_velocity)
-
-
-def test_steppers_accept_any_class_with_the_attributes_of_a_motion():
-    class Lift:
-        times, states = np.array([0.0, 0.01]), np.array([[0.0] * 3, [1e-3, 0.0, 0.0]])
-        start_time, end_time, peak_velocity = 0.0, 0.01, 0.1875
-
-    custom, standard = (
-        make_stepper(Rig(), motion)
-        for motion in (Lift(), SampledMotion(Lift.times, Lift.states))
-    )
-    for stepper in (custom, standard):
-        stepper.advance_to(0.02)
-    assert custom.state.tolist() == standard.state.tolist()
-    assert custom.state[PLATE_POSITION] == pytest.approx(1e-3)
-    with pytest.raises(ValueError, match="attributes of Underdamped or SampledMotion, got 'sine'"):
-        make_stepper(Rig(), 'sine')

@@ -141,7 +141,7 @@ def test_reset_repeats_the_throw_bit_for_bit(make):
 
 @all_steppers
 def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
-    model = make('measured')
+    model = make(is_measured=True)
     model.append_plate_states([1.0, 1.001], np.zeros((2, 3)))
     model.advance_to(0.5)
     layer = np.empty((3, model.field_points))
@@ -175,7 +175,7 @@ def test_projectile_rests_at_the_height_of_the_rig(make):
 @steppers
 def test_measured_plate_throws_like_the_engine(make):
     times = np.arange(0.0, 0.04, 4e-4)
-    model, engine = make('measured'), make()
+    model, engine = make(is_measured=True), make()
     model.append_plate_states(times, plate_states(times))
     model.advance_to(model.horizon)
     engine.advance_to(model.horizon)
@@ -188,13 +188,14 @@ def test_measured_plate_throws_like_the_engine(make):
 def test_work_of_a_measured_plate_converges_with_the_square_of_the_step(make, name):
     times = np.arange(0.0, 0.0105, 4e-4)
     states, counts, errors = plate_states(times), np.array([32, 64, 128, 256]), []
-    history = follow(Rig(), SampledMotion(times, states), max_events=1)
+    plate = Engine(motion=SampledMotion(times, states))
+    history = follow(Rig(engine=plate), max_events=1)
     moments = np.array([2.5 * Rig().crossing_time, history.events[0].time])
     grids = np.linspace(0.0, moments, 200_001)  # so fine that the integral errs by 1e-9
-    power = -history.plate_force(grids) * history.motion.velocity(grids)
+    power = -history.plate_force(grids) * plate.motion.velocity(grids)
     exact = trapezoid(power, grids, axis=0)
     for count in counts:
-        model, works = make(Rig(), 'measured', **{name: int(count)}), []
+        model, works = make(Rig(), is_measured=True, **{name: int(count)}), []
         model.append_plate_states(times, states)
         for moment in (moments[0], times[-2]):  # the work ends with the release
             model.advance_to(moment)
@@ -214,11 +215,11 @@ def test_work_of_a_measured_plate_converges_with_the_square_of_the_step(make, na
     ],
 )
 def test_sampled_plate_agrees_with_the_method_of_steps(make, sign, gravity, end, until, error):
-    rig = Rig(gravity=gravity)
     times = np.arange(1.7e-4, end, 2.5e-4)
-    positions = sign * Underdamped.of(rig.engine).position(times)
+    positions = sign * Underdamped.of(Engine()).position(times)
     motion = SampledMotion.from_positions(times + 1e-3, positions)
-    history, model = follow(rig, motion, until=until), make(rig, motion)
+    rig = Rig(engine=Engine(motion=motion), gravity=gravity)
+    history, model = follow(rig, until=until), make(rig)
     model.advance_to(until)
     assert model.event_count == len(history.events) == (1 if sign > 0.0 else 3)
     for computed, exact in zip(model.events(), history.events, strict=True):
@@ -230,7 +231,7 @@ def test_sampled_plate_agrees_with_the_method_of_steps(make, sign, gravity, end,
 def test_appending_single_states_changes_no_bit(make):
     times = np.arange(0.0, 0.02, 5e-4)
     states = plate_states(times)
-    at_once, one_by_one = make('measured'), make('measured')
+    at_once, one_by_one = make(is_measured=True), make(is_measured=True)
     at_once.append_plate_states(times, states)
     for time, state in zip(times, states, strict=True):
         one_by_one.append_plate_states([time], [state])
@@ -243,7 +244,7 @@ def test_appending_single_states_changes_no_bit(make):
 def test_fork_predicts_the_projectile_for_one_crossing(make):
     times = np.arange(0.0, 0.02, 2e-4)
     states = plate_states(times)
-    model, engine = make('measured'), make()
+    model, engine = make(is_measured=True), make()
     ahead = model.fork()
     for n, (time, state) in enumerate(zip(times, states, strict=True)):
         model.append_plate_states([time], [state])
@@ -260,7 +261,7 @@ def test_fork_predicts_the_projectile_for_one_crossing(make):
 
 @steppers
 def test_plate_of_a_long_throw_is_discarded_before_the_next(make):
-    model = make('measured')
+    model = make(is_measured=True)
     ahead = model.fork()
     for begin in np.arange(0.0, 0.5, 0.01):
         times = begin + np.arange(0.0, 0.01, 1e-4)
@@ -275,7 +276,7 @@ def test_plate_of_a_long_throw_is_discarded_before_the_next(make):
 
 @steppers
 def test_unknown_plate_is_refused_and_changes_nothing(make):
-    model = make('measured')
+    model = make(is_measured=True)
     with pytest.raises(HorizonError, match=r'0\.1'):
         model.advance_to(0.1)
     model.append_plate_states([0.0, 0.01], np.zeros((2, 3)))
@@ -297,7 +298,7 @@ def test_unknown_plate_is_refused_and_changes_nothing(make):
     ],
 )
 def test_impossible_states_are_refused_as_a_whole(make, times, states, complaint):
-    model = make('measured')
+    model = make(is_measured=True)
     with pytest.raises(ValueError, match=complaint):
         model.append_plate_states(times, states)
     assert model.horizon <= 0.0
@@ -331,7 +332,7 @@ def test_arrays_of_wrong_shape_are_refused(make):
 def test_endless_events_raise_an_error(stepper):
     times = np.arange(0.0, 10.0, 1.25e-4)
     shaken = SampledMotion.from_positions(times, 1e-5 * (1.0 - np.cos(2e3 * math.pi * times)))
-    model = stepper(Rig(layer=Layer(thickness=5e-3)), shaken)
+    model = stepper(Rig(engine=Engine(motion=shaken), layer=Layer(thickness=5e-3)))
     for _ in range(2):
         with pytest.raises(EventLimitError, match=r'4096 .* 9 s'):
             model.advance_to(9.0)

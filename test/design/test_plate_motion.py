@@ -105,9 +105,9 @@ def test_best_motion_beats_the_others_within_their_limits(layer):
     limits = PlateLimits.of(rig.engine)
     throw = find_best_motion(rig, limits)
     model = 'cells' if rig.layer.loss_tangent else 'travelling_wave'
-    step = rest_to_rest(limits, travel=limits.travel).motion()
+    step = Engine(motion=rest_to_rest(limits, travel=limits.travel).motion())
     assert throw.ejection_speed > simulate(rig, model=model).ejection_speed
-    assert throw.ejection_speed > simulate(rig, step, model=model).ejection_speed
+    assert throw.ejection_speed > simulate(replace(rig, engine=step), model=model).ejection_speed
     assert excess(throw.motion, limits) < 1.0 + 1e-9
     assert throw.recontacts == 0
     np.testing.assert_array_equal(throw.motion.states[-1, 1:], 0.0)
@@ -150,8 +150,8 @@ def test_no_random_motion_is_better():
         speeds = [0.0]
         for change in changes:
             speeds.append(min(max(speeds[-1] + change, 0.0), limits.speed))
-        motion = Pulses(step, np.array(speeds[1:])).motion()
-        most = max(most, simulate(rig, motion).ejection_speed)
+        engine = Engine(motion=Pulses(step, np.array(speeds[1:])).motion())
+        most = max(most, simulate(replace(rig, engine=engine)).ejection_speed)
     assert 0.9 * best < most < best * (1.0 + 1e-3)
 
 

@@ -43,7 +43,7 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.plate import PlateMotion, SampledMotion, Underdamped
+from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 
@@ -105,8 +105,6 @@ class WaveHistory:
 
     Attributes
     ----------
-    rig : Rig
-    motion : PlateMotion
     events : tuple of Event
         In order; the first is a release. Empty if the projectile never left in the time given.
     end_time : float
@@ -114,11 +112,11 @@ class WaveHistory:
 
     """
 
-    def __init__(self, rig: Rig, motion: PlateMotion) -> None:
+    def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.motion = motion
+        self.motion = motion_of(rig.engine)
         self._crossing = rig.crossing_time
-        start = float(_knots(motion)[0]) + self._crossing
+        start = float(_knots(self.motion)[0]) + self._crossing
         self._down = _Series(start)  # q at the top
         self._mass_velocity = _Series(start)
         self._mass_rise = _Series(start)
@@ -194,27 +192,18 @@ class WaveHistory:
         return np.asarray(passed % 2 == 0)
 
 
-def follow(
-    rig: Rig,
-    motion: PlateMotion | None = None,
-    *,
-    until: float | None = None,
-    max_events: int | None = None,
-) -> WaveHistory:
+def follow(rig: Rig, *, until: float | None = None, max_events: int | None = None) -> WaveHistory:
     """Follow a throw from rest to `until` [s], or so many events, or else to the first landing."""
     rig.check_for_waves()
-    if motion is None:
-        motion = Underdamped.of(rig.engine)
-    return _Follower(rig, motion, until, max_events).run()
+    return _Follower(rig, until, max_events).run()
 
 
 class _Follower:
     """The march through the pieces."""
 
-    def __init__(
-        self, rig: Rig, motion: PlateMotion, until: float | None, max_events: int | None
-    ) -> None:
-        self.history = WaveHistory(rig, motion)
+    def __init__(self, rig: Rig, until: float | None, max_events: int | None) -> None:
+        self.history = WaveHistory(rig)
+        motion = self.history.motion
         self.tau: float = rig.relaxation_time
         self.crossing: float = rig.crossing_time
         self.gravity = rig.gravity
