@@ -148,7 +148,7 @@ class Stepper(ABC):
     _advance: Callable[[float], int]
     """Goes to a time, and returns the number of events, or an error code."""
     _read_layer: Callable[[Floats], None]
-    """Writes heights, velocities, forces and, if there is a fourth row, strains."""
+    """Does the work of `read_layer`, without checks."""
     _changing: ClassVar[tuple[str, ...]]
     """Names of the arrays that the kernels change, beside records, path and events."""
 
@@ -156,7 +156,6 @@ class Stepper(ABC):
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._events = np.zeros((MAX_EVENTS, 4))
-        self._scratch = np.zeros((4, field_points))
         self._readable = np.empty(0)  # the array that was checked last
 
     def _make_records(
@@ -336,40 +335,20 @@ class Stepper(ABC):
 
     def read_layer(self, out: Floats) -> None:
         """
-        Write heights, velocities and forces of the layer at the present time, from plate to top.
+        Write the state of the layer at the present time, from plate to top.
 
         Parameters
         ----------
-        out : ndarray, shape (3, field_points)
+        out : ndarray, shape (3, field_points) or (4, field_points)
             Of float64, else ValueError: heights above the plate's rest position [m], velocities
-            [m/s], and forces through the layer, positive in compression [N].
+            [m/s], forces through the layer, positive in compression [N], and, if there is a
+            fourth row, total strains, negative in compression [-].
 
         """
         if out is not self._readable:
-            require_target('out', out, (3, self.field_points))
+            _require_target(out, self.field_points)
             self._readable = out
         self._read_layer(out)
-
-    def sample_strain(self, times: ArrayLike, out: Floats) -> None:
-        """
-        Advance through `times` and write the total strain at each time to `out`.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Increasing. [s]
-        out : ndarray, shape (n, field_points)
-            Array of float64 for the result. [-]
-
-        """
-        times = np.ascontiguousarray(times, dtype=np.float64)
-        if times.ndim != 1:
-            raise ValueError(f'times must be a series, got shape {times.shape}')
-        require_target('out', out, (times.size, self.field_points))
-        for time, row in zip(times.tolist(), out, strict=True):
-            self.advance_to(time)
-            self._read_layer(self._scratch)
-            row[:] = self._scratch[3]
 
     @property
     def horizon(self) -> float:
@@ -463,7 +442,6 @@ def load_kernels(stepper: Stepper) -> None:
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
     stepper.read_layer(np.empty((3, stepper.field_points)))
-    stepper.sample_strain([stepper.state[TIME]], np.empty((1, stepper.field_points)))
     stepper.fork().sync_from(stepper)
     stepper.stored_energy()
     _ = stepper.loads
@@ -502,9 +480,13 @@ def require_steps_per_period(rig: Rig, steps: float, *, limit: int, unit: str) -
     return needed
 
 
-def require_target(name: str, array: Floats, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless a kernel can write to `array`."""
-    is_array = isinstance(array, np.ndarray)
-    if not is_array or array.dtype != np.float64 or array.shape != shape or not array.flags.carray:
-        got = f'{array.dtype} of shape {array.shape}' if is_array else type(array).__name__
-        raise ValueError(f'{name} must be a contiguous float64 array of shape {shape}, got {got}')
+def _require_target(out: Floats, points: int) -> None:
+    """Raise ValueError unless a kernel can write a layer to `out`."""
+    shapes, got = ((3, points), (4, points)), type(out).__name__
+    if isinstance(out, np.ndarray):
+        if out.dtype == np.float64 and out.shape in shapes and out.flags.carray:
+            return
+        got = f'{out.dtype} of shape {out.shape}'
+    raise ValueError(
+        f'out must be a contiguous float64 array of shape (3 or 4, {points}), got {got}'
+    )

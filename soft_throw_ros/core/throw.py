@@ -274,11 +274,11 @@ class Throw:
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
         stepper = self._stepper(points)
         strain, velocity = np.empty((2, time.size, points))
-        layer = np.empty((3, points))
+        layer = np.empty((4, points))
         for row, moment in enumerate(time.tolist()):
-            stepper.sample_strain([moment], strain[row:row + 1])
+            stepper.advance_to(moment)
             stepper.read_layer(layer)
-            velocity[row] = layer[1]
+            velocity[row], strain[row] = layer[1], layer[3]
         depth = np.linspace(0.0, self.rig.layer.thickness, points)
         return Fields(time, depth, strain, velocity)
 

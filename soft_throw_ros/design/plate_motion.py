@@ -494,10 +494,11 @@ class _Programme:
         heavy = replace(rig, engine=pulse, layer=linear_layer(rig.layer), gravity=gravity)
         stepper = make_stepper(heavy, model=model, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
-        strains = np.empty((len(states), _HEIGHTS))
+        strains, layer = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
         for n, time in enumerate((self._step / _FINER * np.arange(len(states))).tolist()):
-            stepper.sample_strain([time], strains[n:n + 1])
-            states[n] = stepper.state
+            stepper.advance_to(time)
+            stepper.read_layer(layer)
+            states[n], strains[n] = stepper.state, layer[3]
         self._velocity = states[::_FINER, PROJECTILE_VELOCITY]
         self._force = states[:, PROJECTILE_FORCE] - rig.projectile.mass * heavy.gravity
         self._strains = (strains[::_FINER] - strains[0]).T

@@ -166,13 +166,14 @@ def layer_of(stepper: Stepper) -> LayerState:
 def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> ThrowField:
     """Return the strain of the layer and the energies over a time [s] from the start on."""
     times = np.linspace(0.0, length, THROW_FIELD_ROWS)
-    strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
+    strain, layer = np.empty((THROW_FIELD_ROWS, FIELD_POINTS)), np.empty((4, FIELD_POINTS))
     energies = []
-    for row in range(0, THROW_FIELD_ROWS, _ROWS_PER_ENERGY):
-        if not stepper.advance_to(times[row]):
-            energies.append((times[row], *_energies(stepper)))
-        block = slice(row, row + _ROWS_PER_ENERGY)
-        stepper.sample_strain(times[block], strain[block])
+    for row, time in enumerate(times.tolist()):
+        events = stepper.advance_to(time)
+        if not events and row % _ROWS_PER_ENERGY == 0:
+            energies.append((time, *_energies(stepper)))
+        stepper.read_layer(layer)
+        strain[row] = layer[3]
     checksum = crc32(strain.data, crc32(times.data))  # takes a tenth of a millisecond
     return ThrowField(times, strain, np.array(energies), checksum, start_ns)
 

@@ -76,7 +76,7 @@ def plate_states(times):
 
 def observe(model):
     """Return all outputs of a stepper as bytes."""
-    layer = np.empty((3, model.field_points))
+    layer = np.empty((4, model.field_points))
     model.read_layer(layer)
     numbers = [
         *model.state, *layer.ravel(), *model.loads, model.plate_work, model.stored_energy(),
