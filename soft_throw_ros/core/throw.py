@@ -155,7 +155,6 @@ class Throw:
     rig: Rig
     model: str
     cells: int | None = field(repr=False)
-    max_strain: float
     rest_height: float
     """Height of the projectile's lower face before the throw. [m]"""
     events: tuple[Event, ...]
@@ -222,13 +221,8 @@ class Throw:
 
     @property
     def leaves_linear_range(self) -> bool:
-        """Whether the peak strain is above `max_strain`, so that the result is doubtful."""
-        return self.peak_strain > self.max_strain
-
-    @property
-    def has_shocks(self) -> bool:
-        """Whether shocks form in a neo-Hookean layer, so that errors reach 4e-3."""
-        return self.ejection_time > self.rig.shock_time
+        """Whether the peak strain is so large that the result is doubtful."""
+        return self.peak_strain > self.rig.layer.linear_range(LINEAR_STRAIN)
 
     @property
     def apex_height(self) -> float:
@@ -293,7 +287,6 @@ def simulate(
     cells: int | None = None,
     until: float | None = None,
     max_events: int | None = None,
-    max_strain: float = LINEAR_STRAIN,
 ) -> Throw:
     """
     Simulate a throw to its end with the stepper of a model.
@@ -314,9 +307,6 @@ def simulate(
         simulation until then would take more than about half a second, stop when the projectile
         is far above every height that the free top reached in eight crossings and two periods of
         the plate.
-    max_strain : float
-        Largest strain magnitude with reliable results for a linear layer; for a neo-Hookean one it
-        is `material.LARGEST_STRAIN`. [-]
 
     Returns
     -------
@@ -355,7 +345,6 @@ def simulate(
     1.996
 
     """
-    checks.require_positive('max_strain', max_strain)
     if until is not None:
         checks.require_positive('until', until)
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
@@ -374,7 +363,6 @@ def simulate(
         rig=rig,
         model=model,
         cells=cells,
-        max_strain=rig.layer.linear_range(max_strain),
         rest_height=stepper.rest_position,
         events=events,
         end_time=end_time,

@@ -190,10 +190,14 @@ def throw_many(
 
 def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
     """Return the properties of a rig that are no values of `Changes`."""
-    layer, projectile = rig.layer, rig.projectile
+    layer, projectile, motion = rig.layer, rig.projectile, rig.engine.motion
     sheets = len(layer.sheets) if isinstance(layer, Stack) else 0
     laws = layer.stress_strain_law, layer.loss
-    return rig.engine.motion, sheets, *laws, projectile.length, projectile.youngs_modulus
+    samples: tuple[Hashable, ...] = ()
+    if motion:  # whose samples other values of the engine scale
+        units = rig.engine.frequency, rig.engine.amplitude
+        samples = *units, motion.times.tobytes(), motion.states.tobytes()
+    return *samples, sheets, *laws, projectile.length, projectile.youngs_modulus
 
 
 def units_of(values: Mapping[str, Any]) -> tuple[Any, ...]:

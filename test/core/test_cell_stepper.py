@@ -440,7 +440,6 @@ def test_large_throws_can_be_simulated(amplitude, layer):
     assert np.isfinite(stepper.state).all()
     assert np.isfinite(stepper.stored_energy())
     result = simulate(rig, model='cells', max_events=1)
-    assert result.max_strain == 0.5
     assert result.leaves_linear_range is (amplitude > 0.02)
 
 

@@ -91,11 +91,10 @@ def test_ejection_time_counts_from_the_start_of_a_sampled_plate():
     assert throw.ejection_time == pytest.approx(simulate(Rig()).ejection_time, abs=1e-7)
 
 
-def test_throw_within_the_linear_range_is_not_flagged():
-    throw = simulate(Rig(engine=Engine(amplitude=1e-3)))
-    assert throw.peak_strain < 0.1
-    assert not throw.leaves_linear_range
-    assert simulate(throw.rig, max_strain=0.01).leaves_linear_range
+@pytest.mark.parametrize(('amplitude', 'is_left'), [(1e-3, False), (3e-3, True)])
+def test_throw_beyond_the_linear_range_is_flagged(amplitude, is_left):
+    throw = simulate(Rig(engine=Engine(amplitude=amplitude)))
+    assert throw.leaves_linear_range is is_left is (throw.peak_strain > 0.15)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +123,6 @@ def test_unfinished_throw_raises_an_error():
     ('arguments', 'message'),
     [
         ({'model': 'magic'}, 'magic'),
-        ({'max_strain': 0.0}, r'max_strain .*0\.0'),
         ({'until': -1.0}, r'until .*-1\.0'),
         ({'max_events': 0}, 'max_events .*0'),
         ({'cells': 64}, 'cells .*64'),

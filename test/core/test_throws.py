@@ -120,16 +120,25 @@ def test_changes_agree_with_another_rig(rig):
     assert throws[:3] == pytest.approx(expected[:3], rel=1e-9)
 
 
-def test_different_rigs_agree_with_changes_of_one_rig():
-    rigs = [Rig(), Rig(gravity=5.0), Rig(layer=Layer(thickness=0.01, loss_tangent=0.1))]
+@pytest.mark.parametrize(
+    'rigs',
+    [
+        [Rig(), Rig(gravity=5.0), Rig(layer=Layer(thickness=0.01, loss_tangent=0.1))],
+        [Rig(engine=Engine(motion=MOTION)), Rig(engine=Engine(motion=MOTION.scaled()))],
+    ],
+    ids=['engine', 'equal motions'],
+)
+def test_different_rigs_agree_with_changes_of_one_rig(rigs):
     for together, rig in zip(zip(*throw_many(rigs, loads=True), strict=True), rigs, strict=True):
         assert together == pytest.approx(tuple(throw_many(rig, loads=True)), rel=1e-12)
 
 
 def test_rigs_that_differ_in_more_than_values_are_refused():
     strained = Rig(layer=Layer(stress_strain_law='neo_hookean'))
-    with pytest.raises(ValueError, match='got 2 kinds'):
-        throw_many([Rig(), strained])
+    moved, other = (Rig(engine=Engine(frequency=f, motion=MOTION)) for f in (60.0, 63.2))
+    for rigs in ([Rig(), strained], [moved, other]):
+        with pytest.raises(ValueError, match='got 2 kinds'):
+            throw_many(rigs)
     with pytest.raises(ValueError, match='got 0 kinds'):
         throw_many([])
 
