@@ -26,16 +26,10 @@ from soft_throw_ros.core.processors import usable_processors
 
 Floats = NDArray[np.float64]
 
-_CHECKS = {
-    'mass_ratio': checks.require_positive_array,
-    'speed_ratio': checks.require_positive_array,
-    'damping_ratio': checks.require_in_unit_interval_array,
-    'gravity_ratio': checks.require_not_negative_array,
-    'loss_tangent': checks.require_not_negative_array,
-    'crossing_ratio': checks.require_not_negative_array,
-    'strain_ratio': checks.require_not_negative_array,
-    'constant_loss': checks.require_not_negative_array,
+_RANGES = {
+    'mass_ratio': 'positive', 'speed_ratio': 'positive', 'damping_ratio': 'in_unit_interval',
 }
+"""Ranges of ratios for `checks.require_all`; all others are not negative."""
 
 _MAX_PERIODS = 16.0
 """Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
@@ -58,7 +52,10 @@ def broadcast_ratios(**ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         If a ratio is out of range, or the shapes do not fit.
 
     """
-    arrays = [_CHECKS[name](name, ratio) for name, ratio in ratios.items()]
+    arrays = [
+        checks.require_all(name, ratio, _RANGES.get(name, 'not_negative'))
+        for name, ratio in ratios.items()
+    ]
     shape = np.broadcast_shapes(*(array.shape for array in arrays))
     rows = np.empty((len(arrays), *shape))
     for index, array in enumerate(arrays):

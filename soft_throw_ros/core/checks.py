@@ -13,10 +13,13 @@
 # limitations under the License.
 """Refuse bad numbers at the door with a ValueError that quotes them."""
 
+from collections.abc import Callable, Mapping
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
 
 
 def require_finite(name: str, value: object) -> float:
@@ -53,36 +56,22 @@ def require_in_unit_interval(name: str, value: object) -> float:
     return number
 
 
-def require_positive_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return finite numbers above 0 as a float array."""
-    array = _as_floats(name, values)
-    return _require(name, array, array > 0.0, 'above 0 and finite')
+_RANGES: Mapping[str, tuple[str, Callable[[Floats], NDArray[np.bool_]]]] = {
+    'positive': ('above 0 and finite', lambda array: array > 0.0),
+    'not_negative': ('at least 0 and finite', lambda array: array >= 0.0),
+    'in_unit_interval': ('at least 0 and below 1', lambda array: (array >= 0.0) & (array < 1.0)),
+}
+"""Ranges of finite numbers by name: the rule in words, and as a function."""
 
 
-def require_not_negative_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return finite numbers that are at least 0 as a float array."""
-    array = _as_floats(name, values)
-    return _require(name, array, array >= 0.0, 'at least 0 and finite')
-
-
-def require_in_unit_interval_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return numbers in [0, 1) as a float array."""
-    array = _as_floats(name, values)
-    return _require(name, array, (array >= 0.0) & (array < 1.0), 'at least 0 and below 1')
-
-
-def _as_floats(name: str, values: ArrayLike) -> NDArray[np.float64]:
+def require_all(name: str, values: ArrayLike, kind: str) -> Floats:
+    """Return numbers in a range, a key of `_RANGES`, as a float array."""
     try:
-        return np.asarray(values, dtype=np.float64)
+        array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f'{name} must be numbers, got {values!r}') from error
-
-
-def _require(
-    name: str, array: NDArray[np.float64], is_good: NDArray[np.bool_], claim: str
-) -> NDArray[np.float64]:
-    """Return the array, or quote its first bad value; NaN fails every comparison."""
-    is_good = is_good & (array < math.inf)
+    rule, is_allowed = _RANGES[kind]
+    is_good = is_allowed(array) & (array < math.inf)  # NaN fails every comparison
     if not is_good.all():
-        raise ValueError(f'{name} must be {claim}, got {array[~is_good].flat[0]}')
+        raise ValueError(f'{name} must be {rule}, got {array[~is_good].flat[0]}')
     return array

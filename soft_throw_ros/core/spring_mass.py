@@ -67,6 +67,6 @@ def first_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     (array([0.6667, 0.5   , 0.3333]), array([0.75  , 2.4674, 3.    ]))
 
     """
-    q = checks.require_positive_array('frequency_ratio', frequency_ratio)
+    q = checks.require_all('frequency_ratio', frequency_ratio, 'positive')
     speed = math.pi * q / (q + 1.0) * np.sinc((q - 1.0) / (q + 1.0))
     return FirstRelease(1.0 / (1.0 + q), speed, speed**2)

@@ -134,7 +134,7 @@ def check_axis(name: str, values: ArrayLike) -> Floats:
     """
     if name not in AXES:
         raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
-    array = checks.require_not_negative_array(name, values)
+    array = checks.require_all(name, values, 'not_negative')
     if array.ndim != 1 or not array.size:
         raise ValueError(f'{name} must be a row of numbers, got shape {array.shape}')
     for before, after in itertools.pairwise(array.tolist()):

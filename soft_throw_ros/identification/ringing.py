@@ -188,9 +188,9 @@ def fit_wave_speed(
         raise ValueError(
             f'there must be a period for each thickness, got {len(periods)} for {len(thicknesses)}'
         )
-    thickness = checks.require_positive_array('thicknesses', list(thicknesses))
-    period = checks.require_positive_array('periods', [item.value for item in periods])
-    error = checks.require_not_negative_array('periods', [item.error for item in periods])
+    thickness = checks.require_all('thicknesses', list(thicknesses), 'positive')
+    period = checks.require_all('periods', [item.value for item in periods], 'positive')
+    error = checks.require_all('periods', [item.error for item in periods], 'not_negative')
     spread = checks.require_not_negative('thickness_error', thickness_error)
     result = _common_value(period, thickness, np.ones_like(period))  # T_0 / L_s = 2 / c_s
     for _ in range(20):
