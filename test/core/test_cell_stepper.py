@@ -25,7 +25,6 @@ from reference.cases import (
     EXACT,
     FREQUENCY,
     log_uniform,
-    make_paper_rig,
     make_rig,
     order,
     released,
@@ -103,25 +102,6 @@ def test_release_with_loss_is_exact_to_1e_4_at_the_default_and_1e_3_with_16_cell
     coarse = throw_many(EXACTLY_LOSSY, cells=16)
     assert coarse.ejection_time * FREQUENCY == pytest.approx(LOSSY_PHASE, rel=1e-3)
     assert coarse.energy_transfer == pytest.approx(LOSSY_SPEED**2, rel=1e-3)
-
-
-# Computed with 40-digit closed forms, checked by a second method
-@pytest.mark.parametrize(
-    ('thickness', 'phase', 'center', 'face'),
-    [
-        (0.002, 0.25234398637936983, 1.5146422569913178, 1.514621268422948),
-        (0.0056, 0.3689758829724327, 1.809256199489624, 1.8092403238788732),
-    ],
-)
-def test_elastic_projectile_is_exact_to_2e_5(thickness, phase, center, face):
-    rig = make_paper_rig(thickness)
-    stepper = throw(rig, model='cells_elastic', cells=64)
-    release, unit = stepper.events()[0], rig.engine.speed_scale
-    assert release.time * FREQUENCY == pytest.approx(phase, rel=2e-5)
-    assert release.velocity / unit == pytest.approx(center, rel=2e-5)
-    stepper.reset()
-    stepper.advance_to(release.time)
-    assert stepper.state[PROJECTILE_VELOCITY] / unit == pytest.approx(face, rel=4e-5)
 
 
 def heat_of(stepper):
@@ -218,14 +198,6 @@ def test_every_event_is_of_second_order(mu, kappa):
         assert all((a.kind == 'release') == (b.kind == 'release') for a, b in pairs)
         errors.append([computed.velocity - exact.velocity for computed, exact in pairs])
     assert (order(cells, errors) > 1.6).all()
-
-
-def test_release_is_of_second_order_with_loss():
-    cells = np.array([16, 32, 64, 128])
-    throws = [throw_many(EXACTLY_LOSSY, cells=int(count)) for count in cells]
-    time, speed = LOSSY_PHASE / FREQUENCY, LOSSY_SPEED * EXACTLY_LOSSY.engine.speed_scale
-    errors = [[item.ejection_time - time, item.ejection_speed - speed] for item in throws]
-    assert (order(cells, errors) > 1.9).all()
 
 
 def test_release_from_a_stack_is_of_second_order_and_1e_4_at_the_default():
@@ -345,18 +317,6 @@ def test_large_strain_of_the_default_rig_has_its_reference_value():
     assert curved.time / linear.time == pytest.approx(0.97, abs=5e-3)
 
 
-def test_small_throws_of_a_neo_hookean_and_a_linear_layer_agree():
-    linear = throw_many(make_rig(0.6345, 7.346), model='cells', cells=512).energy_transfer
-    rig = make_rig(0.6345, 7.346, stress_strain_law='neo_hookean')
-    strains = np.array([1e-4, 1e-3, 1e-2])
-    amplitude = strains * rig.layer.wave_speed / rig.engine.angular_frequency
-    alpha = throw_many(rig, {'amplitude': amplitude}, cells=512).energy_transfer
-    assert alpha[:2] == pytest.approx(linear, rel=2e-3)
-    assert abs(alpha[0] - linear) < 2e-4
-    change = (alpha - linear) / strains
-    assert change[1] == pytest.approx(change[2], rel=0.2)  # in proportion to the amplitude
-
-
 @pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel'])
 def test_energy_transfer_of_a_gel_is_of_second_order(case):
     rig, _ = CASES[case]
@@ -382,20 +342,6 @@ def test_shocks_are_resolved():
     heat, better_heat = heat_of(coarse), heat_of(fine)
     assert heat == pytest.approx(better_heat, rel=0.05)
     assert better_heat > 0.04 * fine.plate_work
-
-
-def test_heat_of_strong_shocks_converges():
-    rig = Rig(
-        engine=Engine(damping_ratio=0.0),
-        layer=Layer(thickness=0.1, wave_speed=3.16, stress_strain_law='neo_hookean'),
-    )
-    heats = []
-    for count in (64, 128, 256):
-        stepper = throw(rig, cells=count)
-        assert stepper.events()[0].time > rig.shock_time
-        heats.append(heat_of(stepper) / stepper.plate_work)
-    assert heats == sorted(heats, reverse=True)
-    assert heats[2] == pytest.approx(0.178, rel=0.07)  # of 1024 cells
 
 
 # Sheets from the plate up (thickness [m], wave speed [m/s], density [kg/m3]), and alpha by 1024

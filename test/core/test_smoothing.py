@@ -73,17 +73,6 @@ def test_error_of_the_velocity_is_of_third_order_in_the_window():
     assert np.polyfit(np.log(windows), np.log(errors), 1)[0] == pytest.approx(3.0, abs=0.3)
 
 
-def test_velocity_has_its_stated_noise():
-    random = np.random.default_rng(3)
-    times = 2e-4 * np.arange(4000)
-    positions = NOISE * random.standard_normal(times.size)
-    at = np.arange(0.01, 0.79, 2e-3)
-    fit = smooth(at, times, positions, window=2.001e-3, position_noise=NOISE)
-    assert fit.states[:, 1].std() == pytest.approx(fit.errors.mean(), rel=0.1)
-    in_the_middle = savgol_coeffs(11, 3, deriv=1, delta=2e-4)
-    assert fit.errors.mean() == pytest.approx(NOISE * np.linalg.norm(in_the_middle), rel=0.05)
-
-
 def test_too_few_or_one_sided_samples_give_unknown():
     times = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
     fit = smooth([0.4, 0.7, 1.7], times, np.zeros(5), window=1.0, position_noise=1.0)

@@ -142,13 +142,17 @@ def test_reset_repeats_the_throw_bit_for_bit(make):
 @all_steppers
 def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     model = make(is_measured=True)
+    rig = model.rig
     model.append_plate_states([1.0, 1.001], np.zeros((2, 3)))
     model.advance_to(0.5)
     layer = np.empty((3, model.field_points))
     model.read_layer(layer)
-    weight = model.rig.projectile.mass * model.rig.gravity
+    weight = rig.projectile.mass * rig.gravity
     is_glued = getattr(model, 'model', '') == 'cells_glued'
-    load = weight + (model.rig.layer.mass * model.rig.gravity if is_glued else 0.0)
+    own_weight = rig.layer.mass * rig.gravity if is_glued else 0.0
+    load = weight + own_weight
+    height = rig.rest_height - 0.5 * own_weight / rig.layer.stiffness
+    assert model.rest_position == pytest.approx(height, abs=1e-12)
     assert model.state[PLATE_POSITION] == model.state[PLATE_VELOCITY] == 0.0
     assert model.state[PROJECTILE_POSITION] == pytest.approx(model.rest_position)
     assert model.state[PROJECTILE_FORCE] == pytest.approx(weight)
@@ -160,28 +164,6 @@ def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     assert layer[1] == pytest.approx(0.0)
     assert (np.diff(layer[0]) > 0.0).all()
     assert (layer[2] > 0.0).all()
-
-
-@all_steppers
-def test_projectile_rests_at_the_height_of_the_rig(make):
-    model = make()
-    rig = model.rig
-    height = rig.rest_height
-    if getattr(model, 'model', '') == 'cells_glued':  # the layer carries its own weight, too
-        height -= 0.5 * rig.layer.mass * rig.gravity / rig.layer.stiffness
-    assert model.rest_position == pytest.approx(height, abs=1e-12)
-
-
-@steppers
-def test_measured_plate_throws_like_the_engine(make):
-    times = np.arange(0.0, 0.04, 4e-4)
-    model, engine = make(is_measured=True), make()
-    model.append_plate_states(times, plate_states(times))
-    model.advance_to(model.horizon)
-    engine.advance_to(model.horizon)
-    [ours], [exact] = model.events(), engine.events()
-    assert ours.time == pytest.approx(exact.time, rel=1e-5)
-    assert ours.velocity == pytest.approx(exact.velocity, rel=1e-4)
 
 
 @pytest.mark.parametrize(('make', 'name'), [(WaveStepper, 'steps'), (CellStepper, 'cells')])

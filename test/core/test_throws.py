@@ -90,16 +90,6 @@ def test_throw_does_not_depend_on_others_in_its_batch():
     assert np.isnan(together).all(axis=0).tolist() == [False, False, True, False]
 
 
-@pytest.mark.parametrize(
-    'rig', [Rig(), Rig(layer=Layer(loss_tangent=0.1)), Rig(engine=Engine(amplitude=1e-4))],
-    ids=['closed_form', 'cells', 'waves'],
-)
-def test_loads_without_request_are_missing_or_equal(rig):
-    with_loads, throws = throw_many(rig, loads=True), throw_many(rig)
-    for name, expected, value in zip(throws._fields, with_loads, throws, strict=True):
-        assert np.isnan(value) or value == pytest.approx(expected), name
-
-
 def test_layer_with_zero_thickness_throws_nothing():
     throws = throw_many(Rig(), {'thickness': np.array([-1e-3, 0.0, 0.0168])}, loads=True)
     assert np.isnan(throws.energy_transfer).tolist() == [True, True, False]

@@ -30,7 +30,6 @@ from soft_throw_ros.design.plate_motion import (
     find_best_motion,
     find_layer_for_motion,
     PlateLimits,
-    Pulses,
     rest_to_rest,
 )
 
@@ -138,21 +137,6 @@ def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
         assert throws['linear'] == pytest.approx(speed, rel=1e-4)
         assert abs(throws['best'] / speed - 1.0) > 1e-3
         assert f'{throws["best"]:.3g} m/s from this layer' in motion_summary(design)
-
-
-def test_no_random_motion_is_better():
-    """Random pulses up and down within the same limits of speed and acceleration."""
-    rig, limits = Rig(gravity=0.0), replace(ENGINE, travel=0.02)
-    best = find_best_motion(rig, limits).ejection_speed
-    step, random, most = 5e-4, np.random.default_rng(5), 0.0
-    for _ in range(100):
-        changes = random.choice([-1.0, 1.0, 1.0, 1.0], 24) * limits.acceleration * step
-        speeds = [0.0]
-        for change in changes:
-            speeds.append(min(max(speeds[-1] + change, 0.0), limits.speed))
-        engine = Engine(motion=Pulses(step, np.array(speeds[1:])).motion())
-        most = max(most, simulate(replace(rig, engine=engine)).ejection_speed)
-    assert 0.9 * best < most < best * (1.0 + 1e-3)
 
 
 def test_limits_of_jerk_and_loads_cost_speed():

@@ -20,15 +20,11 @@ import types
 
 import pytest
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin import OBJECTIVES
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import SearchCancelledError
-from soft_throw_ros.design.aiming import aim, Target
 from soft_throw_ros.design.objective import Limits, Objective
 from soft_throw_ros.design.objectives.peak import Peak
-from soft_throw_ros.design.objectives.robust import Robust
-from soft_throw_ros.design.objectives.versatile import Versatile
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.requests import limits_of, objective_of, solve_request
 from soft_throw_ros.design.uncertainty import Uncertainties, Variants
@@ -41,56 +37,6 @@ def test_defaults_request_the_peak_without_limits():
     assert limits_of(settings) == Limits()
     assert Uncertainties.from_settings(settings) == Uncertainties()
     assert solve_request(settings) == recommend(Rig())
-
-
-@pytest.mark.parametrize(
-    ('changes', 'objective'),
-    [
-        ({'recommendation__objective': 'robust', 'uncertainty__wave_speed': 0.5,
-          'recommendation__quantile': 0.05},
-         Robust(uncertainties=Uncertainties(wave_speed=0.5), quantile=0.05)),
-        ({'recommendation__objective': 'versatile', 'recommendation__masses': [1e-3, 3e-3],
-          'recommendation__frequencies': [50.0]},
-         Versatile(masses=(1e-3, 3e-3), frequencies=(50.0,))),
-    ],
-)
-def test_every_objective_can_be_requested(changes, objective):
-    settings = complete_settings(**changes, recommendation__vary='thickness')
-    assert objective_of(settings) == objective
-    assert solve_request(settings) == recommend(Rig(), vary='thickness', objective=objective)
-
-
-@pytest.mark.parametrize(
-    ('changes', 'target'),
-    [
-        ({'recommendation__target_height': 0.2}, Target(height=0.2)),
-        ({'recommendation__target_speed': 2.0}, Target(speed=2.0)),
-    ],
-)
-@pytest.mark.parametrize('vary', ['amplitude', 'both'])
-def test_aim_can_be_requested(changes, target, vary):
-    settings = complete_settings(
-        **changes, recommendation__objective='aim', recommendation__vary=vary,
-        recommendation__max_amplitude=2.5e-3,
-    )
-    assert solve_request(settings) == aim(Rig(), target, vary=vary, max_amplitude=2.5e-3)
-
-
-def test_layer_is_chosen_from_the_set_library(tmp_path):
-    path = tmp_path / 'mine.yaml'
-    path.write_text(
-        'jelly:\n  description: kitchen leftovers\n  source: the kitchen\n'
-        '  density: 1000\n  wave_speed: 8\n  loss_tangent: 0\n'
-    )
-    settings = complete_settings(
-        layer__library=str(path), recommendation__vary='library',
-        recommendation__max_loss_tangent=0.001,
-    )
-    best = solve_request(settings)
-    assert best.layer == best.candidates[0].layer == 'jelly'
-    assert best == recommend(
-        Rig(), vary='library', limits=limits_of(settings), materials=library(path).materials
-    )
 
 
 @pytest.mark.parametrize(
