@@ -50,6 +50,8 @@ CAP = Layer(thickness=1e-4, wave_speed=200.0, density=5000.0, loss_tangent=0.1)
 STACKED = Rig(layer=Stack(sheets=(Layer(thickness=8e-3), CAP)))
 GEL = Rig(layer=Layer(loss_tangent=0.05, stress_strain_law='neo_hookean', loss='constant'))
 SOFT = Rig(projectile=Projectile(youngs_modulus=1e6))
+SLOW, WIDE = Layer(thickness=0.1, wave_speed=1.0, diameter=1e-3), Layer(diameter=0.2)
+BAR = Projectile(length=0.1, mass=0.02)
 LAYERS_ON_THE_PLATE = [
     partial(WaveStepper, Rig()),
     partial(CellStepper, Rig()),
@@ -343,6 +345,27 @@ def test_advancing_allocates_nothing(make):
         tracemalloc.stop()
     assert after - before < 1000
     assert peak - before < 4000  # numbers on their way
+
+
+@pytest.mark.parametrize(
+    ('model', 'change', 'value', 'unit'),
+    [
+        ('travelling_wave', lambda x: {'layer': Layer(thickness=x, wave_speed=200.0)}, 1e-4, ' m'),
+        ('travelling_wave', lambda x: {'engine': Engine(frequency=x), 'layer': SLOW}, 1e4, ' Hz'),
+        ('cells', lambda x: {'layer': Layer(thickness=x, wave_speed=50.0)}, 0.5e-3, ' m'),
+        ('cells', lambda x: {'projectile': Projectile(mass=x)}, 1e-6, ' kg'),
+        ('cells', lambda x: {'engine': Engine(frequency=x), 'layer': SLOW}, 1000.0, ' Hz'),
+        ('cells_elastic', lambda x: {'projectile': replace(BAR, youngs_modulus=x)}, 1e4, ' Pa'),
+        ('spring_mass', lambda x: {'layer': replace(WIDE, wave_speed=x)}, 200.0, ' Hz'),
+    ],
+)
+def test_rigs_beyond_real_time_are_refused_with_a_remedy(model, change, value, unit):
+    rig = Rig(projectile=Projectile(mass=1e-5)) if model == 'spring_mass' else Rig()
+    number = r'\d' if model == 'spring_mass' else f'{value:g}'  # the spring quotes its frequency
+    with pytest.raises(ValueError, match=f'{number}{unit}.* the limit is') as refusal:
+        make_stepper(replace(rig, **change(value)), model=model)
+    feasible = float(str(refusal.value).split('feasible: ')[1].split('of ')[1].split()[0])
+    make_stepper(replace(rig, **change(0.9999 * feasible)), model=model)
 
 
 @settings(max_examples=60)
