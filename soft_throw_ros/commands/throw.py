@@ -52,7 +52,7 @@ from soft_throw_ros.configuration.csv_rows import read_rows
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
-from soft_throw_ros.core.models import CELL_MODELS
+from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import simulate
@@ -174,7 +174,7 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
     times = [
         result['ejection_time']
         for name, result in models.items()
-        if result and name in CELL_MODELS and name != 'spring_mass'
+        if result and name in MODELS and MODELS[name].batch == 'cells'
     ]
     if max(times, default=0.0) > rig.shock_time:
         notes['shocks'] = (
@@ -262,7 +262,7 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         'peak_plate_force': throw.loads.plate_force,
         'plate_work': throw.energies.plate_work,
     }
-    if model != 'cells_glued':  # where the layer is thrown, too
+    if not MODELS[model].is_on_projectile:  # where the layer is thrown, too
         projectile, release = rig.projectile, throw.first_release
         rise = release.position - throw.rest_height
         energy = projectile.mass * (0.5 * release.velocity**2 + rig.gravity * rise)

@@ -45,7 +45,7 @@ from soft_throw_ros.core.cell_kernels import (
     ROWS,
     stored_energy,
 )
-from soft_throw_ros.core.models import CELL_MODELS
+from soft_throw_ros.core.models import model_of
 from soft_throw_ros.core.plate import peak_velocity_ratios
 from soft_throw_ros.core.plate_kernels import BLOCK
 from soft_throw_ros.core.rig import Layer, Ratios, Rig
@@ -125,8 +125,8 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
     64
 
     """
-    _require_model(model)
-    if model == 'spring_mass':
+    abilities = model_of(model)
+    if abilities.batch == 'spring':
         rate = 3.0 / _spring_step(rig)
         if rate > MAX_UPDATE_RATE:
             raise ValueError(
@@ -137,7 +137,7 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
         return 1
     layer = rig.layer
     per_cell = 1.0
-    if model == 'cells_elastic':
+    if abilities.has_elastic_projectile:
         per_cell += max(rig.crossing_ratio, 2.0 / _CELLS)
         modulus = rig.projectile.youngs_modulus
         if rig.crossing_ratio > _MAX_CROSSING_RATIO:
@@ -162,12 +162,6 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
     periods = rig.crossing_time * rig.engine.frequency
     needed = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD * periods)
     return min(max(_CELLS, math.ceil(min(needed, MAX_CELLS))), limit)
-
-
-def _require_model(model: str) -> None:
-    """Raise ValueError for a model that is unknown."""
-    if model not in CELL_MODELS:
-        raise ValueError(f'model must be one of {", ".join(CELL_MODELS)}, got {model!r}')
 
 
 def _spring_step(rig: Rig) -> float:
@@ -286,7 +280,7 @@ class CellStepper(Stepper):
     rig, is_measured, field_points
         As for `throw.make_stepper`.
     model : str
-        One of `CELL_MODELS`.
+        One of `models.MODELS`, except for travelling waves.
     cells : int, optional
         Number of cells of the layer, from 1 to `MAX_CELLS`; the default is `cells_per_layer`.
 
@@ -320,28 +314,26 @@ class CellStepper(Stepper):
         cells: int | None = None,
         field_points: int = 64,
     ) -> None:
-        _require_model(model)
         super().__init__(rig, field_points)
+        abilities = model_of(model)
         if cells is None:
             cells = cells_per_layer(rig, model)
         require_count('cells', cells, low=1, high=MAX_CELLS)
-        if model == 'spring_mass':
+        if abilities.batch == 'spring':
             grid = make_massless_grid(rig, step=_spring_step(rig))
         else:
-            is_elastic = model == 'cells_elastic'
-            grid = make_grid(rig, cells=cells, is_elastic=is_elastic)
-        self.model = model
+            grid = make_grid(rig, cells=cells, is_elastic=abilities.has_elastic_projectile)
         self.cells = int(grid.counts.sum())
         self.step = grid.step
         self._nodes = np.zeros((ROWS, self.cells + grid.projectile_cells + 2))
         self._points = grid.points(field_points)
         for name in ('cell', 'neighbour'):
-            self._points[name] += model == 'cells_glued'
+            self._points[name] += abilities.is_on_projectile
         self._make_records(RECORD, grid.step, is_measured=is_measured)
         prepare(
             self._core, self._nodes, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
-            grid.projectile_cells > 0, model == 'cells_glued',
+            grid.projectile_cells > 0, abilities.is_on_projectile,
         )
         self._bind()
         self.reset()

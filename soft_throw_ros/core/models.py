@@ -40,8 +40,8 @@ class LayerModel:
         model follows all, or refuses them.
     has_elastic_projectile : bool
         Whether the projectile has cells, too.
-    glued_to : {'plate', 'projectile'}
-        End at which the layer is glued.
+    is_on_projectile : bool
+        Whether the layer is glued to the projectile and leaves the plate with it.
 
     """
 
@@ -49,7 +49,7 @@ class LayerModel:
     knows: frozenset[str] = _ALL
     fallback: str = ''
     has_elastic_projectile: bool = False
-    glued_to: Literal['plate', 'projectile'] = 'plate'
+    is_on_projectile: bool = False
 
 
 MODELS: Mapping[str, LayerModel] = {
@@ -58,13 +58,10 @@ MODELS: Mapping[str, LayerModel] = {
     ),
     'cells': LayerModel(batch='cells'),
     'cells_elastic': LayerModel(batch='cells', has_elastic_projectile=True),
-    'cells_glued': LayerModel(batch='cells', glued_to='projectile'),
+    'cells_glued': LayerModel(batch='cells', is_on_projectile=True),
     'spring_mass': LayerModel(batch='spring', knows=frozenset()),
 }
 """Models that `throw.simulate` knows, and that the twin can follow in real time."""
-
-CELL_MODELS = tuple(name for name in MODELS if name != 'travelling_wave')
-"""Names of the models that `cell_stepper` follows."""
 
 STRESS_STRAIN_LAWS = ('linear', 'neo_hookean')
 """Laws of stress over strain of a layer."""

@@ -302,9 +302,9 @@ def _throw_by(
     if name == 'cells':
         if not model.has_elastic_projectile:
             ratios = ratios._replace(crossing_ratio=0.0)
-        is_on_projectile = model.glued_to == 'projectile'
         return cell_stepper.throw_batch(
-            ratios, rig.layer, is_on_projectile=is_on_projectile, cells=cells, threads=threads
+            ratios, rig.layer, is_on_projectile=model.is_on_projectile, cells=cells,
+            threads=threads,
         )
     if name == 'waves' or (name == 'closed_form' and loads):
         results = wave_stepper.throw_batch(ratios, threads=threads)

@@ -574,7 +574,7 @@ def test_measured_plate_is_followed_to_the_last_whole_step():
         ({'cells': 0}, f'cells must be from 1 to {MAX_CELLS}, got 0'),
         ({'cells': MAX_CELLS + 1}, f'got {MAX_CELLS + 1}'),
         ({'cells': 64.0}, r'cells .* got 64\.0'),
-        ({'model': 'travelling_wave'}, "model .* got 'travelling_wave'"),
+        ({'model': 'rubber'}, "model .* got 'rubber'"),
     ],
 )
 def test_bad_arguments_are_quoted(arguments, complaint):

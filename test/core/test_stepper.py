@@ -150,7 +150,7 @@ def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     layer = np.empty((3, model.field_points))
     model.read_layer(layer)
     weight = rig.projectile.mass * rig.gravity
-    is_glued = getattr(model, 'model', '') == 'cells_glued'
+    is_glued = make.keywords.get('model') == 'cells_glued'
     own_weight = rig.layer.mass * rig.gravity if is_glued else 0.0
     load = weight + own_weight
     height = rig.rest_height - 0.5 * own_weight / rig.layer.stiffness
