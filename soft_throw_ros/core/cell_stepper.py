@@ -352,7 +352,7 @@ class CellStepper(Stepper):
 
     @property
     def horizon(self) -> float:
-        """Until when `advance_to` can go: the last step at which the plate is known [s]."""
+        """Last step at which the plate is known, until which `advance_to` can go [s]."""
         known = float(self._core['horizon'][0])
         if math.isinf(known):
             return known

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Refuse bad numbers at the door with a ValueError that quotes them."""
+"""Checks of numbers, which raise a ValueError that quotes the bad number."""
 
 from collections.abc import Callable, Mapping
 import math
@@ -65,7 +65,7 @@ _RANGES: Mapping[str, tuple[str, Callable[[Floats], NDArray[np.bool_]]]] = {
 
 
 def require_all(name: str, values: ArrayLike, kind: str) -> Floats:
-    """Return numbers in a range, a key of `_RANGES`, as a float array."""
+    """Return numbers as a float array if all are in a range; `kind` is a key of `_RANGES`."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -115,7 +115,7 @@ class Underdamped:
 
     @property
     def start_time(self) -> float:
-        """When it starts [s]."""
+        """Time at which the plate starts [s]."""
         return 0.0
 
     def position(self, time: ArrayLike) -> Floats:
@@ -229,7 +229,7 @@ class SampledMotion:
 
     @cached_property
     def peak_velocity(self) -> float:
-        """Largest upward speed, as far as 16 points between states show it [m/s]."""
+        """Largest upward speed, at 16 points between states [m/s]."""
         between = np.linspace(self.times[:-1], self.times[1:], 17)
         return float(self.velocity(between).max())
 

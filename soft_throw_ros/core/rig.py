@@ -185,7 +185,7 @@ class Layer:
 
     def static_strain(self, force: float) -> float:
         """
-        Return the compression under a steady force, which meets the relaxed modulus [-].
+        Return the compression under a steady force, by the relaxed modulus [-].
 
         Parameters
         ----------
@@ -304,12 +304,12 @@ class Stack(Layer):
 
     @property
     def youngs_modulus(self) -> float:
-        """Return that of a layer of one material which is squeezed as much at rest [Pa]."""
+        """Young's modulus of a uniform layer with the same compression at rest [Pa]."""
         compliance = sum(1.0 / sheet.stiffness for sheet in self.sheets)
         return self.thickness / (compliance * self.section)
 
     def static_strain(self, force: float) -> float:
-        """Return the compression of the whole under a steady force, see `Layer` [-]."""
+        """Return the compression of the whole stack under a steady force, see `Layer` [-]."""
         sag = sum(sheet.thickness * sheet.static_strain(force) for sheet in self.sheets)
         return sag / self.thickness
 

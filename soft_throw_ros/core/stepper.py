@@ -23,7 +23,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 import math
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,16 +48,14 @@ Floats = NDArray[np.float64]
     PLATE_FORCE,
     PROJECTILE_FORCE,
 ) = range(7)
-"""Where things stand in `Stepper.state`."""
+"""Indices of `Stepper.state`."""
 
 RELEASE, RECONTACT, LANDING = np.arange(3)
 """Kinds of events in the memory of a kernel; `EVENT_KINDS` are their names."""
 
-EVENT_KINDS: tuple[Literal['release', 'recontact', 'landing'], ...] = (
-    'release',
-    'recontact',
-    'landing',
-)
+EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
+
+EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 MAX_EVENTS = 4096
 """Most events of one throw."""
@@ -75,9 +73,9 @@ class EventLimitError(RuntimeError):
 
 
 class Event(NamedTuple):
-    """The projectile left the layer, or touched it again."""
+    """A release, re-contact or landing of the projectile."""
 
-    kind: Literal['release', 'recontact', 'landing']
+    kind: EventKind
     """
     A re-contact is when the layer catches up with a projectile that has not fallen back yet; a
     landing is when it has come down under gravity, and every contact after that.
@@ -352,7 +350,7 @@ class Stepper(ABC):
 
     @property
     def horizon(self) -> float:
-        """Until when `advance_to` can go, since the plate is known [s]."""
+        """Time until which the plate is known and `advance_to` can go [s]."""
         return float(self._core['horizon'][0])
 
     @property

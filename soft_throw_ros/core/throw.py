@@ -70,7 +70,7 @@ class Energies(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """Positions [m] and velocities [m/s] over `time` [s], each of its shape; z up."""
+    """Positions [m] and velocities [m/s] over `time` [s], arrays of one shape; z up."""
 
     time: Floats
     plate_position: Floats

@@ -75,7 +75,7 @@ _WAIT = 8.0
 
 
 class SearchCancelledError(RuntimeError):
-    """Nobody waits for the result any more."""
+    """The caller no longer needs the result."""
 
 
 def check_cancelled(cancelled: Cancelled | None) -> None:
