@@ -20,7 +20,7 @@ The options are the parameters of the twin, with the same ranges.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 import sys
 from typing import TypedDict
 
@@ -39,12 +39,12 @@ from soft_throw_ros.commands.options import (
 from soft_throw_ros.commands.output import (
     CommandParser,
     print_note,
+    print_result,
     print_text,
     report_io_errors,
     run_command,
     slow_notice,
     strain_warning,
-    to_json,
     write_columns,
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
@@ -109,13 +109,12 @@ def _run(arguments: argparse.Namespace) -> int:
     if 'cases' in options:
         for name in sorted(options.keys() - {'cases'}):
             raise ValueError(f'argument {option_of(name)}: not allowed with argument --cases')
-        text = _compute_cases(options['cases'])
+        print_text(_compute_cases(options['cases']))
     else:
         settings = read_settings(arguments)
         with slow_notice('throw'):
             prediction = predict(settings, options.get('model', MODEL_NOTES))
-        text = to_json(prediction) if 'json' in options else table(prediction)
-    print_text(text)
+        print_result(prediction, _table(prediction), as_json='json' in options)
     return 0
 
 
@@ -277,21 +276,23 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
     return result
 
 
-def table(prediction: Prediction) -> str:
-    """Format the result of `predict` as a table."""
+def _table(prediction: Prediction) -> Iterator[str]:
+    """Yield the lines of a table with the result of `predict`."""
     rig = prediction['rig']
-    numbers = (
+    yield (
         f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
         f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
     )
-    lines = [numbers, '', *write_columns(prediction['models']), '']
-    lines += [f'{name.replace("_", " ")}: {note}' for name, note in prediction['notes'].items()]
+    yield ''
+    yield from write_columns(prediction['models'])
+    yield ''
+    for name, note in prediction['notes'].items():
+        yield f'{name.replace("_", " ")}: {note}'
     if prediction['leaves_linear_range']:
         settings = prediction['parameters']
         max_strain = float(settings['max_strain'])  # type: ignore[arg-type]
         limit = rig_of(settings).layer.linear_range(max_strain)
-        lines.append(strain_warning(limit, '--max-strain'))
-    return '\n'.join(lines) + '\n'
+        yield strain_warning(limit, '--max-strain')
 
 
 _CASES: Mapping[str, Callable[[str], float]] = {
