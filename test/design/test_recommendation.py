@@ -21,7 +21,6 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throws import throw_many
@@ -40,6 +39,7 @@ from soft_throw_ros.design.sensitivity import TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import Uncertainties
 
 MATERIALS = library().materials
+LOSSY = {'dragon': MATERIALS['dragon_skin_10']}
 KINDS = ('peak', 'robust', 'quantile', 'versatile', 'limits', 'library')
 LOST = 1e-3
 """Fraction of the best score that a recommendation may lose."""
@@ -222,18 +222,6 @@ def test_robust_layer_is_better_in_the_worst_case_only():
     assert safe.by_wave_speed is None
 
 
-def test_layer_of_the_library_counts_with_its_own_properties():
-    material = MATERIALS['dragon_skin_10']
-    best = recommend(Rig(), vary='library', materials={'dragon': material})
-    assert best.loss_tangent == material.loss_tangent.value > 0.0
-    assert best.density == material.density.value
-    assert best.layer == best.candidates[0].layer
-    assert best.energy_transfer == best.score == predict(best.rig).energy_transfer
-    limits = Limits(max_loss_tangent=1e-3)
-    with pytest.raises(ThrowUnresolvedError, match=r'loss tangent of at most 0\.001'):
-        recommend(Rig(), vary='library', limits=limits, materials={'dragon': material})
-
-
 # sensitivities
 
 
@@ -310,6 +298,11 @@ def test_values_are_flat_and_complete():
         (Rig(engine=Engine(frequency=3.0)), {}, r'gravity \(14 of the largest acceleration'),
         (Rig(), {'limits': Limits(wave_speed_min=0.01, wave_speed_max=0.02)}, '0.01 to 0.02 m/s'),
         (Rig(), {'vary': 'thickness', 'limits': Limits(max_strain=0.01)}, r'of at most 0\.01 '),
+        (
+            Rig(),
+            {'vary': 'library', 'limits': Limits(max_loss_tangent=1e-3), 'materials': LOSSY},
+            r'loss tangent of at most 0\.001',
+        ),
     ],
 )
 def test_impossible_recommendation_is_refused_with_a_reason(rig, options, message):
