@@ -56,11 +56,8 @@ def broadcast_ratios(**ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         checks.require_all(name, ratio, _RANGES.get(name, 'not_negative'))
         for name, ratio in ratios.items()
     ]
-    shape = np.broadcast_shapes(*(array.shape for array in arrays))
-    rows = np.empty((len(arrays), *shape))
-    for index, array in enumerate(arrays):
-        rows[index, ...] = array
-    return rows.reshape(len(arrays), -1), shape
+    rows = np.stack(np.broadcast_arrays(*arrays))
+    return rows.reshape(len(arrays), -1), rows.shape[1:]
 
 
 def longest_wait(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
