@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
 from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
 from soft_throw_ros.core.models import LayerModel, model_of
+from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import (
     Engine,
     Layer,
@@ -119,7 +120,8 @@ def throw_many(
     Parameters
     ----------
     rig : Rig or sequence of Rig
-        Several rigs may differ in the values of `Changes` only.
+        Several rigs may differ in the values of `Changes` only; in everything if a plate has a
+        sampled motion.
     changes : mapping of str to float or ndarray, optional
         Values that replace values of the rig; arrays broadcast against each other.
     model : str
@@ -152,12 +154,14 @@ def throw_many(
     if method.batch is None:
         raise ValueError(f'the model {model} has no method for many throws')
     changes = changes or {}
+    if any(single.engine.motion for single in ([rig] if isinstance(rig, Rig) else rig)):
+        return _throw_sampled(rig, changes, model, cells, threads, cancelled)
     if not isinstance(rig, Rig):
         kinds = {_kind_of(single) for single in rig}
         if len(kinds) != 1:
             raise ValueError(
                 'rigs must differ in the values of `Changes` only, got '
-                f'{len(kinds)} kinds of layers, motions or projectiles'
+                f'{len(kinds)} kinds of layers or projectiles'
             )
         tables = [values_of(single) for single in rig]
         columns = {name: np.array([row[name] for row in tables]) for name in tables[0]}
@@ -167,14 +171,6 @@ def throw_many(
     shape = np.broadcast_shapes(*map(np.shape, values.values()))
     results = np.full((len(Throws._fields), math.prod(shape)), math.nan)
     rows = results.reshape(len(results), *shape)
-    if rig.engine.motion:
-        cases = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
-        for batch in _batches(np.ones(results.shape[1], np.bool_), _SAMPLED_BATCH, cancelled):
-            series = {name: item[batch].tolist() for name, item in cases.items()}
-            results[:, batch] = _throw_with_steppers(
-                rig, series, batch.size, model, cells, threads
-            )
-        return Throws(*rows)
     ratios = Ratios(*(np.broadcast_to(ratio, shape).ravel() for ratio in ratios_of(rig, values)))
     for name, chosen in _methods(rig, ratios, method).items():
         is_fast = name in ('closed_form', 'spring') and not loads
@@ -190,14 +186,10 @@ def throw_many(
 
 def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
     """Return the properties of a rig that are no values of `Changes`."""
-    layer, projectile, motion = rig.layer, rig.projectile, rig.engine.motion
+    layer, projectile = rig.layer, rig.projectile
     sheets = len(layer.sheets) if isinstance(layer, Stack) else 0
     laws = layer.stress_strain_law, layer.loss
-    samples: tuple[Hashable, ...] = ()
-    if motion:  # whose samples other values of the engine scale
-        units = rig.engine.frequency, rig.engine.amplitude
-        samples = *units, motion.times.tobytes(), motion.states.tobytes()
-    return *samples, sheets, *laws, projectile.length, projectile.youngs_modulus
+    return sheets, *laws, projectile.length, projectile.youngs_modulus
 
 
 def units_of(values: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -318,39 +310,44 @@ def _throw_by(
     return results
 
 
-def _throw_with_steppers(
-    rig: Rig,
-    changes: Mapping[str, list[float]],
-    count: int,
+def _throw_sampled(
+    rig: Rig | Sequence[Rig],
+    changes: Changes,
     model: str,
     cells: int | None,
     threads: int | None,
-) -> Floats:
-    """Compute the rows of `Throws` for a sampled motion, throw by throw."""
-    results = np.full((len(Throws._fields), count), math.nan)
+    cancelled: Cancelled | None,
+) -> Throws:
+    """Compute throws with sampled motions of the plate, each with a stepper of its own."""
+    rigs, numbers = ([rig], np.array(0)) if isinstance(rig, Rig) else (rig, np.arange(len(rig)))
+    shape = np.broadcast_shapes(numbers.shape, *map(np.shape, changes.values()))
+    numbers = np.broadcast_to(numbers, shape).ravel()
+    columns = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
+    results = np.full((len(Throws._fields), numbers.size), math.nan)
+    for batch in _batches(np.ones(numbers.size, np.bool_), _SAMPLED_BATCH, cancelled):
 
-    def run(first: int, stride: int) -> None:
-        for n in range(first, count, stride):
-            try:
-                other = rig_with(rig, {name: item[n] for name, item in changes.items()})
-                results[:, n] = _throw_with_stepper(other, model, cells)
-            except (ValueError, EventLimitError):  # the model cannot follow this throw
-                continue
+        def run(first: int, stride: int, batch: NDArray[np.int64] = batch) -> None:
+            for n in batch[first::stride].tolist():
+                values = {name: column[n].item() for name, column in columns.items()}
+                try:
+                    other = rig_with(rigs[numbers[n]], values)
+                    results[:, n] = _throw_with_stepper(other, model, cells)
+                except (ValueError, EventLimitError):  # the model cannot follow this throw
+                    continue
 
-    in_threads(run, count=count, per_thread=16, threads=threads)
-    return results
+        in_threads(run, count=batch.size, per_thread=16, threads=threads)
+    return Throws(*results.reshape(len(results), *shape))
 
 
 def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float, ...]:
-    """Follow one throw of a sampled motion to its first release; without one it is NaN."""
-    motion = rig.engine.motion
-    assert motion is not None
+    """Follow one throw to its first release; without one it is NaN."""
+    motion = motion_of(rig.engine)
     model = model_for(rig, model)
     cells = cells if model_of(model).batch == 'cells' else None
     stepper = make_stepper(rig, model=model, cells=cells, field_points=2)
     own_period = 1.0 / rig.natural_frequency + rig.crossing_time
     release = stepper.advance_to_release(
-        latest=motion.end_time + _WAIT * own_period, step=0.25 * own_period
+        latest=getattr(motion, 'end_time', 0.0) + _WAIT * own_period, step=0.25 * own_period
     )
     if release is None:
         return (math.nan,) * len(Throws._fields)
