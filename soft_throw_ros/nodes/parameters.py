@@ -16,34 +16,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 import math
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table, Value
-from soft_throw_ros.configuration.table import MAX_NAME, MAX_TEXT, quote
-from soft_throw_ros.nodes.process import refuse, RunnableNode
+from soft_throw_ros.configuration.table import quote
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
 LOG_PERIOD = 0.5
 """Time between two logs of changes [s]."""
-
-MAX_REQUEST = 250
-"""Parameters in one request [-]: twice as many as the twin has."""
-
-
-class _Refusal(Parameter):
-    """A parameter at its present value that carries the reason of a refusal through rclpy."""
-
-    reason: str
 
 
 class _Result(Parameter):
@@ -65,8 +49,8 @@ class NodeParameters:
     describe : callable, optional
         Returns for the name of a changed parameter when the change takes effect, for the log.
     check : callable, optional
-        Called with complete settings before they are accepted; raises ValueError to refuse.
-        The result is kept in `checked`.
+        Called with complete settings before they are accepted, and with its result for the
+        present ones, None at first; raises ValueError to refuse. The result becomes `checked`.
     arguments : sequence of str
         The command line, so that errors name the file and line of a bad value.
 
@@ -84,12 +68,11 @@ class NodeParameters:
 
     Notes
     -----
-    rclpy processes a request in this order: pre-set callbacks, names, types and ranges of the
-    descriptors, on-set callbacks, post-set callbacks. Its message for a wrong type contains
-    neither parameter nor value, and for an unknown name there is none. So the pre-set callback
-    checks requests. It replaces each bad parameter by a `_Refusal`, which passes rclpy's checks;
-    the on-set callback then refuses the request with our message. Callbacks of other code never
-    see a part of a refused request, and the descriptors still contain types and ranges for tools.
+    rclpy checks names, types and ranges before it calls the on-set callbacks, and the reasons that
+    it returns lack names and values. So the pre-set callback checks requests. It raises
+    ParameterError, and `RunnableNode.set_parameters_atomically` returns the message as reason.
+    Callbacks of other code never see a part of a refused request, and the descriptors still
+    contain types and ranges for tools.
 
     Requests arrive in the executor's thread. `apply` and `set_results` belong there too.
 
@@ -102,7 +85,7 @@ class NodeParameters:
         on_changed: Callable[[Settings], None] = lambda _changes: None,
         *,
         describe: Callable[[str], str] = lambda _name: '',
-        check: Callable[[Settings], Any] = lambda _settings: None,
+        check: Callable[[Settings, Any], Any] = lambda _settings, _checked: None,
         arguments: Sequence[str] = (),
     ) -> None:
         self._node = node
@@ -117,13 +100,12 @@ class NodeParameters:
         self.settings: Settings = files.start(
             values, sources, table, warn=node.get_logger().warning
         )
+        self.checked: Any = None
         self.checked = self._candidate = self._check_complete(self.settings)
         for entry in table.entries:
             value = self.settings.get(entry.name, entry.default)
             node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
-        _refuse_long_requests(node)
         node.add_pre_set_parameters_callback(self._on_pre_set)
-        node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_post_set)
 
     def apply(self, changes: Settings) -> None:
@@ -154,20 +136,11 @@ class NodeParameters:
 
     def _check_complete(self, settings: Settings) -> Any:
         try:
-            return self._check(settings)
+            return self._check(settings, self.checked)
         except ValueError as error:
             raise ParameterError(str(error)) from error
 
     def _on_pre_set(self, parameters: list[Parameter]) -> list[Parameter]:
-        try:
-            return self._accepted(parameters)
-        except ParameterError as error:
-            name = self._table.entries[0].name
-            refusal = _Refusal(name, value=self.settings[name])
-            refusal.reason = str(error)
-            return [refusal]
-
-    def _accepted(self, parameters: list[Parameter]) -> list[Parameter]:
         """Return the parameters with which rclpy continues, or raise ParameterError."""
         passed: list[Parameter] = []
         request: dict[str, Value] = {}
@@ -191,12 +164,6 @@ class NodeParameters:
         if changes:
             self._candidate = self._check_complete({**self.settings, **changes})
         return passed + [Parameter(name, value=value) for name, value in changes.items()]
-
-    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if isinstance(parameter, _Refusal):
-                return SetParametersResult(successful=False, reason=parameter.reason)
-        return SetParametersResult(successful=True)
 
     def _on_post_set(self, parameters: list[Parameter]) -> None:
         changes = {
@@ -241,36 +208,6 @@ class _ChangeLog:
         if not self._waiting:
             self._timer.cancel()
         self._waiting.clear()
-
-
-_SIZED = (
-    'string_value', 'byte_array_value', 'bool_array_value', 'integer_array_value',
-    'double_array_value', 'string_array_value',
-)
-"""Fields of a ParameterValue that have a length."""
-
-
-def _refuse_long_requests(node: RunnableNode) -> None:
-    """Refuse requests with too many parameters or too long values before they are converted."""
-    for service in node.services:
-        if service.srv_type in (SetParameters, SetParametersAtomically):
-            service.callback = partial(_call_if_short, service.callback)
-
-
-def _call_if_short(callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    """Call the callback of a request to set parameters, or refuse a request that is too long."""
-    count = len(request.parameters)
-    reason = ''
-    if count > MAX_REQUEST:
-        reason = f'a request must have at most {MAX_REQUEST} parameters, got {count}'
-    for parameter in request.parameters[:MAX_REQUEST]:
-        size = max(len(getattr(parameter.value, name)) for name in _SIZED)
-        if size > MAX_TEXT:
-            reason = (
-                f'{parameter.name[:MAX_NAME]} must have at most {MAX_TEXT} characters or items, '
-                f'got {size}'
-            )
-    return refuse(request, response, reason) if reason else callback(request, response)
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:

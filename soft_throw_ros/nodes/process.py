@@ -30,6 +30,7 @@ from rclpy.exceptions import InvalidParameterTypeException, NameValidationExcept
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
@@ -99,9 +100,16 @@ class RunnableNode(Node):
             except Exception as error:  # noqa: BLE001  no request ends a node
                 reason = f'{srv_name}: a request is refused: {error}'
                 self.get_logger().error(reason, throttle_duration_sec=REFUSAL_LOG_PERIOD)
-                return refuse(request, response, reason)
+                return _refuse(request, response, reason)
 
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters as `rclpy.node.Node` does; a ParameterError of a callback refuses them."""
+        try:
+            return super().set_parameters_atomically(parameter_list)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
 
     def create_steady_timer(self, seconds: float, callback: Callable[[], None]) -> Timer:
         """Call a function periodically on steady time, also while `/clock` stands still."""
@@ -132,7 +140,7 @@ class RunnableNode(Node):
         """Complete files and everything else that must not be cut short."""
 
 
-def refuse(request: Any, response: Any, reason: str) -> Any:
+def _refuse(request: Any, response: Any, reason: str) -> Any:
     """Complete the response to a request to set parameters, or to trigger, as a refusal."""
     refusal = SetParametersResult(successful=False, reason=reason)
     if isinstance(response, SetParameters.Response):

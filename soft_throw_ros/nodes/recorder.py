@@ -53,14 +53,13 @@ class Recorder(RunnableNode):
         self.add_cleanup(self.close)
         self._arguments = arguments
         self._has_failed = False
-        self._python: str | None = None
         self._last = 'nothing has been recorded yet'
         when = ', when recording is started again'
         self.parameters = NodeParameters(
             self,
             RECORDER,
             describe=lambda _name: when if self.recording is not None else '',
-            check=self._check_python,
+            check=_check_python,
             arguments=arguments,
         )
         if self.parameters.settings['start']:
@@ -125,17 +124,6 @@ class Recorder(RunnableNode):
         else:
             self.get_logger().info(self._last)
         return recording.has_failed
-
-    def _check_python(self, settings: Settings) -> None:
-        """Refuse a changed program, since anybody in the network may set parameters."""
-        python = settings['rerun.python']
-        if self._python is None:
-            self._python = python
-        elif python != self._python:
-            raise ValueError(
-                f'rerun.python names a program to run and is set at the start only: restart the '
-                f'recorder with -p rerun.python:=PATH, got {python[:80]!r}'
-            )
 
     def _on_start(self) -> str:
         if self.recording is not None:
@@ -217,6 +205,17 @@ class Recorder(RunnableNode):
             values = {'starts': recording.viewer.starts}
             statuses.append(status('viewer', error or 'started', values, warn=bool(error)))
         return statuses
+
+
+def _check_python(settings: Settings, present: str | None) -> str:
+    """Refuse a changed program, since anybody in the network may set parameters."""
+    python = str(settings['rerun.python'])
+    if present not in (None, python):
+        raise ValueError(
+            f'rerun.python names a program to run and is set at the start only: restart the '
+            f'recorder with -p rerun.python:=PATH, got {python[:80]!r}'
+        )
+    return python
 
 
 def _check(settings: Settings) -> None:

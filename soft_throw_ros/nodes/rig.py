@@ -72,7 +72,7 @@ class SimulatedRig(RealTimeNode):
             self,
             RIG,
             self._on_changed,
-            check=lambda settings: check_settings(to_twin(settings)),
+            check=lambda settings, config: check_settings(to_twin(settings), config),
             arguments=arguments,
         )
         self.send = Publishers(self, RIG_TOPICS).sender(RIG_TOPICS.measured_joint_states)

@@ -98,7 +98,6 @@ class Twin(RealTimeNode):
         self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_some_jobs)
-        self._config: TwinConfig | None = None
         self._last_result: ThrowResult | None = None
         self._last_line_ns = -LINE_INTERVAL_NS
         self._logged_throws = 0
@@ -109,7 +108,7 @@ class Twin(RealTimeNode):
             TWIN,
             self._on_changed,
             describe=self._describe_change,
-            check=self._check,
+            check=check_settings,
             arguments=arguments,
         )
         self.load_kernels(self.parameters.settings)
@@ -321,11 +320,6 @@ class Twin(RealTimeNode):
         status = recommended.to_status(self.get_fully_qualified_name())
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
-
-    def _check(self, settings: Settings) -> TwinConfig:
-        """Return the configuration of settings; raise ValueError if no rig can have it."""
-        self._config = check_settings(settings, self._config)
-        return self._config
 
     def _on_changed(self, changes: Settings) -> None:
         self._serialize_command()
