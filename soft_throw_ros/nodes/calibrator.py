@@ -61,7 +61,7 @@ from soft_throw_ros.nodes.conversions import (
 from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
 from soft_throw_ros.nodes.motion_gain import describe_gain, flight_duration, MeasuredThrow
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import run, RunnableNode
+from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
@@ -80,7 +80,6 @@ _ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
-_STOP_TIMEOUT = 0.3  # longest wait for the thread to end [s]
 # The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
 # linear layer.
 _KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
@@ -138,7 +137,7 @@ class Calibrator(RunnableNode):
             on_failure=lambda _task, error: self._report_failure(repr(error)),
             log=self.get_logger().error,
         )
-        self.add_cleanup(self._worker.close, _STOP_TIMEOUT)
+        self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self.add_cleanup(self._closing.set)
 
     def start(self) -> None:

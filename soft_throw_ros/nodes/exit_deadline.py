@@ -16,13 +16,9 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import signal
-import threading
 
 _CLOCK_MONOTONIC = 1
 _SIGEV_THREAD = 2
-_STANDARD_ERROR = 2
 
 
 class _Event(ctypes.Structure):
@@ -60,41 +56,3 @@ def exit_after(seconds: float, code: int) -> ctypes.c_void_p:
 def cancel_exit(timer: ctypes.c_void_p) -> None:
     """Cancel a timer of `exit_after`."""
     ctypes.CDLL(None).timer_delete(timer)
-
-
-class SignalWatchdog:
-    """
-    End the process if its main thread does not react to a signal.
-
-    Python's handler of a signal runs in the main thread, which may hang in the middleware. Its C
-    code also writes a byte to a pipe at once, and a thread here reads that.
-
-    Parameters
-    ----------
-    limit : float
-        Longest time from the signal to the call of `close`. [s]
-
-    """
-
-    def __init__(self, limit: float) -> None:
-        self._limit = limit
-        self._has_reacted = threading.Event()
-        self._pipe, self._other_end = os.pipe()
-        os.set_blocking(self._other_end, False)
-        self._former = signal.set_wakeup_fd(self._other_end, warn_on_full_buffer=False)
-        self._thread = threading.Thread(name='signal watchdog', target=self._watch, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Watch no longer: the main thread has reacted."""
-        self._has_reacted.set()
-        signal.set_wakeup_fd(self._former)
-        os.close(self._other_end)
-        self._thread.join()
-        os.close(self._pipe)
-
-    def _watch(self) -> None:
-        if os.read(self._pipe, 1) and not self._has_reacted.wait(self._limit):
-            text = f'no reaction to a signal within {self._limit:g} s: the process ends at once'
-            os.write(_STANDARD_ERROR, f'{text}\n'.encode())
-            os._exit(1)

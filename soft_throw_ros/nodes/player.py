@@ -32,7 +32,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_SERVICES, REPLAY_TOPICS
 from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg, UNKNOWN_DEPTH
-from soft_throw_ros.nodes.process import POLL, RunnableNode
+from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, wake_on_time
 from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
 from soft_throw_ros.recording.playback import PlaybackSchedule
@@ -47,9 +47,6 @@ DISCOVERY_TIME = 0.5
 
 DRAIN_TIMEOUT = 0.5
 """Longest wait for acknowledgements of the last message. [s]"""
-
-STOP_TIMEOUT = 0.3
-"""Longest wait for the thread to end. [s]"""
 
 _LONG = 1e9  # longer than any bag [s]
 

@@ -11,7 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A node as a process: from its arguments to its exit code."""
+"""
+A node as a process: from its arguments to its exit code.
+
+`run` calls the methods of a node in the order that `RunnableNode` documents.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +40,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
-from soft_throw_ros.nodes.exit_deadline import cancel_exit, exit_after, SignalWatchdog
+from soft_throw_ros.nodes.exit_deadline import cancel_exit, exit_after
 from soft_throw_ros.nodes.help_texts import help_text
 from soft_throw_ros.nodes.transport import describe_discovery, use_transport_profile
 from std_srvs.srv import Trigger
@@ -45,10 +49,10 @@ POLL = 0.1
 """Longest wait between two looks at the request to stop [s]."""
 
 EXIT_TIME = 0.6
-"""Longest time from a signal, or from the end of `close`, to the end of the process [s]."""
+"""Longest time from the end of `close` to the end of the process [s]."""
 
-REACTION_TIME = 5.0
-"""Longest time from a signal to the end of the callback that runs at that moment [s]."""
+STOP_TIMEOUT = 0.3
+"""Longest wait for one thread to end [s]."""
 
 REFUSAL_LOG_PERIOD = 1.0
 """Shortest time between two log lines about requests that raise exceptions [s]."""
@@ -65,15 +69,19 @@ class RunnableNode(Node):
 
     Notes
     -----
-    A node ends in this order:
+    A node passes through these stages:
 
-    1. The executor has stopped: no callback runs any more.
-    2. `close` completes files. Threads, publishers and subscriptions still work.
-    3. `destroy_node` calls the functions registered by `add_cleanup`, the latest first, so that a
+    1. The constructor checks the parameters, compiles missing kernels, and creates publishers,
+       subscriptions, services and timers. A signal interrupts it.
+    2. `start` starts threads and recordings. From now on a signal ends the node in order.
+    3. The executor runs callbacks until a signal comes, a thread dies, or `exit_code` has a value.
+       Ticks run in a thread of their own, see `nodes.realtime`.
+    4. `close` completes files. Threads, publishers and subscriptions still work.
+    5. `destroy_node` calls the functions registered by `add_cleanup`, the latest first, so that a
        thread stops before anything that was registered earlier and that the thread uses.
-    4. The publishers, subscriptions and services are destroyed, and ROS is shut down.
+    6. The publishers, subscriptions and services are destroyed, and ROS is shut down.
 
-    Steps 3 and 4 take at most `EXIT_TIME`.
+    Steps 5 and 6 take at most `EXIT_TIME`.
 
     """
 
@@ -130,11 +138,8 @@ class RunnableNode(Node):
         """Return the exit code of a node that has come to its end, None before."""
         return None
 
-    def prepare(self) -> None:
-        """Prepare the start; this may take long."""
-
     def start(self) -> None:
-        """Start the threads of the node."""
+        """Start threads and recordings."""
 
     def close(self) -> None:
         """Complete files and everything else that must not be cut short."""
@@ -190,15 +195,11 @@ def run(
         print(help_text(name, usage))
         return 0
     is_stopping = threading.Event()
-    timers = []
 
     def interrupt(*_: object) -> None:
-        if not is_stopping.is_set():
-            is_stopping.set()
-            timers.append(exit_after(EXIT_TIME, 0))  # numba may suppress the exception
+        is_stopping.set()  # numba may suppress the exception; the node then ends after its start
         raise KeyboardInterrupt
 
-    watchdog = SignalWatchdog(REACTION_TIME)
     _on_signals(interrupt)
     deaths = _watch_threads()
     node = None
@@ -207,7 +208,6 @@ def run(
         _init(name, arguments, usage)
         node = make(arguments=arguments)
         node.get_logger().info(describe_discovery())
-        node.prepare()
         code = _spin(node, is_stopping, deaths)
     except KeyboardInterrupt:
         pass
@@ -216,9 +216,6 @@ def run(
         code = 2
     finally:
         _on_signals(signal.SIG_IGN)
-        watchdog.close()
-        for timer in timers:
-            cancel_exit(timer)
         code = _shut_down(node, code)
     return code
 

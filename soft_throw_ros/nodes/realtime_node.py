@@ -29,7 +29,7 @@ from typing import Any
 
 from soft_throw_ros.commands import kernels
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.process import RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin.results import Outputs
@@ -48,9 +48,6 @@ SWITCH_FRACTION = 0.03
 
 A shorter wait gains nothing at low rates, and costs processor time if many nodes share a core.
 """
-
-STOP_TIMEOUT = 0.3
-"""Longest wait for a thread to end [s]."""
 
 
 class RealTimeNode(RunnableNode):
@@ -87,7 +84,6 @@ class RealTimeNode(RunnableNode):
         super().__init__(name, **kwargs)
         self._system_clock = system_clock or SystemClock()
         self._compiling: subprocess.Popen[bytes] | None = None
-        self._is_closed = False
         self._started = time.monotonic()
 
     def load_kernels(self, settings: Settings) -> None:
@@ -124,18 +120,10 @@ class RealTimeNode(RunnableNode):
         self.add_cleanup(process.kill)  # files on the disk are complete at any time
         return process
 
-    def close(self) -> None:
-        """End the background compilation."""
-        self._is_closed = True
-        if self._compiling is not None:
-            self._compiling.kill()
-        super().close()
-
     @property
     def is_compiling(self) -> bool:
-        """Whether the background compilation is running, or was when the node closed."""
-        compiling = self._compiling
-        return compiling is not None and (self._is_closed or compiling.poll() is None)
+        """Whether the background compilation is running; a node ends it last."""
+        return self._compiling is not None and self._compiling.poll() is None
 
     def attach_session(self, session: Session) -> None:
         """Attach the session that the node advances after its start."""
@@ -159,19 +147,14 @@ class RealTimeNode(RunnableNode):
         """Follow adjustments of the system clock; runs in the executor's thread."""
         self._system_clock.adjust()
         self._set_switch_interval()  # the rate may have changed
-        if self._compiling is not None:
-            self._compiling.poll()  # reap the process when it has ended
 
-    def prepare(self) -> None:
-        """Load all compiled kernels and freeze the garbage collector, which would delay ticks."""
+    def start(self) -> None:
+        """Load all compiled kernels, freeze the garbage collector, and start the ticks."""
         if not self.is_compiling:
             kernels.load_kernels(say=self.get_logger().info)
         self._set_switch_interval()
-        gc.collect()
+        gc.collect()  # now, since it would delay ticks
         gc.freeze()
-
-    def start(self) -> None:
-        """Start the tick thread."""
         self.ticker.start()
         self._started = time.monotonic()
         self.get_logger().info('ready' + self.describe())

@@ -43,8 +43,8 @@ from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
 from soft_throw_ros.nodes.diagnostics import Diagnostics, duplicate_name_warning
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
-from soft_throw_ros.nodes.process import run
-from soft_throw_ros.nodes.realtime_node import RealTimeNode, STOP_TIMEOUT
+from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
+from soft_throw_ros.nodes.realtime_node import RealTimeNode
 from soft_throw_ros.nodes.recommendations import (
     affects_recommendation,
     other_models_values,

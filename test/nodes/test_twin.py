@@ -293,10 +293,9 @@ def test_results_during_compilation_omit_values_that_need_kernels(
     listener.listen(TWIN_TOPICS.throw_result)
     assert listener.trigger(TWIN_SERVICES.throw).success
     twin.go(100)
-    assert twin.is_compiling
-    twin.close()
-    assert compiling.wait(TIMEOUT) != 0
-    assert twin.is_compiling  # closing the twin compiles nothing either
+    compiling.kill()
+    compiling.wait(TIMEOUT)
+    assert not twin.is_compiling
     values = msg_to_values(listener.hear(TWIN_TOPICS.throw_result)[0].status[0])
     assert values['energy_transfer'] == pytest.approx(3.6366, abs=1e-4)
     assert not [name for name in values if name.startswith(('uncertainty', 'spring_mass'))]
