@@ -21,6 +21,7 @@ every few milliseconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
+from itertools import islice
 import math
 from typing import Any
 
@@ -127,17 +128,15 @@ class RawSubscription:
         messages: list[Message] = []
         size = 0
         waiting = take_messages(self._subscription, self._type)
-        while len(messages) < DEPTH and size < max_size:  # a publisher may be faster than the loop
-            data, info = next(waiting, (None, {}))
-            if data is None:
-                break
-            size += len(data)
+        for data, info in islice(waiting, DEPTH):  # a publisher may be faster than the loop
             number = info['publication_sequence_number']
             number = None if number == _UNKNOWN else number
             self._counter.add(number, _identifier(info.get('publisher_gid')))
             times = info['received_timestamp'], info['source_timestamp']
             messages.append(Message(self.channel, data, *times, number or 0))
-        waiting.close()
+            size += len(data)
+            if size >= max_size:
+                break
         self.received += len(messages)
         return messages
 

@@ -72,9 +72,8 @@ class Recorder(RunnableNode):
 
     @property
     def exit_code(self) -> int | None:
-        """Exit code 1 if the recording has ended by itself or failed."""
-        is_alive = self.recording is None or self.recording.is_alive
-        return 1 if self._has_failed or not is_alive else None
+        """Exit code 1 if the last recording has failed."""
+        return 1 if self._has_failed else None
 
     def start(self) -> None:
         """Start recording if the parameter `start` is true."""

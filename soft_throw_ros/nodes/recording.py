@@ -69,6 +69,8 @@ class Recording:
         Thread that writes the bag; None if nothing is written.
     viewer : RestartedProcess or None
         Process that shows the topics; None if nothing is shown.
+    silence : str
+        Report on twins that are present while no states arrive; empty otherwise.
 
     """
 
@@ -80,6 +82,7 @@ class Recording:
         self._is_viewer_failure_reported = False
         self._node = recorder
         self._states_received = 0  # by the last call of `watch_states`
+        self.silence = ''
         self._silent_seconds = 0
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
         self.writer: WriterThread | None = None
@@ -109,32 +112,21 @@ class Recording:
         return self.writer.error if self.writer is not None else ''
 
     @property
-    def is_alive(self) -> bool:
-        """Whether all threads run; a defect may have ended one."""
-        return self._thread.is_alive() and (self.writer is None or self.writer.is_alive)
-
-    @property
     def received(self) -> int:
         """Number of received messages."""
         return sum(item.received for item in self.subscriptions)
 
-    @property
-    def silence(self) -> str:
-        """Report on twins that are present while no states arrive; empty otherwise."""
-        if self._silent_seconds < SILENCE_LIMIT:
-            return ''
-        return (
-            f'no states received for {self._silent_seconds} s, although their publishers are '
-            'present: if `ros2 topic hz` shows states, restart this recorder'
-        )
-
     def watch_states(self) -> bool:
-        """Note the received states; call once a second. Return whether a silence begins."""
+        """Update `silence`; call this once a second. Return whether a silence begins."""
         received = sum(item.received for item in self._states)
         is_present = any(self._node.count_publishers(item.channel.topic) for item in self._states)
         is_silent = is_present and received == self._states_received
         self._silent_seconds = self._silent_seconds + 1 if is_silent else 0
         self._states_received = received
+        self.silence = '' if self._silent_seconds < SILENCE_LIMIT else (
+            f'no states received for {self._silent_seconds} s, although their publishers are '
+            'present: if `ros2 topic hz` shows states, restart this recorder'
+        )
         return self._silent_seconds == SILENCE_LIMIT
 
     def take_silent_topics(self) -> list[str]:

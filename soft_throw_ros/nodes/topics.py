@@ -19,11 +19,7 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
-from rclpy.event_handler import (
-    PublisherEventCallbacks,
-    QoSPublisherEventType,
-    UnsupportedEventTypeError,
-)
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -149,10 +145,7 @@ class Publishers:
     def _look_for_mismatches(self) -> None:
         """Log subscriptions whose requested quality of service exceeds the offered one."""
         for publisher in self._publishers:
-            try:
-                event = _incompatible_qos_of(publisher)
-            except UnsupportedEventTypeError:
-                return
+            event = _incompatible_qos_of(publisher)
             if event is not None and event.total_count_change:
                 policy = qos_policy_name_from_kind(event.last_policy_kind)
                 self._logger.warning(

@@ -60,7 +60,6 @@ from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-_JOBS_AT_ONCE = 100  # jobs that the executor runs before it serves other callbacks
 _COMPILING_POLL = 0.3  # period of the check whether the compilation has finished [s]
 
 PHASES = tuple(Phase)
@@ -97,7 +96,7 @@ class Twin(RealTimeNode):
         super().__init__('twin', **kwargs)
         self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
-        self._wake = self.create_guard_condition(self._run_some_jobs)
+        self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
         self._last_line_ns = -LINE_INTERVAL_NS
         self._logged_throws = 0
@@ -176,7 +175,7 @@ class Twin(RealTimeNode):
         """Run a job in the executor's thread, in the order of the calls."""
         self._jobs.append(job)
         if threading.current_thread() is threading.main_thread():
-            self._run_some_jobs()
+            self._run_jobs()
         else:
             self._wake.trigger()
 
@@ -197,15 +196,8 @@ class Twin(RealTimeNode):
 
     # Executor thread
 
-    def _run_some_jobs(self) -> None:
-        """Run waiting jobs, up to a limit so that signals and services are served in between."""
-        for _ in range(_JOBS_AT_ONCE):
-            if not self._jobs:
-                return
-            self._jobs.popleft()()
-        self._wake.trigger()
-
     def _run_jobs(self) -> None:
+        """Run the waiting jobs, a few per throw."""
         while self._jobs:
             self._jobs.popleft()()
 
@@ -362,7 +354,7 @@ class Twin(RealTimeNode):
     def on_second(self) -> None:
         """Publish the diagnostics."""
         super().on_second()
-        self._run_some_jobs()  # in case a wake-up was lost
+        self._run_jobs()  # in case a wake-up was lost
         for fault in self.session.diagnose_sensors():
             self.get_logger().warning(sensor_text(fault))
         self._check_duplicate_nodes()

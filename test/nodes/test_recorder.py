@@ -272,18 +272,6 @@ def test_foreign_journal_is_harmless(ros, recorder, talker, tmp_path) -> None:
     assert texts(tmp_path / 'bag', '/talk/journal') == contents
 
 
-@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
-def test_recorder_that_stops_by_itself_has_an_exit_code(ros, recorder, monkeypatch) -> None:
-    node = recorder(name='bag')
-
-    def fail(*_: object) -> None:
-        raise RuntimeError('a defect')
-
-    assert node.exit_code is None
-    monkeypatch.setattr(node.recording.subscriptions, 'drain', fail)
-    ros.spin_until(lambda: node.exit_code == 1, 'the exit code')
-
-
 def test_viewer_of_the_recorder_gets_its_topics_and_sink(
     ros, recorder, tmp_path
 ) -> None:
