@@ -11,11 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""
-All private parts of rclpy that this package uses, each with the reason.
-
-`test/nodes/test_rclpy_internals.py` names the part that a new version of rclpy has changed.
-"""
+"""All private parts of rclpy that this package uses, each with the reason."""
 
 from __future__ import annotations
 
