@@ -27,7 +27,7 @@ from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
 LOG_PERIOD = 0.5
-"""Time between two logs of changes [s]."""
+"""Time between two logs of changes [s]: short for a user, and long for a slider."""
 
 
 class _Result(Parameter):
@@ -93,7 +93,9 @@ class NodeParameters:
         self._on_changed = on_changed
         self._check = check
         self._describe = describe
-        self._log = _ChangeLog(node)
+        self._lines: dict[str, str] = {}  # of the log that wait, by subject
+        node.create_steady_timer(LOG_PERIOD, self._log_changes)
+        node.add_cleanup(self._log_changes)
         overrides = parameter_overrides(node)
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
         sources = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
@@ -152,7 +154,7 @@ class NodeParameters:
             elif entry is not None and entry.is_result:
                 passed.append(self._node.get_parameter(name))  # as it is, so that a dump loads
                 reason = f'{name} keeps its value, since it is a result; got {quote(value)}'
-                self._log.add({'results': reason})
+                self._lines['results'] = reason
             elif name in request:
                 raise ParameterError(
                     f'{name} is given twice, {quote(request[name])} and {quote(value)}'
@@ -175,39 +177,21 @@ class NodeParameters:
             self.settings = {**self.settings, **changes}
             self.checked = self._candidate
             self._on_changed(changes)
-            self._log.add({
+            self._lines |= {
                 name: f'{name} is now {shown(value)}{self._describe(name)}'
                 for name, value in changes.items()
-            })
+            }
+
+    def _log_changes(self) -> None:
+        """Log the last change of each parameter, so that a storm of changes gives few lines."""
+        lines, self._lines = self._lines, {}
+        for line in lines.values():
+            self._node.get_logger().info(line)
 
 
 def shown(value: object) -> str:
     """Format the value of a parameter, with at most 9 digits."""
     return str(float(f'{value:.9g}') if isinstance(value, float) else value)
-
-
-class _ChangeLog:
-    """A logger of changes that logs at most one line per subject within `LOG_PERIOD`."""
-
-    def __init__(self, node: RunnableNode) -> None:
-        self._logger = node.get_logger()
-        self._waiting: dict[str, str] = {}
-        self._timer = node.create_steady_timer(LOG_PERIOD, self._flush)
-        self._timer.cancel()
-
-    def add(self, lines: Mapping[str, str]) -> None:
-        """Log lines by subject; a later line replaces a waiting one."""
-        self._waiting.update(lines)
-        if self._timer.is_canceled():
-            self._flush()
-            self._timer.reset()
-
-    def _flush(self) -> None:
-        for line in self._waiting.values():
-            self._logger.info(line)
-        if not self._waiting:
-            self._timer.cancel()
-        self._waiting.clear()
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:

@@ -260,10 +260,8 @@ class Ticker:
 
 def wake_on_time() -> None:
     """Reduce the timer slack of this thread from 50 us to 1 ns, so that sleeps end on time."""
-    prctl = getattr(ctypes.CDLL(None), 'prctl', None)
-    if prctl is not None:  # Linux only
-        pr_set_timerslack = 29
-        prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
+    pr_set_timerslack = 29
+    ctypes.CDLL(None).prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
 
 
 def set_priority(priority: int) -> str:
@@ -276,6 +274,6 @@ def set_priority(priority: int) -> str:
     try:
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
         os.sched_setscheduler(0, policy, os.sched_param(priority))
-    except (AttributeError, OSError):
+    except OSError:
         return 'other'
     return 'fifo' if priority else 'other'

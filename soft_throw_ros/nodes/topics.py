@@ -19,25 +19,16 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Any
 
-from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherEventType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos import (
-    DurabilityPolicy,
-    qos_policy_name_from_kind,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from soft_throw_ros.configuration import interface, ParameterError
 from soft_throw_ros.configuration.interface import FRAME, Service, Topic
 from soft_throw_ros.nodes.conversions import encode_command, statuses_to_msg
-from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.rclpy_internals import close_event, open_event, take_event
 from soft_throw_ros.storage.cdr import encode_array, JointStateEncoder
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
-_EVENT_PERIOD = 1.0  # period of the check for incompatible subscriptions [s]
 _MANY = 8  # number of joints from which on arrays are faster than single values
 
 
@@ -90,18 +81,16 @@ class Publishers:
 
     Notes
     -----
-    Events of all publishers would increase the cost of every wait of rclpy's executor by two
-    thirds, and a tick may be due meanwhile. So a timer polls the events once a second.
+    rclpy logs subscriptions that request another quality of service than a publisher offers. The
+    events for this would multiply the cost of every wait of the executor, and a tick may be due
+    meanwhile. So latched topics have none: their publishers offer all that a subscription requests.
 
     """
 
-    def __init__(self, node: RunnableNode, topics: Iterable[Topic]) -> None:
-        self._logger = node.get_logger()
-        self._publishers: list[Publisher] = []
+    def __init__(self, node: Node, topics: Iterable[Topic]) -> None:
         self._senders = {
             topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
         }
-        node.create_steady_timer(_EVENT_PERIOD, self._look_for_mismatches)
 
     def sender(self, topic: Topic) -> Callable[..., None]:
         """
@@ -119,16 +108,16 @@ class Publishers:
         """Publish once; `sender` describes the values."""
         self._senders[topic.name](*values)
 
-    def _make_sender(self, node: Node, topic: Topic) -> Callable[..., None]:
+    @staticmethod
+    def _make_sender(node: Node, topic: Topic) -> Callable[..., None]:
         """Return a function that converts values into a message and publishes it."""
         message_type = load_type(topic.type)
         publisher = node.create_publisher(
             message_type,
             topic.name,
             qos_profile(topic),
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=not topic.is_latched),
         )
-        self._publishers.append(publisher)
         publish = publisher.publish
         if topic.type == interface.JOINT_STATE:
             encoder = JointStateEncoder(FRAME, topic.joints, series=len(topic.quantities))
@@ -141,25 +130,3 @@ class Publishers:
         if topic.type == interface.TRAJECTORY:
             return lambda start_ns, motion: publish(encode_command(start_ns, motion))
         return lambda value: publish(message_type(data=value))
-
-    def _look_for_mismatches(self) -> None:
-        """Log subscriptions whose requested quality of service exceeds the offered one."""
-        for publisher in self._publishers:
-            event = _incompatible_qos_of(publisher)
-            if event is not None and event.total_count_change:
-                policy = qos_policy_name_from_kind(event.last_policy_kind)
-                self._logger.warning(
-                    f'a subscription to {publisher.topic_name} gets nothing, since it asks for '
-                    f'another quality of service ({policy}) than is offered'
-                )
-
-
-def _incompatible_qos_of(publisher: Publisher) -> Any:
-    """Return the event for incompatible subscriptions of a publisher, None if none is new."""
-    event = open_event(
-        publisher.handle, QoSPublisherEventType.RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS
-    )
-    try:
-        return take_event(event)
-    finally:
-        close_event(event)
