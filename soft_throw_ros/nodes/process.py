@@ -27,7 +27,6 @@ import threading
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
@@ -98,8 +97,9 @@ class RunnableNode(Node):
         """
         Create a service as `rclpy.node.Node` does, and keep its errors away from the node.
 
-        The node logs an exception of the callback, and refuses the request that caused it. rclpy's
-        parameter services raise for a value of an unknown type, which anybody may send.
+        The node logs an exception of the callback, and answers with the response so far, which is
+        a refusal in every type of this package and of parameters. rclpy's parameter services raise
+        for a value of an unknown type, which anybody may send.
         """
 
         def guarded(request: Any, response: Any) -> Any:
@@ -108,7 +108,9 @@ class RunnableNode(Node):
             except Exception as error:  # noqa: BLE001  no request ends a node
                 reason = f'{srv_name}: a request is refused: {error}'
                 self.get_logger().error(reason, throttle_duration_sec=REFUSAL_LOG_PERIOD)
-                return _refuse(request, response, reason)
+                if isinstance(response, Trigger.Response):
+                    response.message = reason
+                return response
 
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
@@ -143,19 +145,6 @@ class RunnableNode(Node):
 
     def close(self) -> None:
         """Complete files and everything else that must not be cut short."""
-
-
-def _refuse(request: Any, response: Any, reason: str) -> Any:
-    """Complete the response to a request to set parameters, or to trigger, as a refusal."""
-    refusal = SetParametersResult(successful=False, reason=reason)
-    if isinstance(response, SetParameters.Response):
-        missing = len(request.parameters) - len(response.results)
-        response.results = [*response.results, *missing * [refusal]]
-    elif isinstance(response, SetParametersAtomically.Response):
-        response.result = refusal
-    elif isinstance(response, Trigger.Response):
-        response.success, response.message = False, reason
-    return response
 
 
 def run(

@@ -41,7 +41,7 @@ def take_messages(
 
 def open_event(handle: Any, kind: Any) -> Any:
     """
-    Return an event of a publisher or subscription, to be polled by `take_event`.
+    Return an event of a subscription, to be polled by `take_event`.
 
     An executor that waits for events wakes for every message as well.
     """
@@ -56,7 +56,7 @@ def take_event(event: Any) -> Any:
 
 
 def close_event(event: Any) -> None:
-    """Release an event, which would keep its publisher or subscription."""
+    """Release an event, which would keep its subscription."""
     event.destroy_when_not_in_use()
 
 
