@@ -218,9 +218,6 @@ class GivenClock(SystemClock):
     def now(self) -> int:
         return self.time
 
-    def wait_until(self, deadline: int) -> None:
-        self.time = max(self.time, deadline)
-
 
 class DrivenTwin(Twin):
     """A twin on a clock set by the test, which keeps its outputs and journal lines."""
@@ -475,13 +472,3 @@ def record(start_node: Callable[..., Process], tmp_path: Path) -> Callable[..., 
         return recorder
 
     return record
-
-
-def end_recorder(recorder: Process, code: int = 0) -> tuple[int, int, int]:
-    """End a recorder; return its numbers of recorded, lost and earlier messages from its log."""
-    recorder.end_well(code=code)
-    line = recorder.lines[-1]
-    counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
-    assert counts is not None, line
-    late = re.search(r'joined late, after (\d+) messages', line)
-    return int(counts[1]), int(counts[2]), int(late[1]) if late else 0

@@ -221,6 +221,7 @@ def test_unplayable_topics_are_skipped_and_reported(ros, play, tmp_path, capsys)
     strange = [
         Channel(topic='/strange', type='no_such_msgs/msg/Thing', schema='int32 x'),
         Channel(topic='/action', type='no_such_msgs/action/Go_FeedbackMessage', schema=''),
+        Channel(topic='/odd', type='Thing', schema=''),
         Channel(topic='bad name', type='std_msgs/msg/String', schema=string.text),
         Channel(topic='/otherwise', type='std_msgs/msg/String', schema='', type_hash='RIHS01_ab'),
         channel('/deep', depth=2**40),
@@ -233,7 +234,7 @@ def test_unplayable_topics_are_skipped_and_reported(ros, play, tmp_path, capsys)
     assert finish(ros, player) == 0
     reasons = {item.topic: reason for item, reason in player.skipped.items()}
     assert 'no_such_msgs/msg/Thing' in reasons['/strange']
-    assert {'/action', 'bad name', '/deep'} <= set(reasons)
+    assert {'/action', '/odd', 'bad name', '/deep'} <= set(reasons)
     printed = capsys.readouterr().err
     for topic, reason in reasons.items():
         assert f'replay: {topic} is skipped, 2 messages: {reason}\n' in printed

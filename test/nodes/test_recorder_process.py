@@ -23,7 +23,6 @@ import resource
 import signal
 import subprocess
 import sys
-from test.nodes.conftest import end_recorder
 import time
 from typing import Any
 
@@ -38,21 +37,20 @@ PUBLISHER = """
 import select, sys, time
 import rclpy
 from soft_throw_ros.configuration.interface import RIG_TOPICS, TWIN_TOPICS
-from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.nodes.transport import use_transport_profile
 
 use_transport_profile()
 rclpy.init()
-node = RunnableNode('twin')
+node = rclpy.create_node('twin')
 reliable = sys.argv[1] == 'reliable'
 topic = TWIN_TOPICS.joint_states if reliable else RIG_TOPICS.measured_joint_states
 publishers = Publishers(node, [topic])
 (publisher,) = (item for item in node.publishers if 'joint_states' in item.topic_name)
 values = (0.0,) * (6 if reliable else 2)
 while line := sys.stdin.readline():
-    count, period, waits = line.split()
-    while waits == 'wait' and not publisher.get_subscription_count():
+    count, period = line.split()
+    while not publisher.get_subscription_count():
         time.sleep(0.01)
     for number in range(int(count)):
         publishers.send(topic, time.time_ns(), values)
@@ -67,7 +65,7 @@ A_SECOND = 5000
 
 
 class Publisher:
-    """A process that publishes on request, 'reliable' or 'best effort'."""
+    """A process that publishes on request to subscribers, 'reliable' or 'best effort'."""
 
     def __init__(self, start: Any, kind: str) -> None:
         self.topic = f'/twin/{"" if kind == "reliable" else "measured_"}joint_states'
@@ -79,15 +77,15 @@ class Publisher:
         """Number of published messages."""
         return sum(int(line.split()[-1]) for line in self.process.lines if 'published' in line)
 
-    def publish(self, count: int, *, period: float = 0.0, waits: bool = True) -> None:
-        """Publish `count` messages; if `waits`, wait for a subscriber first."""
+    def publish(self, count: int, *, period: float = 0.0) -> None:
+        """Publish `count` messages."""
         before = len(self.process.lines)
-        self._request(f'{count} {period} {"wait" if waits else "now"}')
+        self._request(f'{count} {period}')
         self.process.wait_until(lambda lines: f'published {count}' in lines[before:])
 
-    def begin(self, *, period: float, waits: bool = False) -> None:
-        """Publish messages until the next request; if `waits`, wait for a subscriber first."""
-        self._request(f'1000000 {period} {"wait" if waits else "now"}')
+    def begin(self, *, period: float) -> None:
+        """Publish messages until the next request."""
+        self._request(f'1000000 {period}')
 
     def _request(self, line: str) -> None:
         stdin = self.process.process.stdin
@@ -119,11 +117,21 @@ def count(path: Path) -> int:
         return int(bag.message_count)
 
 
+def end_recorder(recorder: Any, code: int = 0) -> tuple[int, int, int]:
+    """End a recorder; return its numbers of recorded, lost and earlier messages from its log."""
+    recorder.end_well(code=code)
+    line = recorder.lines[-1]
+    counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
+    assert counts is not None, line
+    late = re.search(r'joined late, after (\d+) messages', line)
+    return int(counts[1]), int(counts[2]), int(late[1]) if late else 0
+
+
 @pytest.mark.slow
 def test_recorder_that_is_killed_loses_at_most_the_last_second(start, record, tmp_path) -> None:
     publisher, path = Publisher(start, 'reliable'), tmp_path / 'bag'
     recorder = record('bag')
-    publisher.begin(period=0.001, waits=True)
+    publisher.begin(period=0.001)
     wait_for(recorder, path, 100)
     time.sleep(random.uniform(0.0, 1.0))  # to any time between two flushes
     killed = time.time_ns()
@@ -147,7 +155,7 @@ def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
 
     publisher, path = Publisher(start, 'reliable'), tmp_path / 'bag'
     recorder = record('bag', 'compression:=none', preexec_fn=let_files_be_small)
-    publisher.begin(period=0.001, waits=True)
+    publisher.begin(period=0.001)
     recorder.wait_until(lambda lines: sum('too large' in line for line in lines) >= 2)
     assert any(re.search(r'too large; [1-9]\d* messages wait, 0 are', x) for x in recorder.lines)
     if not is_for_ever:
@@ -178,7 +186,7 @@ def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     publisher, path = Publisher(start, kind), tmp_path / 'bag'
     recorder = record('bag', f'topics:=[{publisher.topic}]')
     # The publisher may know the recorder before the recorder knows it: these messages are late.
-    publisher.begin(period=0.005, waits=True)
+    publisher.begin(period=0.005)
     wait_for(recorder, path, 10)
     publisher.publish(0)  # pause the publisher
     stop(recorder.process.pid)
