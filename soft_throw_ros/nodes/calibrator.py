@@ -67,6 +67,7 @@ from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishe
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.cdr import JointStateReader, MessageError
 from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -89,10 +90,6 @@ _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
 _MOTION: Settings = {'recommendation.vary': 'motion', 'engine.command': True}
 """Parameters of a twin that recommends motions of the plate and commands them."""
-
-
-class _RequestFailed(Exception):
-    """Another node rejected a request or did not answer; the message names node and reason."""
 
 
 class Calibrator(RunnableNode):
@@ -240,7 +237,7 @@ class Calibrator(RunnableNode):
     def _run_task(self, task: Callable[[], None], _cancelled: Callable[[], bool]) -> None:
         try:
             task()
-        except (_RequestFailed, ValueError) as error:
+        except (RequestRejected, ValueError) as error:
             if not self._closing.is_set():
                 self._report_failure(str(error))
 
@@ -311,7 +308,7 @@ class Calibrator(RunnableNode):
                 return str(response.message)
             if self._closing.wait(_PAUSE):
                 break
-        raise _RequestFailed(f'{self._apply.srv_name}: {response.message}')
+        raise RequestRejected(f'{self._apply.srv_name}: {response.message}')
 
     def _set_parameters(self, node: str, values: Settings) -> None:
         request = SetParametersAtomically.Request(
@@ -321,18 +318,18 @@ class Calibrator(RunnableNode):
         )
         result = self._call(self._set[node], request).result
         if not result.successful:
-            raise _RequestFailed(f'{node} rejects {values}: {result.reason}')
+            raise RequestRejected(f'{node} rejects {values}: {result.reason}')
 
     def _call(self, client: Client, request: object) -> Any:
         """Call a service and wait until the executor has received the answer."""
         if not client.wait_for_service(_ANSWER_TIMEOUT):
-            raise _RequestFailed(f'{client.srv_name} is not available')
+            raise RequestRejected(f'{client.srv_name} is not available')
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
         if not answered.wait(_ANSWER_TIMEOUT):
             client.remove_pending_request(future)
-            raise _RequestFailed(f'{client.srv_name} does not answer')
+            raise RequestRejected(f'{client.srv_name} does not answer')
         return future.result()
 
 

@@ -51,7 +51,7 @@ class Diagnostics:
         self._compared: ThrowResult | None = None
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
-        self._measured: Counter[str] = Counter()
+        self._measured: dict[str, int] = {}
         self._max_lateness = 0  # since the last line of the log [ns]
         self._logged_skips = 0
 
@@ -155,19 +155,12 @@ class Diagnostics:
     def _measurements(self) -> DiagnosticStatus:
         """Return the status of the received samples and of the prediction lead."""
         counts = self._measurement.count()
-        new, self._measured = counts - self._measured, counts
+        new = {name: count - self._measured.get(name, 0) for name, count in counts.items()}
+        reasons = {name: new.pop(name) for name in counts if name.startswith('refused.')}
+        self._measured = counts
         leads, self._measurement.leads = self._measurement.leads, []
         lead = min(leads) / SECOND if leads else math.nan
         clock = self._measurement.clock
-        names = (
-            'samples',
-            'samples_out_of_order',
-            'samples_jumped',
-            'messages',
-            'messages_lost',
-            'samples_refused',
-        )
-        reasons = {name: count for name, count in new.items() if name.startswith('refused.')}
         is_bad = not new['samples'] or new['samples_refused'] or new['messages_lost']
         return self._status(
             'measurement',
@@ -177,10 +170,10 @@ class Diagnostics:
             + (f'; prediction {-1e3 * lead:.2f} ms behind the tick' if lead <= 0.0 else ''),
             {
                 'at_rest': self._session.is_at_rest,
-                **{name: new[name] for name in names},
+                **new,
                 'clock_offset': clock.offset_ns / SECOND,
                 'lead_min': lead,
-                **reasons,
+                **{name: count for name, count in reasons.items() if count},
             },
             warn=bool(is_bad) or lead <= 0.0 or bool(clock.problem),
         )

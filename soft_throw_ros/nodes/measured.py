@@ -20,7 +20,6 @@ draining the queue costs a tenth of this.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 import math
 
@@ -104,19 +103,20 @@ class Measurement:
                 self._session.measure(self._by_our_clock(samples))
                 self._warn_of_units()
 
-    def count(self) -> Counter[str]:
+    def count(self) -> dict[str, int]:
         """Return the numbers of messages and samples so far, by their treatment."""
         self._subscription.poll_losses()
         counts = self._session.sample_counts
         refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
-        result = Counter({f'refused.{why}': count for why, count in refused.items()})
-        result['samples'] = counts.taken
-        result['samples_out_of_order'] = counts.out_of_order
-        result['samples_jumped'] = counts.outliers
-        result['samples_refused'] = sum(refused.values())
-        result['messages'] = self._subscription.received
-        result['messages_lost'] = self._subscription.lost
-        return result
+        return {
+            'samples': counts.taken,
+            'samples_out_of_order': counts.out_of_order,
+            'samples_jumped': counts.outliers,
+            'messages': self._subscription.received,
+            'messages_lost': self._subscription.lost,
+            'samples_refused': sum(refused.values()),
+            **{f'refused.{why}': count for why, count in refused.items()},
+        }
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -115,7 +115,7 @@ class RunnableNode(Node):
         return super().create_service(srv_type, srv_name, guarded, **kwargs)
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters as `rclpy.node.Node` does; a ParameterError of a callback refuses them."""
+        """Set parameters as `rclpy.node.Node` does; a callback refuses them by ParameterError."""
         try:
             return super().set_parameters_atomically(parameter_list)
         except ParameterError as error:

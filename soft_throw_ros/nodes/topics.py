@@ -83,7 +83,7 @@ class Publishers:
     -----
     rclpy logs subscriptions that request another quality of service than a publisher offers. The
     events for this would multiply the cost of every wait of the executor, and a tick may be due
-    meanwhile. So latched topics have none: their publishers offer all that a subscription requests.
+    meanwhile. So latched topics, which most are, have none: they fit every subscription.
 
     """
 
