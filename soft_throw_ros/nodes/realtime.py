@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 import ctypes
 import math
@@ -130,9 +130,6 @@ class NodeClock:
 
 Clock: TypeAlias = SystemClock | NodeClock
 
-MAX_TIMES = 50_000
-"""Number of ticks whose times are kept: ten seconds of the fastest session."""
-
 _STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
 _COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
 
@@ -172,7 +169,7 @@ class Ticker:
         self, session: Session, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
         self.counts = Counter(dict.fromkeys(_COUNTED, 0))
-        self._times: deque[tuple[int, int]] = deque(maxlen=MAX_TIMES)  # bounded if unread
+        self._times: list[tuple[int, int]] = []
         self.scheduler = ''
         self._session = session
         self._on_tick = on_tick
@@ -185,8 +182,8 @@ class Ticker:
 
     def take_times(self) -> list[tuple[int, int]]:
         """Return lateness and duration of the ticks since the last call [ns]."""
-        times, self._times = self._times, deque(maxlen=MAX_TIMES)
-        return list(times)
+        times, self._times = self._times, []
+        return times
 
     def stall_reason(self) -> str:
         """Return the reason why there are no ticks."""

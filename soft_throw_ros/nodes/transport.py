@@ -66,7 +66,7 @@ def use_transport_profile() -> None:
 
     """
     if not any(name in os.environ for name in _CHOICES):
-        is_former = int(_rclpy_version()) < _KILTED  # former versions read both variables
+        is_former = int(_rclpy_version()) < _KILTED  # whose Fast DDS reads the former name only
         name = f'FAST{"RTPS" if is_former else "DDS"}_DEFAULT_PROFILES_FILE'
         is_local = discovery_range() in _LOCAL
         file = 'fastdds_loopback.xml' if is_local else 'fastdds.xml'
