@@ -122,7 +122,7 @@ class RealTimeNode(RunnableNode):
 
     @property
     def is_compiling(self) -> bool:
-        """Whether the background compilation is running; a node ends it last."""
+        """Whether the background compilation runs; a node that ends kills it last of all."""
         return self._compiling is not None and self._compiling.poll() is None
 
     def attach_session(self, session: Session) -> None:
