@@ -26,9 +26,9 @@ from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.realtime import Ticker
 from soft_throw_ros.nodes.throw_texts import comparison_text
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import known_values, ThrowResult
 from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 MAX_LATE_SHARE = 0.01
 """Fraction of late ticks above which the status is a warning [-]."""

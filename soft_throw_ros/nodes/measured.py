@@ -28,10 +28,10 @@ from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_estimator import FARTHEST
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 MAX_MESSAGE_SIZE = 2**14
 """Size of the largest message that is decoded, 500 joints [bytes]: larger ones hold up a tick."""

@@ -38,9 +38,8 @@ from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
 from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 from soft_throw_ros.storage.bag_reader import BagReader
-from soft_throw_ros.storage.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import BagError, Channel, Message, SECOND
 from soft_throw_ros.twin.session import RequestRejected
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 DISCOVERY_TIME = 0.5
 """Time for the discovery of existing subscriptions before the first message. [s]"""
@@ -50,8 +49,11 @@ DRAIN_TIMEOUT = 0.5
 
 _LONG = 1e9  # longer than any bag [s]
 
-_REFUSALS = (ImportError, ValueError, TypeError, KeyError, OverflowError, RuntimeError)
-"""Errors, besides bad names, that rclpy raises if it cannot create a publisher."""
+_PUBLISHER_ERRORS = (
+    ImportError, NameValidationException, ValueError, TypeError, KeyError, OverflowError,
+    RuntimeError,
+)
+"""Errors of rclpy if it cannot create a publisher."""
 
 
 class Player(RunnableNode):
@@ -171,7 +173,7 @@ class Player(RunnableNode):
                 continue
             try:
                 made[channel] = self._make_publisher(channel)
-            except (NameValidationException, *_REFUSALS) as error:
+            except _PUBLISHER_ERRORS as error:
                 self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
         return made
 

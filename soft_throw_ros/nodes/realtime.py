@@ -27,8 +27,9 @@ from typing import TypeAlias
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
+from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 SPIN = 60_000
 """Time of polling before a deadline [ns]: about as long as a sleep overruns."""

@@ -157,9 +157,9 @@ class RealTimeNode(RunnableNode):
         gc.freeze()
         self.ticker.start()
         self._started = time.monotonic()
-        self.get_logger().info('ready' + self.describe())
+        self.get_logger().info('ready' + self.describe_start())
 
-    def describe(self) -> str:
+    def describe_start(self) -> str:
         """Return the end of the log line at the start."""
         return ''
 

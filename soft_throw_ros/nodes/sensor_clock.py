@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.storage.message import SECOND
 
 TOLERATED = SECOND // 200
 """Transport time of a message and difference of synchronized clocks, at most. [ns]"""

@@ -268,7 +268,7 @@ class Twin(RealTimeNode):
         noun = 'throw' if throws == 1 else 'throws'
         return f'; {throws} {noun}, {lateness}' if number > 1 else ''
 
-    def describe(self) -> str:
+    def describe_start(self) -> str:
         """Return the rig, its model, rates and topics for the log line at the start."""
         settings, rig = self.parameters.settings, self.parameters.checked.rig
         name = self.get_fully_qualified_name()

@@ -251,13 +251,13 @@ def test_log_begins_with_the_rig_and_ends_with_a_summary(ros, capfd) -> None:
         'gelatin_16.8mm', '16.8 mm', '7.8 m/s', '1.206 g', 'underdamped', '63.2 Hz', '2 mm',
         'travelling_wave', '1000 Hz', '/rig1/twin/joint_states', 'throws on request',
     ):
-        assert part in twin.describe()
+        assert part in twin.describe_start()
     client = ros.parameters(twin)
     path = str(Path(__file__).parents[1] / 'data/reference_tracks.csv')
     assert client.set(engine__motion_file=path) == ['']
-    assert path in twin.describe()
+    assert path in twin.describe_start()
     assert client.set(engine__motion='measured') == ['']
-    assert '/rig1/twin/measured_joint_states' in twin.describe()
+    assert '/rig1/twin/measured_joint_states' in twin.describe_start()
     twin.close()
     printed = capfd.readouterr().err
     assert re.search(r'stopped after 0 throws in [\d.]+ s, 0 ticks skipped', printed)
