@@ -273,10 +273,7 @@ class Planner:
             name: ThrowConditions(condition.treatments(self.description), {})
             for name, condition in conditions.items()
         })
-        start_values = {int(name): condition.values() for name, condition in conditions.items()}
-        return RigModel(
-            tuple(throws), self.rig, description, simulator, start_values=start_values
-        )
+        return RigModel(tuple(throws), self.rig, description, simulator)
 
     def _tracks(self, name: str, condition: Condition, simulator: ThrowSimulator) -> ThrowTracks:
         """Return empty tracks at the times at which a throw would be seen."""

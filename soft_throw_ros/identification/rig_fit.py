@@ -394,7 +394,7 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
         if throw.projectile is not None:
             parts = model.description.conditions(throw.name).parts
             groups.setdefault(parts.get('layer'), []).append(number)
-    result: dict[int, dict[str, float]] = {}
+    initial, layout = dict(model.initial), model.layout
     for numbers in groups.values():
         throws = tuple(
             throw if number in numbers else replace(throw, projectile=None)
@@ -403,8 +403,11 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
         best, *others = find_layers(replace(model, throws=throws))
         if len(groups) == 1:
             return replace(model, rig=best), others
-        result |= dict.fromkeys(numbers, values_of(best, free))
-    return replace(model, start_values=result), []
+        for name, value in values_of(best, free).items():
+            for number, index in layout.indices.get(name, {}).items():
+                if number in numbers:
+                    initial[layout.names[index]] = value
+    return replace(model, initial=initial), []
 
 
 def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:

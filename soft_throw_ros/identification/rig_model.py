@@ -127,12 +127,10 @@ class RigModel:
     simulator: ThrowSimulator
     plates: tuple[PlateFit, ...] = ()
     """Fits of the plates alone, throw by throw."""
-    start_values: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
-    """Start values for the layers of some throws, by their numbers."""
     needs_cells: bool = False
     """Whether cells simulate a layer of any kind, to compare layers without other differences."""
     initial: Mapping[str, float] = field(default_factory=dict)
-    """Start values from an earlier fit, by the names of the values."""
+    """Start values from an earlier fit or a search, by the names of the values."""
 
     @property
     def by_cells(self) -> bool:
@@ -145,13 +143,8 @@ class RigModel:
 
     @cached_property
     def rigs(self) -> list[Rig]:
-        """Rig of each throw, with the values of the description and start values."""
-        return [
-            changed_rig(
-                self.description.prepare(self.rig, throw.name), self.start_values.get(number, {})
-            )
-            for number, throw in enumerate(self.throws)
-        ]
+        """Rig of each throw, with the values of the description."""
+        return [self.description.prepare(self.rig, throw.name) for throw in self.throws]
 
     @cached_property
     def series(self) -> list[Series]:
