@@ -204,7 +204,7 @@ def _identify(
         ]
         identify_figure.draw_throws(result, ejection, summary, arguments.figure)
     return IdentificationReport(
-        sources=tuple(throw.name for throw in result.throws),
+        sources=tuple(throw.name for throw in throws),
         result=values,
         held={name: value for name, value in result.held_values().items() if name in relevant},
         chosen={'layer.stress_strain_law': law} if law != rig.layer.stress_strain_law else {},
@@ -223,11 +223,11 @@ def _identify(
                     'start_time': result.start_time(number).value,
                     'gaps': {
                         body: track.gaps
-                        for body, track in vars(throws[number]).items()
+                        for body, track in vars(throw).items()
                         if isinstance(track, Track)
                     },
                 }
-                for number, throw in enumerate(result.throws)
+                for number, throw in enumerate(throws)
             ],
             'ejection': ejection_data(ejection),
         },

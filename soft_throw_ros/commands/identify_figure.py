@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.commands.output import written_file
 from soft_throw_ros.identification.ejection import Ejection
-from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.least_squares import Estimate, TrackResidual
 from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.rig_model import Series
 from soft_throw_ros.identification.ringing import CommonValue, Ringing
 from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.identification.video import SpaceTime
@@ -47,34 +48,26 @@ _MAX_THROWS = 6  # largest number of throws or layers in one figure
 def draw_throws(
     result: RigFit, ejection: Ejection | None, summary: Sequence[str], path: Path
 ) -> None:
-    """
-    Draw tracks and model of the first few throws, over the time since each began.
-
-    Parameters
-    ----------
-    result : RigFit
-        The fit of the tracks.
-    ejection : Ejection or None
-        First release of the model.
-    summary : sequence of str
-        Lines above the figure.
-    path : Path
-        Name of a PNG, PDF or SVG file.
-
-    """
-    bodies = ['plate', 'projectile'][: 1 + any(throw.projectile for throw in result.throws)]
+    """Draw tracks and model of the first few throws, and a summary above."""
+    tracks = list(zip(result.model.series, result.fit.residuals, strict=True))
+    bodies = ['plate', 'projectile'][: 1 + bool(result.model.projectiles)]
     figure = _figure(9.6, 3.6 + 1.5 * len(bodies))
     layout: list[Any] = [['near', 'whole'], *([body, body] for body in bodies)]
     panels = figure.subplot_mosaic(layout, height_ratios=[2.6, *[1.0] * len(bodies)])
     for body in bodies[1:]:
         panels[body].sharex(panels['plate'])
-    for number in range(len(result.throws[:_MAX_THROWS])):
-        _draw_throw(result, number, panels)
+    for series, residual in tracks:
+        if series.throw < _MAX_THROWS:
+            _draw_track(result, series, residual, panels)
     if ejection is not None:
         for panel in panels.values():
             panel.axvline(_MILLI * ejection.time.value, color='0.4', lw=0.9, ls=':')
     period = _MILLI / result.rig.engine.frequency
-    highest = _MILLI * max(float(np.ptp(throw.plate.position)) for throw in result.throws)
+    highest = _MILLI * max(
+        float(np.ptp(residual.track.position))
+        for series, residual in tracks
+        if series.body == 'plate'
+    )
     panels['near'].set(
         xlim=(-0.3 * period, _PERIODS * period),
         ylim=(-0.3 * highest, _RISES * highest),
@@ -92,30 +85,29 @@ def draw_throws(
     _save(figure, path)
 
 
-def _draw_throw(result: RigFit, number: int, panels: Mapping[str, Any]) -> None:
-    """Draw the tracks, the model and the residuals of a throw into the panels of a figure."""
-    residuals = {id(item.track): item for item in result.fit.residuals}
-    throw, start = result.throws[number], result.start_time(number).value
-    heights_at_rest = result.heights(number, np.array([start]))
-    for body_index, (body, track) in enumerate(
-        (('plate', throw.plate), ('projectile', throw.projectile))
-    ):
-        if track is None:
-            continue
-        colour, rest_height = _COLOURS[body], heights_at_rest[body_index]
-        since = _MILLI * (track.time - start)
-        fine = np.linspace(track.time[0], track.time[-1], _POINTS)
-        model = _MILLI * (result.heights(number, fine)[body_index] - rest_height)
-        height = _MILLI * (track.position - rest_height)
-        for name in ('near', 'whole'):
-            label = body if number == 0 else None
-            panels[name].plot(since, height, color=colour, **_DATA)
-            panels[name].plot(_MILLI * (fine - start), model, color=colour, lw=1, label=label)
-        band = 2.0 * _MICRO * track.noise
-        panels[body].axhspan(-band, band, color='0.9', zorder=0)
-        panels[body].plot(
-            since, _MICRO * residuals[id(track)].values, color=colour, **_DATA
-        )
+def _draw_track(
+    result: RigFit, series: Series, residual: TrackResidual, panels: Mapping[str, Any]
+) -> None:
+    """Draw a track, its model and its residuals into the panels of a figure."""
+    throw, body, _ = series
+    track, colour, start = residual.track, _COLOURS[body], result.start_time(throw).value
+
+    def predict(time: Floats) -> Floats:
+        request = throw, body, time
+        return result.model.trajectories(result.fit.values, [request])[0].height
+
+    rest_height = predict(np.array([start]))
+    since = _MILLI * (track.time - start)
+    fine = np.linspace(track.time[0], track.time[-1], _POINTS)
+    model = _MILLI * (predict(fine) - rest_height)
+    height = _MILLI * (track.position - rest_height)
+    for name in ('near', 'whole'):
+        label = body if throw == 0 else None
+        panels[name].plot(since, height, color=colour, **_DATA)
+        panels[name].plot(_MILLI * (fine - start), model, color=colour, lw=1, label=label)
+    band = 2.0 * _MICRO * track.noise
+    panels[body].axhspan(-band, band, color='0.9', zorder=0)
+    panels[body].plot(since, _MICRO * residual.values, color=colour, **_DATA)
 
 
 def draw_layers(

@@ -120,19 +120,6 @@ class RigFit:
         """
         return self.model.rig_of(self.fit.values)
 
-    @cached_property
-    def throws(self) -> tuple[ThrowTracks, ...]:
-        """Fitted tracks, without samples after a landing and without outliers."""
-        tracks: list[dict[str, Track]] = [{} for _ in self.model.throws]
-        for (throw, body, _), residual in zip(
-            self.model.series, self.fit.residuals, strict=True
-        ):
-            tracks[throw][body] = residual.track
-        return tuple(
-            ThrowTracks(name=throw.name, **bodies)
-            for throw, bodies in zip(self.model.throws, tracks, strict=True)
-        )
-
     def estimates(self) -> dict[str, Estimate]:
         """Return the fitted parameters of the rig, with the mean of values per throw."""
         return {name: self.estimate(name) for name in PARAMETERS if name in self.model.layout}
@@ -186,12 +173,6 @@ class RigFit:
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
         return self.fit[self.fit.names[self.model.layout.indices[START][throw]]]
-
-    def heights(self, throw: int, time: Floats) -> tuple[Floats, Floats]:
-        """Predict heights of plate and projectile [m] at times [s], as the tracks count them."""
-        requests = [(throw, body, time) for body in ('plate', 'projectile')]
-        plate, projectile = self.model.trajectories(self.fit.values, requests)
-        return plate.height, projectile.height
 
     def releases(self, count: int, seed: int = 0) -> FirstReleases:
         """
@@ -306,8 +287,6 @@ def fit_rig(
         If the tracks do not determine the parameters, with the reason.
 
     """
-    if not throws:
-        raise FitError('there is no throw to fit to')
     description = description or FitDescription()
     description.check_throws([throw.name for throw in throws])
     free = [name for name in LAYER if description.is_free(name)]

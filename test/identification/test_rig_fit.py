@@ -391,7 +391,6 @@ def test_tracks_without_information_on_the_layer_are_refused(make_throw):
     time = seen.plate.time
     still = Track(time=time, position=1e-5 * np.random.default_rng(1).normal(size=time.size))
     for throws, value in (
-        ([], 'no throw'),
         ([replace(seen, projectile=None)], 'layer.wave_speed cannot be found without'),
         ([seen, replace(seen, name='still.csv', plate=still)], 'still.csv: the plate'),
     ):
