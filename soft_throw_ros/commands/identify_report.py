@@ -255,8 +255,8 @@ def remark_lines(result: RigFit) -> Iterator[str]:
             )
     if not result.is_complete:
         yield 'the search for effects of the bench is incomplete: the fit takes too long'
-    for effect in result.skipped_effects:
-        yield f'the errors do not include the effect of {effect.name}: {effect.reason}'
+    for name, reason in result.skipped_effects.items():
+        yield f'the errors do not include the effect of {name}: {reason}'
 
 
 def budget_lines(result: RigFit) -> Iterator[str]:

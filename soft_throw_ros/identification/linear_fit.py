@@ -89,10 +89,6 @@ class LinearFit:
         remainder = residuals - extra @ result
         return float(residuals @ residuals - np.sum(remainder**2)), np.asarray(result)
 
-    def gradients(self, heights: Floats) -> Floats:
-        """Return the gradients of half of chi squared by sizes of columns, from shape (k, n)."""
-        return np.asarray(self._weigh(heights) @ self._slopes)
-
     def score(self, heights: Floats) -> tuple[Floats, Floats]:
         """
         Return how well columns of shape (k, n) are seen, and how well they fit the residuals.
@@ -107,8 +103,9 @@ class LinearFit:
         residual = self._weighted_residuals(self.fit.values)
         return np.sum(columns**2, axis=1) / scale, np.asarray(columns @ residual) / scale
 
-    def shifts(self, gradients: Floats) -> Floats:
-        """Return the shifts of the fitted values for such gradients, shape (k, n)."""
+    def shifts(self, heights: Floats) -> Floats:
+        """Return the shifts of the fitted values by columns of shape (k, n)."""
+        gradients = self._weigh(heights) @ self._slopes
         inverse = np.linalg.pinv(self._triangle, rcond=1e-12)
         scaled = gradients[:, self._others] / self._sizes
         shifts = np.zeros((len(gradients), self.fit.values.size))

@@ -72,7 +72,6 @@ from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 from soft_throw_ros.identification.unseen import (
     add_unseen,
     release_shift,
-    SkippedEffect,
     UnseenEffect,
 )
 
@@ -108,8 +107,8 @@ class RigFit:
     """Intervals of 95 % where standard errors are inaccurate, see `profile_intervals`."""
     effects: tuple[UnseenEffect, ...] = ()
     """Unseen effects, of the sizes that the fit leaves open."""
-    skipped_effects: tuple[SkippedEffect, ...] = ()
-    """Unseen effects that the errors do not include."""
+    skipped_effects: Mapping[str, str] = field(default_factory=dict)
+    """Unseen effects that the errors do not include, and the reasons."""
 
     @cached_property
     def rig(self) -> Rig:
@@ -242,12 +241,12 @@ class RigFit:
     def _shift_of_release(self) -> tuple[Floats, Floats]:
         """Return the effect of waves of the plate on the release, and its derivatives."""
         fit, model = self.fit, self.model
-        shift = release_shift(model, fit.values, 0)
+        shift = release_shift(model, fit.values)
         slopes = np.zeros((fit.values.size, 2))
         for index in model.layout.waves_of(0):
             values = fit.values.copy()
             values[index] += fit.errors[index]
-            slopes[index] = (release_shift(model, values, 0) - shift) / fit.errors[index]
+            slopes[index] = (release_shift(model, values) - shift) / fit.errors[index]
         return shift, slopes
 
 
@@ -324,7 +323,7 @@ def fit_rig(
         fit=fit,
         intervals=profile_intervals(model, result.fit),
         effects=tuple(effects),
-        skipped_effects=tuple(skipped),
+        skipped_effects=skipped,
     )
 
 

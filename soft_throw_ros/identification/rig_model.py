@@ -229,9 +229,9 @@ class RigModel:
             for throw, body, track in self.series
         ]
 
-    def predict(self, values: Floats) -> Floats:
-        """Heights of all tracks in one series."""
-        return np.concatenate([item.height for item in self.trajectories(values)])
+    def predict(self, values: Floats, change: Change | None = None) -> Floats:
+        """Heights of all tracks in one series; see `trajectories`."""
+        return np.concatenate([item.height for item in self.trajectories(values, change=change)])
 
     def speed(self, values: Floats) -> Floats:
         """Speeds of all bodies in one series."""

@@ -40,7 +40,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,13 +89,6 @@ _MIN_RUN = 3
 
 Presence = Literal['all', 'one pair', 'any pair']
 """Which causes of an effect are there: all, one pair of neighbours, or each pair or not."""
-
-
-class SkippedEffect(NamedTuple):
-    """An effect that the errors do not include, because its throws cannot be simulated."""
-
-    name: str
-    reason: str
 
 
 class UnseenEffect(NamedTuple):
@@ -151,17 +144,21 @@ class UnseenEffect(NamedTuple):
         return np.asarray(self.margin * np.sqrt(squares))
 
 
-def release_shift(model: RigModel, values: Floats, throw: int) -> Floats:
-    """Return the effect of the waves of the plate on time and speed of the first release."""
-    rig, motion = model.motion(values, throw)
+def release_shift(model: RigModel, values: Floats) -> Floats:
+    """Return the effect of waves of the plate on time and speed of the release, first throw."""
+    rig, motion = model.motion(values, 0)
     plain = _release(model, rig, PlateWithWaves(motion.step))
     return _difference(_release(model, rig, motion, near=plain), plain)
 
 
 def unseen_effects(
     model: RigModel, values: Floats
-) -> tuple[list[UnseenEffect], list[SkippedEffect]]:
-    """Compute the effects that the description of a fit leaves open, at the values of the fit."""
+) -> tuple[list[UnseenEffect], dict[str, str]]:
+    """
+    Compute the effects that the description of a fit leaves open, at the values of the fit.
+
+    Second come the reasons why throws with an effect cannot be simulated, by its name.
+    """
     makers: dict[str, Callable[[], UnseenEffect]] = {}
     size = model.description.treatment(PLATE_MODE).error
     if size is not None:
@@ -182,18 +179,19 @@ def unseen_effects(
             makers[STRESS_LAW] = partial(_stress_law, model, values)
     if any(item.track.rounding_step for item in model.series):
         makers[ROUNDING] = partial(_rounding, model)
-    effects, skipped = [], []
+    effects: list[UnseenEffect] = []
+    skipped: dict[str, str] = {}
     for name, make in makers.items():
         try:
             effects.append(make())
         except ValueError as error:
-            skipped.append(SkippedEffect(name, str(error)))
+            skipped[name] = str(error)
     return effects, skipped
 
 
 def add_unseen(
     model: RigModel, fit: Fit
-) -> tuple[Fit, list[UnseenEffect], list[SkippedEffect]]:
+) -> tuple[Fit, list[UnseenEffect], dict[str, str]]:
     """Add unseen effects to the covariance of a fit; see `unseen_effects`."""
     linear = LinearFit(model, fit)
     effects, skipped = unseen_effects(model, fit.values)
@@ -201,13 +199,8 @@ def add_unseen(
     for index, effect in enumerate(effects):
         if effect.name != ROUNDING:  # noise of rounded heights does not show their errors
             effects[index] = effect.scaled(*linear.score(effect.heights))
-        shifts[effect.name] = linear.shifts(linear.gradients(effects[index].heights))
+        shifts[effect.name] = linear.shifts(effects[index].heights)
     return fit.with_unseen(shifts), effects, skipped
-
-
-def _heights(model: RigModel, values: Floats, change: Change | None = None) -> Floats:
-    """Predict all tracks of changed rigs in one series [m]."""
-    return np.concatenate([item.height for item in model.trajectories(values, change=change)])
 
 
 def _of_changes(
@@ -220,14 +213,14 @@ def _of_changes(
     presence: Presence = 'all',
 ) -> UnseenEffect:
     """Return the effects of changes of the motion of the plate, each beside a base."""
-    heights = _heights(model, values, base)
+    heights = model.predict(values, base)
     rig, motion = base(*model.motion(values, 0))
     plain = _release(model, rig, motion)
     moved = [
         _difference(_release(model, *change(rig, motion), near=plain), plain)
         for change in changes
     ]
-    columns = [_heights(model, values, change) - heights for change in changes]
+    columns = [model.predict(values, change) - heights for change in changes]
     time, speed = np.array(moved).T
     return UnseenEffect(name, np.array(columns), time, speed, presence)
 
@@ -247,10 +240,17 @@ def _modes(size: float) -> list[Change]:
 
 
 def _ringing(model: RigModel, values: Floats, size: float, presence: Presence) -> UnseenEffect:
-    """Return the effects of ringing without damping, a pair for each throw."""
-    effect = _of_changes(
-        RINGING, model, values, _undamped(size), base=_without_ringing, presence=presence
-    )
+    """
+    Return the effects of ringing without damping, a pair for each throw.
+
+    So rings a plate that its drive damps during a throw only.
+    """
+    changes = [
+        _with_waves(ringing=amplitudes, ringing_damping=0.0)
+        for amplitudes in ((size, 0.0), (0.0, size))
+    ]
+    base = _with_waves(ringing=(0.0, 0.0))
+    effect = _of_changes(RINGING, model, values, changes, base=base, presence=presence)
     throws = np.arange(len(model.throws))[:, None]
     own = (model.throw_of_sample == throws)[:, None, :]
     is_first = np.repeat(throws[:, 0] == 0, 2)
@@ -262,20 +262,9 @@ def _ringing(model: RigModel, values: Floats, size: float, presence: Presence) -
     )
 
 
-def _without_ringing(rig: Rig, motion: PlateWithWaves) -> tuple[Rig, PlateWithWaves]:
-    """Return the motion without ringing."""
-    return rig, motion._replace(ringing=(0.0, 0.0))
-
-
-def _undamped(size: float) -> list[Change]:
-    """Return ringing without damping, as of a plate that its drive damps during a throw only."""
-
-    def with_ringing(
-        rig: Rig, motion: PlateWithWaves, ringing: tuple[float, float]
-    ) -> tuple[Rig, PlateWithWaves]:
-        return rig, motion._replace(ringing=ringing, ringing_damping=0.0)
-
-    return [partial(with_ringing, ringing=ringing) for ringing in ((size, 0.0), (0.0, size))]
+def _with_waves(**waves: Any) -> Change:
+    """Return a change that replaces some of the waves of the plate."""
+    return lambda rig, motion: (rig, motion._replace(**waves))
 
 
 def _sticking(model: RigModel, values: Floats, duration: float) -> UnseenEffect:
@@ -322,14 +311,14 @@ def _stress_law(model: RigModel, values: Floats) -> UnseenEffect:
     rig, motion = model.motion(values, 0)
     cells = replace(model, needs_cells=True)
     for law in ('linear', 'neo_hookean'):
-        ends.append(_heights(cells, values, with_law(law)))
+        ends.append(cells.predict(values, with_law(law)))
         releases.append(_release(cells, *with_law(law)(rig, motion)))
     column = ends[1] - ends[0]
     moved = _difference(releases[1], releases[0])
     if 'layer.wave_speed' in model.layout:
         faster = values.copy()
         faster[model.layout.indices_of('layer.wave_speed')] *= 1.0 + _SPEED_STEP
-        slope = _heights(model, faster) - _heights(model, values)
+        slope = model.predict(faster) - model.predict(values)
         noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
         weighted = slope / noise**2
         change = float(weighted @ column) / max(float(weighted @ slope), 1e-300)

@@ -274,7 +274,7 @@ def test_release_of_a_plate_with_waves_is_the_throwing_one():
     model = SimpleNamespace(
         motion=lambda _values, _throw: (rig, plate), simulator=simulator, by_cells=False
     )
-    time, speed = release_shift(model, np.empty(0), 0)
+    time, speed = release_shift(model, np.empty(0))
     assert abs(time) < 5e-4
     assert abs(speed) < 0.05
 
