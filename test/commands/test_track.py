@@ -206,14 +206,6 @@ def test_early_loss_of_the_plate_is_not_explained_by_the_rate(command, throw_pic
     assert 'of 180 pictures only' in message
 
 
-def test_spots_that_are_not_named_are_listed(command, first_pictures):
-    message = command.refused(first_pictures, *AS_TAKEN, '--spots', 'plate,projectile')
-    assert message.startswith(
-        f'{first_pictures}: 3 round spots are seen, at column 22 row 315, column 22 row 240, '
-    )
-    assert message.endswith('and not 2, plate, projectile')
-
-
 @pytest.mark.parametrize(
     'how', [('--spots', 'bottom,top'), ('--line', 30, 2, 107)], ids=['spots', 'line']
 )
@@ -248,8 +240,8 @@ THROW = ('VIDEO', *AS_TAKEN)
         ((*THROW, '--scale', '1', '0'), "argument --scale: must be finite and positive, got '0'"),
         ((*THROW, '--line', '1', '2', '3', '--spots', 'plate'), 'argument --spots: is for spots'),
         ((*THROW, '--space-time', 'a.png'), 'argument --space-time: needs --line'),
+        ((*THROW, '--spots', 'plate,projectile'), 'VIDEO: 3 round spots are seen, at column 22 '),
         ((*THROW, '--line', '400', '2', '9'), 'VIDEO: a line from row 2 to row 9 of column 400'),
-        ((*THROW, '--spots', 'ball'), 'VIDEO: a spot is on one of plate, layer, projectile, '),
         ((*THROW, '--light-spots'), 'VIDEO: the first picture shows no light round spot, but'),
         (
             (*THROW, '--overlay', 'a.gif'),
@@ -262,9 +254,3 @@ THROW = ('VIDEO', *AS_TAKEN)
 def test_video_error_is_one_line(command, first_pictures, args, message):
     args = [first_pictures if arg == 'VIDEO' else arg for arg in args]
     assert command.refused(*args).startswith(message.replace('VIDEO', str(first_pictures)))
-
-
-def test_video_is_refused_as_a_file_of_tracks(first_pictures, capsys):
-    with pytest.raises(SystemExit):
-        identify.main([str(first_pictures)])
-    assert 'soft-throw track' in capsys.readouterr().err

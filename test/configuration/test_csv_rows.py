@@ -56,7 +56,7 @@ def test_missing_values_are_nan_where_gaps_are_allowed():
 
 
 def test_rows_have_the_numbers_of_their_lines():
-    rows = read_rows(['', '# t', '1 2', 'sep=,', '3 4'])
+    rows = read_rows(['', '# t\r\n', '1 2\r\n', 'sep=,', '3 4'])
     assert list(rows) == [(3, ['1', '2']), (5, ['3', '4'])]
 
 
@@ -74,6 +74,9 @@ def test_rows_have_the_numbers_of_their_lines():
         ('t,z\n0,11\n', ('track.csv:2', '+- 10', "'11'")),
         ('t,z [mm]\n0,11000\n', ('track.csv:2', '+- 10000', "'11000'")),
         ('t,z\n0,1_000\n', ('track.csv:2', 'finite number', "'1_000'")),
+        ('t,z\n0,\u0661\n', ('track.csv:2', 'finite number', "'\u0661'")),
+        ('t,z\n0,inf\n', ('track.csv:2', 'finite number', "'inf'")),
+        ('1\n2\n', ('track.csv:1', 'columns t and z', "'1'")),
         ('t,z\n0,1,2\n', ('track.csv:2', 'got 3')),
         ('t,z\n0;1\n', ('track.csv:2', 'got 1', 'same sign')),
     ],

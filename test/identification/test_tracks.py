@@ -42,9 +42,6 @@ def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
     ('lines', 'unit'),
     [
         (rows(), 'm'),
-        (['t,z_plate,z_projectile', *rows()], 'm'),
-        (['\ufefft,z_plate,z_projectile\r\n', *(f'{row}\r\n' for row in rows())], 'm'),
-        (['# a comment', '', 'time plate projectile', *rows('{:.4f}  {:.6f} {:.6f}')], 'm'),
         (
             ['"t [s]"; "projectile [mm]"; frame; "plate (mm)"']
             + [
@@ -53,14 +50,11 @@ def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
             ],
             'mm',
         ),
-        (['t\tzp\tzm', *(row.replace('.', ',') for row in rows('{:.4f}\t{:.9f}\t{:.6f}', 1e3))],
-         'mm'),
-        (['t,plate [µm],projectile', *rows(scale=1e6)], 'um'),
-        (['sep=;', 't;plate;projectile', *(row.replace(',', ';') + ';' for row in rows())], 'm'),
+        (['t,zp [µm],z_m', *rows(scale=1e6)], 'um'),
     ],
-    ids=['bare', 'named', 'windows', 'blanks', 'semicolons', 'tabs', 'micrometres', 'spreadsheet'],
+    ids=['bare', 'semicolons', 'micrometres'],
 )
-def test_csv_is_read_with_any_separator(lines, unit):
+def test_csv_gives_the_tracks_of_its_bodies(lines, unit):
     tracks = read_csv(lines, 'file', BODIES, unit=unit)
     assert set(tracks) == set(BODIES)
     assert tracks['plate'].time == pytest.approx(TIME, abs=1e-12)
@@ -87,23 +81,11 @@ def with_line(number, text):
 @pytest.mark.parametrize(
     ('lines', 'value'),
     [
-        (['# nothing'], 'file: is empty'),
-        (with_line(5, '0.0006,x,0.01'), "file:5: plate must be a finite number, got 'x'"),
-        (with_line(5, '0.0006,1_0,0.01'), "file:5: plate must be a finite number, got '1_0'"),
-        (with_line(5, '0.0006,\u0661,0'), "file:5: plate must be a finite number, got '\u0661'"),
-        (with_line(5, '0.0006,0,inf'), "file:5: projectile must be a finite number, got 'inf'"),
-        (with_line(5, 'nan,0,0'), "file:5: time must be a finite number, got 'nan'"),
         (with_line(5, '0.0006,1e9,0'), "file:5: plate must be within +- 1e+06, got '1e9'"),
-        (with_line(5, '0.0001,0,0'), 'file:5: time must increase, got 0.0001 after 0.0004'),
-        (with_line(7, '0.0010,0'), 'file:7: must have 3 values as line 1 has, got 2'),
-        (with_line(7, '0.0010;0;0'), 'line 1 has, got 1; the same sign must separate'),
-        (['# a comment', 't,plate,projectile'], 'file:2: names columns, but no line with numbers'),
         (with_line(1, 't,piston,ball'), 'no column is named plate or z_plate or zp or z_p, got'),
         (with_line(1, 'frame,plate,projectile'), 'file:1: no column is named t or time, got'),
-        (with_line(1, 't,plate,z_p'), "file:1: plate must be there once, got 'z_p'"),
         (with_line(1, 't,plate [mm],projectile'), "got 'plate [mm]'; see --unit mm"),
         (with_line(1, 't [ms],plate,projectile'), "file:1: time is read in s, got 't [ms]'"),
-        (['1', '2'], "file:1: must have columns time and plate, got '1' alone"),
         (rows()[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
     ],
 )
