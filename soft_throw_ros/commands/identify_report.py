@@ -91,14 +91,23 @@ class IdentificationReport:
     """
 
     sources: tuple[str, ...]
+    """Names of the throws or files."""
     result: Mapping[str, Estimate]
+    """Fitted parameters of the twin."""
     held: Mapping[str, float] = field(default_factory=dict)
+    """Parameters that the fit assumed as known."""
     chosen: Mapping[str, str] = field(default_factory=dict)
+    """Chosen models that differ from the request."""
     answer: tuple[str, ...] = ()
+    """Lines that come first."""
     lines: tuple[str, ...]
+    """Further lines of the printed report."""
     data: Mapping[str, object]
+    """Content of `lines` for programs, in types that JSON can represent."""
     notes: tuple[str, ...] = ()
+    """Defects of the tracks, such as missing samples or messages."""
     warnings: tuple[str, ...]
+    """Reasons to doubt the result."""
 
     def table(self) -> Iterator[str]:
         """Yield the lines of the report."""

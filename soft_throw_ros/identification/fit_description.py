@@ -192,20 +192,6 @@ class FitDescription:
     """
     The treatments of all parameters of a fit.
 
-    Parameters
-    ----------
-    parameters : mapping of str to Treatment
-        Treatments of some of `DEFAULTS`, see `parse_treatments`. The others have the treatment in
-        `DEFAULTS`.
-    heights : {'own', 'common', 'absolute'}
-        Origin of the heights, see `Heights`.
-    reference : {'face', 'centre'}
-        Point of the projectile whose heights the tracks have; it matters if heights are not of
-        their own.
-    throws : mapping of str to ThrowConditions
-        Differences of some throws. A key is a name, or a pattern of names, of throws or of their
-        files. Throws with the same treatment or part share its value.
-
     Raises
     ------
     ValueError
@@ -221,9 +207,17 @@ class FitDescription:
     """
 
     parameters: Mapping[str, Treatment] = field(default_factory=dict)
+    """Treatments of some parameters, see `parse_treatments`; the others have their `DEFAULTS`."""
     heights: Heights = 'own'
+    """Origin of the heights, see `Heights`."""
     reference: Reference = 'face'
+    """Point whose heights tracks of projectiles have; it matters unless `heights` is 'own'."""
     throws: Mapping[str, ThrowConditions] = field(default_factory=dict)
+    """
+    Differences of some throws, by names, or patterns of names, of throws or of their files.
+
+    Throws with the same treatment or part share its value.
+    """
 
     def __post_init__(self) -> None:
         for name in (*self.parameters, *(n for item in self.throws.values() for n in item[0])):

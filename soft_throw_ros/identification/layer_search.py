@@ -107,12 +107,10 @@ def find_layers(model: RigModel) -> list[Rig]:
     start = model.start()
     searched = {}
     for number in used:
-        treatments = {n: model.description.treatment(n, throws[number].name) for n in free}
-        searched[number] = SearchedThrow(
-            *model.motion(start, number),
-            model.value(start, START, number),
-            tuple(name for name, treatment in treatments.items() if treatment.value is None),
-        )
+        throw = throws[number].name
+        names = tuple(n for n in free if model.description.treatment(n, throw).value is None)
+        begin = model.value(start, START, number)
+        searched[number] = SearchedThrow(*model.motion(start, number), begin, names)
     early = model.cut_after(_SEARCH_PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
@@ -124,19 +122,7 @@ def find_layers(model: RigModel) -> list[Rig]:
 
 
 def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> Fit:
-    """
-    Fit other possible layers; return the best fit with its near alternatives.
-
-    Parameters
-    ----------
-    model : RigModel
-        Model of all throws.
-    fit : Fit
-        Fit of the model.
-    others : sequence of Rig
-        Rigs with other possible layers, the most likely one first.
-
-    """
+    """Fit `others`, the most likely ones first; return the best fit with near alternatives."""
     if 'layer.wave_speed' not in model.layout:
         return fit
     starts = [model.without_faults(fit.values)] if fit.is_mismatch else []

@@ -112,12 +112,12 @@ class TrackResidual:
 
     @property
     def values(self) -> Floats:
-        """Return data less model [m]."""
+        """Residuals, data less model [m]."""
         return self.track.position - self.fitted
 
     @property
     def rms(self) -> float:
-        """Root of their mean square [m]."""
+        """Root of the mean square of the residuals [m]."""
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property
@@ -127,7 +127,7 @@ class TrackResidual:
 
     @property
     def reduced_chi2(self) -> float:
-        """Mean of their squares over those of the noise [-]."""
+        """Mean of the squares of residual over noise [-]."""
         return float(np.mean((self.values / self.noise) ** 2))
 
     @property
@@ -146,7 +146,7 @@ class TrackResidual:
 
     @property
     def is_white(self) -> bool:
-        """Whether it may be white noise, or is so small beside it that it does not matter."""
+        """Whether the residuals may be white noise, or are negligible beside the noise."""
         is_negligible = self.rms <= _NEGLIGIBLE_RMS * self.rms_noise
         return is_negligible or self.whiteness > _SIGNIFICANCE
 
@@ -162,7 +162,7 @@ class TrackResidual:
 
     @property
     def worst_part(self) -> tuple[float, float]:
-        """From when to when the residuals are least like noise [s]."""
+        """Begin and end of the section with the largest mean residual over noise [s]."""
         width = min(_SLOW_WINDOW, self.track.time.size)
         slow = np.abs(uniform_filter1d(self.values / self.noise, width, mode='constant'))
         times = self.track.time[max(0, int(np.argmax(slow)) - width // 2):][:width]
@@ -199,7 +199,7 @@ class Fit:
     noise: Floats
     """Noise of each sample of all tracks, including outliers [m]."""
     kept: Flags
-    """Whether each sample of all tracks is none."""
+    """Whether each sample of all tracks was fitted, and is no outlier."""
     known: Mapping[int, Estimate] = field(default_factory=dict)
     """Priors of some parameters, by their indices."""
     alternatives: tuple[Alternative, ...] = ()
@@ -231,7 +231,7 @@ class Fit:
 
     @property
     def variance_scale(self) -> float:
-        """By how much variances are larger than the noise that was taken [-]."""
+        """Factor on all variances, above 1 if the residuals are larger than the noise [-]."""
         if self.is_mismatch or not all(item.track.known_noise for item in self.residuals):
             return self.reduced_chi2
         return 1.0
@@ -575,14 +575,11 @@ class _LeastSquares:
                 track=track if kept.all() else track.where(kept),
                 fitted=fitted[kept],
                 noise=noise[kept],
-                outliers=tuple(
-                    Outlier(time, deviation)
-                    for time, deviation in zip(
-                        track.time[~kept].tolist(),
-                        (track.position - fitted)[~kept].tolist(),
-                        strict=True,
-                    )
-                ),
+                outliers=tuple(map(
+                    Outlier,
+                    track.time[~kept].tolist(),
+                    (track.position - fitted)[~kept].tolist(),
+                )),
             )
             for (name, track), fitted, noise, kept in self._by_track(
                 self._model.predict(values), self._noise, self._kept

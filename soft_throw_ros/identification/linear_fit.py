@@ -46,14 +46,7 @@ class LinearFit:
     """
     Weighted samples and priors as linear functions of the parameters.
 
-    Parameters
-    ----------
-    model : RigModel
-    fit : Fit
-        Fit of the model.
-    fixed : sequence of int
-        Indices of values that are not adapted to the others.
-
+    The values with the indices `fixed` are not adapted to the others.
     """
 
     def __init__(self, model: RigModel, fit: Fit, fixed: Sequence[int] = ()) -> None:

@@ -40,22 +40,17 @@ def value_names(parameter: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """
-    The order of the values of a fit; made by `of`.
-
-    Parameters
-    ----------
-    groups : dict
-        Numbers of the throws that share each value, in the order of the values, by the name of
-        the parameter and a key. The key is None if all throws share it, and the number of the
-        throw if it belongs to a single one.
-    is_single : bool
-        Whether there is one throw only.
-
-    """
+    """The order of the values of a fit; made by `of`."""
 
     groups: dict[tuple[str, Hashable], list[int]]
+    """
+    Numbers of the throws that share each value, by the name of the parameter and a key.
+
+    They are in the order of the values. The key is None if all throws share the value, and the
+    number of the throw if it belongs to a single one.
+    """
     is_single: bool
+    """Whether there is one throw only."""
 
     @classmethod
     def of(cls, throws: Sequence[ThrowTracks], description: FitDescription) -> ParameterLayout:

@@ -227,18 +227,6 @@ class Planner:
     """
     Rank throws by the errors that would remain after them.
 
-    Parameters
-    ----------
-    rig : Rig
-        The assumed rig; alpha refers to its layer and projectile.
-    conditions : sequence of Condition
-        Possible throws.
-    setup : MeasurementSetup
-    description : FitDescription
-        Free parameters and priors of the fit. The loss is sought unless it is held.
-    measured : ParameterInformation, optional
-        Information from earlier throws, in the names of the rig, including all priors.
-
     Raises
     ------
     FitError
@@ -247,10 +235,14 @@ class Planner:
     """
 
     rig: Rig
+    """The assumed rig; alpha refers to its layer and projectile."""
     conditions: Sequence[Condition]
+    """Possible throws."""
     setup: MeasurementSetup
     description: FitDescription
+    """Free parameters and priors of the fit. The loss is sought unless it is held."""
     measured: ParameterInformation | None = None
+    """Information from earlier throws, in the names of the rig, including all priors."""
 
     def __post_init__(self) -> None:
         if not self.conditions:

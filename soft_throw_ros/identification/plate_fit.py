@@ -55,20 +55,12 @@ _STEP = 1e-5  # step of derivatives, relative to the scale of each value
 
 @dataclass(frozen=True, kw_only=True)
 class PlateFit:
-    """
-    Motion of the plate, fitted to its track.
-
-    Parameters
-    ----------
-    fit : Fit
-        Fit of the parameters `NAMES`, or of all but the last.
-    offset : float
-        Height of the plate at rest. [m]
-
-    """
+    """Motion of the plate, fitted to its track."""
 
     fit: Fit
+    """Fit of the parameters `NAMES`, or of all but the last."""
     offset: float
+    """Height of the plate at rest [m]."""
 
     @property
     def start_time(self) -> float:

@@ -48,26 +48,16 @@ class Mode(NamedTuple):
 
 
 class PlateWithWaves(NamedTuple):
-    """
-    The motion of a plate: a step, and waves beside it.
-
-    Parameters
-    ----------
-    step : Underdamped
-        The motion without waves.
-    ringing : tuple of float
-        Cosine and sine amplitude of the earlier ringing at the start, over the amplitude.
-    ringing_damping : float, optional
-        Damping ratio of the ringing; that of the step by default.
-    mode : Mode, optional
-        None if there is no second mode.
-
-    """
+    """The motion of a plate: a step, and waves beside it."""
 
     step: Underdamped
+    """The motion without waves."""
     ringing: tuple[float, float] = (0.0, 0.0)
+    """Cosine and sine amplitude of the earlier ringing at the start, over the amplitude. [-]"""
     ringing_damping: float | None = None
+    """Damping ratio of the ringing; None for that of the step. [-]"""
     mode: Mode | None = None
+    """The second mode, if there is one."""
 
     def position(self, since: Floats) -> Floats:
         """Height at times since the start [m]."""

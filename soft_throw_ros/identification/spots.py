@@ -35,11 +35,9 @@ the largest acceleration of all spots until it is too large. Two candidates are 
 a gap, a spot counts only if the speeds on both sides explain its path, and if it has not moved
 aside. Samples beside a gap and runs of a few pictures are dropped.
 
-Libraries. trackpy 0.7 measures free spots as exactly and follows them through flicker, but accepts
-partly covered spots: behind the 16 wires of the tests, 92 of its 900 samples are off by more than
-0.3 pixels, the worst by 2.8; its limits of mass and eccentricity leave 52. Here none is, and the
-largest error is 0.21 pixels. The regions and blobs of scikit-image are less exact even without a
-wire (0.07 and 0.4 pixels rms, here 0.025), as is its phase correlation (0.13).
+Libraries. trackpy keeps partly covered spots (docs/measured.md). The regions and blobs of
+scikit-image are less exact even without a wire (0.07 and 0.4 pixels rms, here 0.025), as is its
+phase correlation (0.13).
 
 """
 
@@ -148,7 +146,7 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> Followe
     Parameters
     ----------
     pictures : iterable of ndarray, shape (rows, columns)
-        Grey levels.
+        Grey levels of at least one picture.
     light : bool
         Whether spots are lighter than their background, and not darker.
 
