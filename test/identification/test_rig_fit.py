@@ -184,7 +184,7 @@ def test_samples_after_the_landing_are_ignored(make_throw):
     spoilt = replace(seen, projectile=replace(seen.projectile, position=other, known_noise=2e-5))
     found = fit_rig([spoilt], KNOWN, EXACT)
     assert_true(found, Rig())
-    assert 0.27 < found.throws[0].projectile.time[-1] < 0.0153 + 0.2875
+    assert 0.27 < found.model.throws[0].projectile.time[-1] < 0.0153 + 0.2875
     assert fit_warnings(found.fit) == []
 
 
