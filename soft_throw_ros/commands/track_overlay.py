@@ -42,16 +42,8 @@ def draw_overlay(pictures: Iterable[Picture], spots: Sequence[Spot], path: Path)
     """
     Draw the followed spots over the pictures, into a picture or a video.
 
-    Parameters
-    ----------
-    pictures : iterable of ndarray, shape (rows, columns)
-        All pictures of the video.
-    spots : sequence of Spot
-        Followed spots.
-    path : Path
-        Name of the new file. A picture shows the paths of the spots over the first picture, and
-        the rows of the spots over the picture number. A video shows a ring around each spot that
-        a picture contains.
+    A picture shows the paths of the spots over the first picture, and their rows over the picture
+    number. A video shows a ring around each spot in the pictures that contain the spot.
 
     """
     with written_file(path) as unfinished:

@@ -16,14 +16,14 @@ Least squares without outliers, with standard errors.
 
 Notes
 -----
-Weights are one over the noise of each sample. By default, `estimate_noise` estimates the noise
+Weights are one over the noise of each sample. By default, `_estimate_noise` estimates the noise
 from the differences of neighbouring residuals, with a term that grows with the speed of the body
 if stamps are inaccurate. Errors of a model change slowly, so they increase chi squared and not the
 noise. Standard errors are multiplied by the square root of chi squared per degree of freedom if
 this ratio is above 1 or the noise was estimated. They are also multiplied by the effect of
 correlated residuals on the variance of a mean (`TrackResidual.inflation`).
 
-A sample is an outlier if its residual deviates from its neighbours by more than `OUTLIER_LIMIT`
+A sample is an outlier if its residual deviates from its neighbours by more than `_OUTLIER_LIMIT`
 times the noise; errors of a model change slowly, and make no outliers. So outliers are removed
 before the first fit. If a fit shows more outliers, it is repeated with a robust loss; then these
 outliers are removed, too, and the other samples are fitted by plain least squares.
@@ -50,9 +50,7 @@ from soft_throw_ros.identification.tracks import Track
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-OUTLIER_LIMIT = 6.0
-"""Deviation of an outlier from its neighbours [noise]; noise alone exceeds it once in 1e8."""
-
+_OUTLIER_LIMIT = 6.0  # deviation of an outlier from its neighbours [noise]; by chance once in 1e8
 _NEIGHBOURHOOD = 7  # number of neighbouring samples, of which two may be outliers
 _RANKS = (2, 4)  # ranks of the neighbours, by size, that bound the usual residuals
 _MAX_OUTLIER_SHARE = 0.1  # share of outliers of a track above which the model is wrong
@@ -395,28 +393,14 @@ def fit_tracks(
     return problem.conclude(values)
 
 
-def estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
+def _estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
     r"""
-    Estimate the noise of heights and of stamps from the residuals of a fit.
-
-    Parameters
-    ----------
-    residuals : ndarray, shape (n,)
-        [m]
-    speed : ndarray, shape (n,)
-        Speed of the body; a body at rest does not show errors of stamps. [m/s]
-
-    Returns
-    -------
-    height_noise : float
-        Standard deviation of heights. [m]
-    stamp_noise : float
-        Standard deviation of stamps, 0 if it is not significant. [s]
+    Estimate the noise of heights [m] and of stamps [s], 0 if it is not significant.
 
     Notes
     -----
-    Second differences preserve white noise, and suppress slow changes. Their mean squares are
-    :math:`\sigma^2 + \tau^2 v^2`.
+    Second differences of the residuals [m] preserve white noise, and suppress slow changes. Their
+    mean squares are :math:`\sigma^2 + \tau^2 v^2` at a speed :math:`v` [m/s].
 
     """
     squares = np.convolve(residuals, _CURVATURE, 'valid') ** 2
@@ -540,7 +524,7 @@ class _LeastSquares:
             if track.known_noise:
                 noises.append(noise)
             else:
-                height, stamp = estimate_noise(residual[kept], speed[kept])
+                height, stamp = _estimate_noise(residual[kept], speed[kept])
                 noises.append(np.hypot(max(height, track.least_noise, 1e-15), stamp * speed))
         before, self._noise = self._noise, np.concatenate(noises)
         return float(np.max(np.abs(np.log(self._noise / before)))) > _NOISE_TOLERANCE
@@ -560,7 +544,7 @@ class _LeastSquares:
             )
             deviation = np.maximum(residual - high, low - residual).clip(0.0)
             scale = max(1.0, 1.4826 * float(np.median(np.abs(residual - 0.5 * (low + high)))))
-            flagged = deviation > OUTLIER_LIMIT * scale
+            flagged = deviation > _OUTLIER_LIMIT * scale
             flags.append(flagged & (flagged.mean() < _MAX_OUTLIER_SHARE))
         return np.concatenate(flags)
 

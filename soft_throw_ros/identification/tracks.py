@@ -83,17 +83,6 @@ class Track:
     """
     Measured heights of one body.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Increasing times. [s]
-    position : ndarray, shape (n,)
-        Heights, upwards from any zero. [m]
-    known_noise : float, optional
-        Standard deviation of the positions; estimated by default. [m]
-    least_noise : float
-        Lower limit of the estimate. [m]
-
     Raises
     ------
     TrackError
@@ -105,9 +94,13 @@ class Track:
     """
 
     time: Floats
+    """Increasing times, shape (n,). [s]"""
     position: Floats
+    """Heights, upwards from any zero, shape (n,). [m]"""
     known_noise: float | None = None
+    """Standard deviation of the positions, estimated if None. [m]"""
     least_noise: float = 0.0
+    """Lower limit of the estimate. [m]"""
     noise: float = field(init=False)
     """Standard deviation of the positions, known or estimated. [m]"""
 

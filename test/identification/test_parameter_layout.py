@@ -19,7 +19,6 @@ from soft_throw_ros.identification.fit_description import (
     FREE,
     IDEAL_BENCH,
     parse_treatments,
-    ThrowConditions,
 )
 from soft_throw_ros.identification.parameter_layout import ParameterLayout
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
@@ -46,13 +45,6 @@ def test_shared_values_come_first_and_names_have_the_number_of_the_throw():
     assert layout.is_per_throw('engine.amplitude')
     assert not layout.is_per_throw('engine.frequency')
     assert 'layer.thickness' not in layout
-
-
-def test_throws_with_another_layer_have_their_own_wave_speed():
-    layout = layout_of('a', 'b', 'c', throws={'b': ThrowConditions({}, {'layer': 'old'})})
-    speeds = layout.indices['layer.wave_speed']
-    assert speeds[0] == speeds[2] != speeds[1]
-    assert {'layer.wave_speed', 'layer.wave_speed[2]'} <= set(layout.names)
 
 
 def test_ringing_has_two_values_for_each_throw():

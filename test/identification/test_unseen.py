@@ -72,32 +72,27 @@ def test_rounding_increases_errors_beyond_the_scatter(make_throw):
     assert abs(rough['plate_offset'].value) < 3.0 * rough['plate_offset'].error
 
 
+def sizes_of(seen, products, **options):
+    count = len(seen)
+    effect = UnseenEffect('x', np.zeros((count, 0)), np.zeros(count), np.zeros(count), **options)
+    return effect.sizes(np.array(seen), np.array(products))
+
+
 def test_size_of_an_effect_agrees_with_its_posterior():
-    zeros = np.zeros((2, 0))
-    effect = UnseenEffect('x', zeros, np.zeros(2), np.zeros(2))
-    seen = np.array([0.0, 99.0])
-    assert effect.sizes(seen, np.zeros(2)) == pytest.approx([1.0, 0.1])
-    assert effect.sizes(seen, 100.0 * np.array([0.0, 2.0])) == pytest.approx(
-        [1.0, 2.0], rel=0.01
-    )
+    assert sizes_of([0.0, 99.0], [0.0, 0.0]) == pytest.approx([1.0, 0.1])
+    assert sizes_of([0.0, 99.0], [0.0, 200.0]) == pytest.approx([1.0, 2.0], rel=0.01)
 
 
-def test_indistinguishable_effects_share_their_size():
-    zeros = np.zeros((4, 0))
-    effect = UnseenEffect('x', zeros, np.zeros(4), np.zeros(4), presence='one pair')
-    assert effect.sizes(np.zeros(4), np.zeros(4)) == pytest.approx(np.full(4, 0.5**0.5))
-    # A pair that the residuals show leaves nothing to the other
-    sizes = effect.sizes(np.full(4, 99.0), np.array([100.0, 0.0, 0.0, 0.0]))
-    assert sizes == pytest.approx([1.0, 0.1, 0.0, 0.0], abs=0.01)
-
-
-def test_pairs_that_may_be_absent_count_by_their_evidence():
-    zeros = np.zeros((4, 0))
-    effect = UnseenEffect('x', zeros, np.zeros(4), np.zeros(4), presence='any pair')
-    assert effect.sizes(np.zeros(4), np.zeros(4)) == pytest.approx(np.full(4, 0.5**0.5))
-    # The residuals show the first pair; the odds of the second are 1 to 100
-    sizes = effect.sizes(np.full(4, 99.0), np.array([100.0, 0.0, 0.0, 0.0]))
-    assert sizes == pytest.approx([1.0, 0.1, 0.1 / 101**0.5, 0.1 / 101**0.5], rel=0.01)
+@pytest.mark.parametrize(
+    ('presence', 'other'),
+    [('one pair', 0.0),  # a pair that the residuals show leaves nothing to the other
+     ('any pair', 0.1 / 101**0.5)],  # the odds of the other pair are 1 to 100
+)
+def test_effect_that_the_residuals_show_excludes_or_spares_the_others(presence, other):
+    unknown = sizes_of(np.zeros(4), np.zeros(4), presence=presence)
+    assert unknown == pytest.approx(np.full(4, 0.5**0.5))
+    sizes = sizes_of(np.full(4, 99.0), [100.0, 0.0, 0.0, 0.0], presence=presence)
+    assert sizes == pytest.approx([1.0, 0.1, other, other], rel=0.01, abs=1e-4)
 
 
 @pytest.mark.parametrize('is_ringing', [False, True])
