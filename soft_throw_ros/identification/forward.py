@@ -195,12 +195,15 @@ class FirstReleases(NamedTuple):
     """Time since the plate began to move. [s]"""
     speed: Floats
     """[m/s]"""
-    energy_transfer: Floats
-    """[-]"""
     peak_plate_speed: Floats
     """[m/s]"""
     echoes: NDArray[np.int64]
     """Number of echoes of the wave before; time and energy jump where this number changes."""
+
+    @property
+    def energy_transfer(self) -> Floats:
+        """Square of the speed over that of the plate [-]."""
+        return (self.speed / self.peak_plate_speed) ** 2
 
 
 def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
@@ -210,7 +213,6 @@ def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
     return FirstReleases(
         time=throws.ejection_time,
         speed=throws.ejection_speed,
-        energy_transfer=throws.energy_transfer,
         peak_plate_speed=throws.ejection_speed / np.sqrt(throws.energy_transfer),
         echoes=((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64),
     )

@@ -401,7 +401,7 @@ class Planner:
         signed = [self._shared[name] for name in _WEAK_ERRORS if name in self._shared]
         values[:, signed] = np.maximum(values[:, signed], 0.0)
         result = first_releases([self._model.rig_of(item, _TARGET) for item in values])
-        alpha = ((result.speed + slower) / result.peak_plate_speed) ** 2
+        alpha = result._replace(speed=result.speed + slower).energy_transfer
         if not np.isfinite(alpha[0]):
             raise FitError('the projectile of the rig that is planned for does not leave')
         change = np.nan_to_num(alpha[1:] / alpha[0] - 1.0, nan=1.0)

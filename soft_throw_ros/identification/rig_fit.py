@@ -196,12 +196,8 @@ class RigFit:
                 rigs.append(self.model.rig_of(values))
                 kept.append(row)
         result = first_releases(rigs)
-        speed = result.speed + shifts[kept, 1]
-        return result._replace(
-            time=result.time + shifts[kept, 0],
-            speed=speed,
-            energy_transfer=(speed / result.peak_plate_speed) ** 2,
-        )
+        time, speed = shifts[kept].T
+        return result._replace(time=result.time + time, speed=result.speed + speed)
 
     def release_time_budget(self) -> dict[str, float]:
         """
