@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import contextlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 import re
@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
 from soft_throw_ros.configuration.csv_rows import MIN_STEP
-from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -88,8 +87,6 @@ class Track:
     TrackError
         If the series do not fit, are shorter than `FEWEST`, are not finite, beyond `MAX_TIME` or
         `MAX_HEIGHT`, or do not increase.
-    ValueError
-        If the noise is not finite and positive.
 
     """
 
@@ -101,12 +98,9 @@ class Track:
     """Standard deviation of the positions, estimated if None. [m]"""
     least_noise: float = 0.0
     """Lower limit of the estimate. [m]"""
-    noise: float = field(init=False)
-    """Standard deviation of the positions, known or estimated. [m]"""
 
     def __post_init__(self) -> None:
-        time = np.asarray(self.time, dtype=np.float64)
-        position = np.asarray(self.position, dtype=np.float64)
+        time, position = self.time, self.position
         if time.ndim != 1 or time.shape != position.shape or time.size < FEWEST:
             raise TrackError(
                 f'a track is two series of the same length, at least {FEWEST}, '
@@ -122,13 +116,13 @@ class Track:
         if is_bad.any():
             index = int(np.flatnonzero(is_bad)[0])
             raise TrackError(f'time must increase, got {time[index + 1]} after {time[index]}')
-        object.__setattr__(self, 'time', time)
-        object.__setattr__(self, 'position', position)
-        if self.known_noise is None:
-            noise = max(noise_of(time, position), self.least_noise)
-        else:
-            noise = checks.require_positive('known_noise', self.known_noise)
-        object.__setattr__(self, 'noise', noise)
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of the positions, known or estimated [m]."""
+        if self.known_noise is not None:
+            return self.known_noise
+        return max(noise_of(self.time, self.position), self.least_noise)
 
     @property
     def interval(self) -> float:
