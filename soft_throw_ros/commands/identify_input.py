@@ -117,7 +117,7 @@ def _without_lone_samples(record: ThrowTracks, notes: list[str]) -> ThrowTracks:
 
 
 def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
-    """Cut a record into throws, unless one motion explains it."""
+    """Cut a record into throws, unless a single motion explains the whole record."""
     if len(find_throws(record.plate)) < _MAX_FALSE_THROWS and _is_one_motion(record):
         return [record]
     return split_into_throws(record)

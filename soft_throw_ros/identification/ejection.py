@@ -58,7 +58,7 @@ class AlternativeRelease(NamedTuple):
     echoes: int
     """Number of echoes more than in the most likely rig; negative if fewer."""
     probability: float
-    """Share of the rigs drawn from the errors of the fit that release so. [-]"""
+    """Share of such releases among the rigs drawn from the errors of the fit. [-]"""
     time: Estimate
     """[s]"""
     speed: Estimate

@@ -175,7 +175,7 @@ class TrackResidual:
 
 
 class Alternative(NamedTuple):
-    """Another minimum: its values, and how much larger chi squared is there."""
+    """Values at another minimum, and the increase of chi squared there."""
 
     values: Floats
     excess: float
@@ -500,7 +500,7 @@ class _LeastSquares:
         return self.leave_out(self.solve(start))
 
     def leave_out(self, values: Floats) -> Floats:
-        """Remove outliers, and fit again until they stay the same."""
+        """Remove outliers and fit again, until the outliers stay the same."""
         outliers = self._find_outliers(values)
         if (outliers & self._kept).any():
             values = self.solve(values, loss='soft_l1')
@@ -535,7 +535,7 @@ class _LeastSquares:
         return zip(self._tracks, *samples, strict=True)
 
     def _find_outliers(self, values: Floats) -> Flags:
-        """Return which samples are outliers of a model with such values."""
+        """Return which samples are outliers of the model with these values."""
         residuals = (self._model.predict(values) - self._position) / self._noise
         flags = []
         for residual in np.split(residuals, self._ends):

@@ -110,7 +110,7 @@ class LinearFit:
         return np.asarray((heights / self.fit.noise)[..., self.fit.kept])
 
     def _weighted_residuals(self, values: Floats) -> Floats:
-        """Return the weighted residuals of such values."""
+        """Return the weighted residuals of the model with these values."""
         known = self.model.known
         residuals = self._weigh(self._position - self.model.predict(values))
         priors = [(known[p].value - values[p]) / known[p].error for p in self._known]

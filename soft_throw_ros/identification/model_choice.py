@@ -128,7 +128,7 @@ def _best_term(model: RigModel, fit: Fit) -> _Candidate | None:
 
 
 def _penalty(fit: Fit, parameters: int) -> float:
-    """Return the rise of the criterion by so many parameters."""
+    """Return the increase of the criterion by a number of parameters."""
     return parameters * math.log(fit.dof + fit.values.size)
 
 

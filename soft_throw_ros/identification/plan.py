@@ -86,7 +86,7 @@ class Condition(NamedTuple):
 
     @classmethod
     def of(cls, rig: Rig) -> Condition:
-        """Return that of a rig."""
+        """Return the throw of a rig."""
         return cls(*values_of(rig, _CONDITIONS).values())
 
     def values(self) -> dict[str, float]:
@@ -114,7 +114,7 @@ class MeasurementSetup:
     noise: float = 2e-5
     """Standard deviation of heights [m]."""
     duration: float = 0.05
-    """For how long after its start a throw is seen [s]."""
+    """Time from the start of a throw to the end of its measurement [s]."""
 
     def __post_init__(self) -> None:
         for name in ('rate', 'noise', 'duration'):
@@ -219,7 +219,7 @@ class PlannedThrow:
     peak_strain: float
     """Largest strain of the layer in this throw [-]."""
     leaves_linear_range: bool
-    """Whether that is more than the linear model takes."""
+    """Whether this strain is beyond the range of the linear model."""
 
 
 @dataclass(frozen=True)
@@ -408,12 +408,12 @@ class Planner:
         return float(np.std(change))
 
     def _size(self, name: str) -> float:
-        """Return the size that a parameter of a real rig has, 0 if it may well be 0."""
+        """Return the usual size of a parameter, 0 if it may be 0 in a real rig."""
         is_of_rig = name.partition('[')[0] in PARAMETERS
         return _WEAK_ERRORS.get(name, is_of_rig * abs(float(self._values[self._shared[name]])))
 
     def _prior_error(self, name: str, index: int) -> float:
-        """Return the error of the prior of a parameter, or one so large that it is no prior."""
+        """Return the standard error of a prior; a very large one if there is no prior."""
         known = self._model.known.get(index)
         return known.error if known else _WEAKLY_KNOWN * self._size(name) or 1.0
 

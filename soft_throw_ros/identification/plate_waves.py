@@ -68,7 +68,7 @@ class PlateWithWaves(NamedTuple):
         return self.step.velocity(since) + self._of_waves(since, 1)
 
     def sampled(self, first: float, last: float) -> SampledMotion | None:
-        """Sample it from a lead-in before `first` to `last` [s]; None if it is a mere step."""
+        """Sample the motion from a lead-in before `first` to `last` [s]; None without waves."""
         if not any(self.ringing) and self.mode is None:
             return None
         fastest = self.mode.frequency if self.mode else self.step.frequency

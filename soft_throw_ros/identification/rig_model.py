@@ -102,7 +102,7 @@ class Series(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """Height [m] and velocity [m/s] of a body as it is seen."""
+    """Measured height [m] and velocity [m/s] of a body."""
 
     height: Floats
     velocity: Floats
@@ -292,7 +292,7 @@ class RigModel:
         return np.asarray(size * share)
 
     def _projectile_rest(self, values: Floats, throw: int, rig: Rig) -> float:
-        """Height of the resting projectile as its track has it [m]."""
+        """Height of the resting projectile, from the zero of its track [m]."""
         if self.description.heights == 'own':
             return self.value(values, PROJECTILE_ZERO, throw)
         half = 0.5 * rig.projectile.length if self.description.reference == 'centre' else 0.0

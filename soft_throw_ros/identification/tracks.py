@@ -165,7 +165,7 @@ class Track:
         )
 
     def between(self, start: float, end: float) -> Track:
-        """Return the part from `start` to `end` [s], both included; too short a one is refused."""
+        """Return the part from `start` to `end` [s], both included; refuse too few samples."""
         inside = (self.time >= start) & (self.time <= end)
         if inside.sum() < FEWEST:
             raise TrackError(
@@ -213,7 +213,7 @@ class ThrowTracks:
     projectile: Track | None = None
 
     def between(self, start: float, end: float) -> ThrowTracks:
-        """Return the part from `start` to `end` [s]; of the projectile there may be none."""
+        """Return the part from `start` to `end` [s], in which the projectile may be missing."""
         projectile = None
         if self.projectile is not None:
             with contextlib.suppress(TrackError):

@@ -88,7 +88,7 @@ _MIN_RUN = 3
 """Number of consecutive equal heights from which on rounding errors are correlated."""
 
 Presence = Literal['all', 'one pair', 'any pair']
-"""Which causes of an effect are there: all, one pair of neighbours, or each pair or not."""
+"""Causes of an effect that exist: all, one pair of neighbours, or any number of pairs."""
 
 
 class UnseenEffect(NamedTuple):
@@ -102,7 +102,7 @@ class UnseenEffect(NamedTuple):
     speed: Floats
     """Changes of the ejection speed, shape (k,). [m/s]"""
     presence: Presence = 'all'
-    """The causes that are there; before the fit, each of any pair is there with 50 %."""
+    """Causes that exist; before the fit, `any pair` exists with a probability of 50 %."""
     margin: float = 1.0
     """Factor on the sizes of an effect whose shape is known roughly only. [-]"""
     is_linear: bool = True
