@@ -56,8 +56,8 @@ MODEL = model_of(decay, 'size', 'rate')
 def track(seed=0, *, noise=0.01, known=None, correlated=0.0, extra=0.0):
     rng = np.random.default_rng(seed)
     scatter = rng.normal(size=TIME.size)
-    for place in range(1, TIME.size):
-        scatter[place] += correlated * scatter[place - 1]
+    for index in range(1, TIME.size):
+        scatter[index] += correlated * scatter[index - 1]
     heights = decay(TIME, *TRUTH) + extra * np.sin(9.0 * TIME)
     return Track(time=TIME, position=heights + noise * scatter, known_noise=known)
 
@@ -65,7 +65,7 @@ def track(seed=0, *, noise=0.01, known=None, correlated=0.0, extra=0.0):
 @pytest.mark.parametrize('known', [None, 0.01, 0.02])
 def test_fit_agrees_with_curve_fit(known):
     data = track(known=known)
-    found = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', data)])
+    fit = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', data)])
     values, covariance = curve_fit(
         decay,
         TIME,
@@ -74,9 +74,9 @@ def test_fit_agrees_with_curve_fit(known):
         sigma=np.full(TIME.size, data.noise),
         absolute_sigma=known is not None,
     )
-    assert found.values == pytest.approx(values, rel=1e-6)
-    assert found.covariance == pytest.approx(covariance, rel=1e-4)
-    assert found.dof == 198
+    assert fit.values == pytest.approx(values, rel=1e-6)
+    assert fit.covariance == pytest.approx(covariance, rel=1e-4)
+    assert fit.dof == 198
 
 
 def test_fit_of_noise_alone_seldom_warns():
@@ -118,22 +118,22 @@ def test_inseparable_parameters_are_reported():
 
 def test_parameter_without_effect_has_infinite_error():
     model = model_of(lambda time, size, rate, idle: decay(time, size, rate), 'a', 'b', 'idle')
-    found = fit_tracks(model, np.array([1.4, 0.7, 0.3]), [('decay', track())])
-    assert found['idle'].error > 1e10
-    assert found['b'].error < 0.1
+    fit = fit_tracks(model, np.array([1.4, 0.7, 0.3]), [('decay', track())])
+    assert fit['idle'].error > 1e10
+    assert fit['b'].error < 0.1
 
 
-@pytest.mark.parametrize('places', [[0], [1], [57, 58, 120], [199]])
-def test_outliers_are_excluded_by_name(places):
+@pytest.mark.parametrize('indices', [[0], [1], [57, 58, 120], [199]])
+def test_outliers_are_excluded_by_name(indices):
     clean = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track())])
-    spoilt = track().position.copy()
-    spoilt[places] += 0.5
-    found = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', Track(time=TIME, position=spoilt))])
-    outliers = found.residuals[0].outliers
-    assert [each.time for each in outliers] == TIME[places].tolist()
-    assert [each.deviation for each in outliers] == pytest.approx([0.5] * len(places), abs=0.05)
-    assert np.abs((found.values - clean.values) / clean.errors).max() < 1.0
-    assert fit_warnings(found) == []
+    position = track().position.copy()
+    position[indices] += 0.5
+    fit = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', Track(time=TIME, position=position))])
+    outliers = fit.residuals[0].outliers
+    assert [item.time for item in outliers] == TIME[indices].tolist()
+    assert [item.deviation for item in outliers] == pytest.approx([0.5] * len(indices), abs=0.05)
+    assert np.abs((fit.values - clean.values) / clean.errors).max() < 1.0
+    assert fit_warnings(fit) == []
 
 
 def test_model_that_does_not_fit_makes_no_outliers():
@@ -144,12 +144,12 @@ def test_model_that_does_not_fit_makes_no_outliers():
 def test_prior_counts_as_a_sample():
     known = Estimate(0.795, 3e-3)
     free = fit_tracks(MODEL, TRUTH, [('decay', track(known=0.01))])
-    found = fit_tracks(replace(MODEL, known={1: known}), TRUTH, [('decay', track(known=0.01))])
+    fit = fit_tracks(replace(MODEL, known={1: known}), TRUTH, [('decay', track(known=0.01))])
     weights = np.array([free['rate'].error, known.error]) ** -2.0
     mean = np.average([free['rate'].value, known.value], weights=weights)
-    assert found['rate'].value == pytest.approx(mean, abs=0.2 * known.error)
-    assert found['rate'].error == pytest.approx(weights.sum() ** -0.5, rel=0.05)
-    assert found.dof == free.dof + 1
+    assert fit['rate'].value == pytest.approx(mean, abs=0.2 * known.error)
+    assert fit['rate'].error == pytest.approx(weights.sum() ** -0.5, rel=0.05)
+    assert fit.dof == free.dof + 1
 
 
 def test_contradiction_of_a_prior_is_reported():
@@ -163,10 +163,10 @@ def test_contradiction_of_a_prior_is_reported():
 
 def test_other_minimum_is_spanned_and_reported():
     fit = fit_tracks(MODEL, TRUTH, [('decay', track())])
-    found = fit.spanning([Alternative(np.add(fit.values, [0.0, 0.1]), 4.0)])
-    assert 1.96 * found['rate'].error > 0.095
-    assert found['size'] == fit['size']
-    assert fit_warnings(found) == [('rate', found.alternatives[0].values[1], 4.0)]
+    spanned = fit.spanning([Alternative(np.add(fit.values, [0.0, 0.1]), 4.0)])
+    assert 1.96 * spanned['rate'].error > 0.095
+    assert spanned['size'] == fit['size']
+    assert fit_warnings(spanned) == [('rate', spanned.alternatives[0].values[1], 4.0)]
 
 
 def test_overflowing_fit_is_refused():

@@ -26,7 +26,7 @@ pytest.importorskip('skimage', reason='comes with the extra [video]')
 SHAPE = (150, 50)
 
 
-def places_of(number):
+def centres_of(number):
     """Where spots on plate, layer and projectile are; the last one leaves at the top."""
     swing = 20.0 * (1.0 - np.cos(0.11 * number))
     late = 20.0 * (1.0 - np.cos(0.11 * max(number - 4, 0)))
@@ -39,16 +39,16 @@ def places_of(number):
 
 def video(count=60, seed=0, **options):
     rng = np.random.default_rng(seed)
-    return [picture(SHAPE, places_of(number), rng, **options) for number in range(count)]
+    return [picture(SHAPE, centres_of(number), rng, **options) for number in range(count)]
 
 
 def errors_of(spots):
     """Return the errors of all spots: rows and columns [px]."""
-    left = []
-    for place, spot in enumerate(spots):
-        truth = np.array([places_of(number)[place] for number in spot.picture])
-        left.append(np.stack([spot.row, spot.column], axis=1) - truth)
-    return left
+    errors = []
+    for index, spot in enumerate(spots):
+        truth = np.array([centres_of(number)[index] for number in spot.picture])
+        errors.append(np.stack([spot.row, spot.column], axis=1) - truth)
+    return errors
 
 
 @pytest.mark.parametrize(
@@ -67,8 +67,8 @@ def test_spots_are_followed_within_a_twentieth_of_a_pixel(options, most):
     spots = follow_spots(video(**options)).spots
     assert len(spots) == 3
     assert [spot.row.size for spot in spots[:2]] == [60, 60]
-    for left in errors_of(spots):
-        assert np.sqrt(np.mean(left**2, axis=0)).max() < most
+    for errors in errors_of(spots):
+        assert np.sqrt(np.mean(errors**2, axis=0)).max() < most
 
 
 def test_spot_is_followed_until_it_leaves_the_picture():
@@ -76,8 +76,8 @@ def test_spot_is_followed_until_it_leaves_the_picture():
     seen = spots[2].row.size
     assert 30 < seen < 45
     # to within a picture or so of where its edge, with its blur, touches that of the picture
-    assert places_of(seen - 1)[2][0] > 0.5 * DIAMETER
-    assert places_of(seen + 1)[2][0] < 0.5 * DIAMETER + 4.0
+    assert centres_of(seen - 1)[2][0] > 0.5 * DIAMETER
+    assert centres_of(seen + 1)[2][0] < 0.5 * DIAMETER + 4.0
     assert np.abs(errors_of(spots)[2][-3:]).max() < 0.08
     assert [spot.has_left for spot in spots] == [False, False, True]
 
@@ -105,8 +105,8 @@ STEP = 80.0 - 18.0 * (1.0 - np.cos(0.11 * np.maximum(np.arange(70) - 10, 0)))
 )
 def test_spot_behind_a_wire_is_missing_or_correct_and_found_again(rows, width, grey, slope):
     (spot,) = follow_spots(behind(62.0, width, grey, rows, slope)).spots
-    left = np.hypot(spot.row - rows[spot.picture], spot.column - 30.2)
-    assert left.max() < 0.3
+    errors = np.hypot(spot.row - rows[spot.picture], spot.column - 30.2)
+    assert errors.max() < 0.3
     assert spot.gaps
     assert spot.picture[-1] == 69
     assert spot.picture.size > 25
@@ -141,14 +141,14 @@ def test_flicker_of_lamps_loses_no_sample(flicker, light):
     pictures = []
     for number in range(40):
         levels = np.full(SHAPE, 40.0 if light else 190.0)
-        for row, column in places_of(number)[:2]:
+        for row, column in centres_of(number)[:2]:
             levels += (CONTRAST if light else -CONTRAST) * disc(SHAPE, row, column)
         gain = 1.0 + flicker * np.sin(2.0 * np.pi * 100.0 * number / 4000.0)
         pictures.append(exposed(gain * levels, rng))
     followed = follow_spots(pictures, light=light)
     assert [spot.picture.size for spot in followed.spots] == [40, 40]
-    for left in errors_of(followed.spots):
-        assert np.sqrt(np.mean(left**2, axis=0)).max() < 0.04
+    for errors in errors_of(followed.spots):
+        assert np.sqrt(np.mean(errors**2, axis=0)).max() < 0.04
 
 
 @pytest.mark.parametrize('grey', [20.0, 220.0])
@@ -178,7 +178,7 @@ def test_spots_are_distinguished_from_other_dark_objects():
     levels[160, 100] = 0.0  # a broken pixel
     truth = [(180.0, 80.0), (140.0, 81.0), (80.0, 79.0)]
     spots = find_spots(picture((200, 160), truth, rng, around=levels))
-    assert [spot[:2] for spot in spots] == [pytest.approx(place, abs=0.3) for place in truth]
+    assert [spot[:2] for spot in spots] == [pytest.approx(centre, abs=0.3) for centre in truth]
     assert [spot.diameter for spot in spots] == pytest.approx([7.0] * 3, abs=0.7)
 
 
@@ -187,7 +187,7 @@ def test_pictures_without_spots_are_refused():
     with pytest.raises(TrackError, match=r'shows no dark round spot$'):
         follow_spots([empty] * 20)
     with pytest.raises(TrackError, match='no dark round spot, but 3 light ones; see --light'):
-        follow_spots([255 - each for each in video(count=3)])
+        follow_spots([255 - frame for frame in video(count=3)])
     with pytest.raises(TrackError, match='no picture'):
         follow_spots([])
     with pytest.raises(TrackError, match=r'one size, got \(149, 50\) after \(150, 50\)'):

@@ -126,12 +126,12 @@ def test_noise_is_distinguished_from_motion_with_outliers_and_lost_samples(rate,
 @pytest.mark.parametrize('noise', [0.0, 5e-6, 2e-5])
 def test_noise_of_rounded_heights_includes_the_rounding_error(noise):
     time = np.arange(0.0, 0.1, 2e-4)
-    left = []
+    noises = []
     for seed in range(8):
         position = PLATE.position(time - 0.03)
         noisy = position + noise * np.random.default_rng(seed).normal(size=time.size)
-        left.append(noise_of(time, 2e-5 * np.round(noisy / 2e-5)))
-    assert np.mean(left) == pytest.approx(np.hypot(noise, 2e-5 / np.sqrt(12.0)), rel=0.05)
+        noises.append(noise_of(time, 2e-5 * np.round(noisy / 2e-5)))
+    assert np.mean(noises) == pytest.approx(np.hypot(noise, 2e-5 / np.sqrt(12.0)), rel=0.05)
 
 
 @pytest.mark.parametrize('lost', [0.0, 0.03, 0.5])
@@ -159,7 +159,7 @@ def test_fall_acceleration_agrees_with_the_free_flight(factor, gravity):
     projectile = np.where(flight > 0.0, 3e-3 + 1.4 * flight - 0.5 * 9.81 * flight**2, plate)
     heights = np.stack([plate, projectile])
     heights += 1e-5 * np.random.default_rng(1).normal(size=heights.shape)
-    tracks = [Track(time=factor * time, position=each) for each in heights]
+    tracks = [Track(time=factor * time, position=item) for item in heights]
     assert fall_acceleration(*tracks) == pytest.approx(gravity, rel=0.02)
     assert fall_acceleration(tracks[0], tracks[0]) is None
 
