@@ -25,7 +25,6 @@ from soft_throw_ros.identification.fit_warnings import (
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.model_choice import AddedTerm
 from soft_throw_ros.identification.rig_fit import RigFit
-from soft_throw_ros.identification.unseen import SkippedEffect
 
 
 @pytest.mark.parametrize(
