@@ -22,7 +22,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import IDEAL_BENCH
+from soft_throw_ros.identification.fit_description import FIXED, IDEAL_BENCH
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections, ImperfectThrow
 from soft_throw_ros.simulated_rig.sensor_faults import SensorFaults
 from trials.bench import Bench, Floats, measured_options, RigRange, Trial, truth_of
@@ -187,7 +187,7 @@ _LOSSY = RigRange(loss_tangent=(0.02, 0.2))
 _HOLD = tuple(
     word
     for name, treatment in IDEAL_BENCH.items()
-    if treatment == 'held'
+    if treatment == FIXED
     for word in ('--hold', name)
 )
 _FIT_LOSS = ('--fit', 'layer.loss_tangent')
@@ -227,15 +227,15 @@ ROWS = (
         for law in _LAWS
         for verb, change in (('stiffens', 0.1), ('softens', -0.1))
     ),
-    Row('mass and size known to 5 %, said', _uncertain),
-    Row('all off as is expected', _as_expected),
+    Row('mass and size known to 5 %, stated', _uncertain),
+    Row('all imperfections of typical size', _as_expected),
     Row('projectile scale 0.5 % off', _measured_with(projectile_scale=1.005)),
     Row('projectile 0.1 ms late', _measured_with(projectile_delay=1e-4)),
     Row('layer sticks for 0.2 ms', _single(Bench(imperfections=_STICKING))),
     Row('rounded to 20 um', _single(Bench(faults=SensorFaults(rounding=20e-6), noise=4e-6))),
     Row('rounded to 50 um', _single(Bench(faults=SensorFaults(rounding=50e-6), noise=5e-6))),
-    Row('three shots of unlike A, said', _three_throws(*_AMPLITUDE_PER_THROW)),
-    Row('three shots of unlike A, not said', _three_throws()),
+    Row('three throws of different A, A free per throw', _three_throws(*_AMPLITUDE_PER_THROW)),
+    Row('three throws of different A, one A fitted', _three_throws()),
     Row('slow throw', _single(Bench(rigs=_SLOW, duration=0.15))),
     Row('re-contact', _single(Bench(rigs=_LIGHT, accept=_catches_up))),
     Row('56 samples', _single(Bench(rate=1000.0, duration=0.056))),

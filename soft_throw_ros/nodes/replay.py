@@ -58,20 +58,30 @@ def main(args: list[str] | None = None) -> int:
         With exit code 2 after an error in an argument, which is printed in one line.
 
     """
-    options = _parse(sys.argv[1:] if args is None else args)
-    path, is_check, of_ros = (options.pop(name) for name in ('bag', 'check', 'ros_args'))
+    own, of_ros = _split(sys.argv[1:] if args is None else args)
+    options = _parse(own)
+    path, is_check = options.pop('bag'), options.pop('check')
     try:
         with BagReader(path) as reader:
             return _check(reader) if is_check else _play(reader, options, of_ros)
-    except (BagError, CheckError) as error:
+    except BagError as error:
         print(f'replay: {error}', file=sys.stderr)
         return 1 if isinstance(error, UnfinishedError) else 2
     except KeyboardInterrupt:
         return 130
 
 
+def _split(arguments: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+    """Separate the arguments of this command from ROS arguments, between --ros-args and --."""
+    if '--ros-args' not in arguments:
+        return arguments, []
+    begin = arguments.index('--ros-args')
+    end = arguments.index('--', begin) if '--' in arguments[begin:] else len(arguments)
+    return [*arguments[:begin], *arguments[end + 1:]], arguments[begin:end]
+
+
 def _parse(arguments: Sequence[str]) -> dict[str, Any]:
-    """Return `bag`, `check`, `ros_args`, and the given options, arguments of `Player`."""
+    """Return `bag`, `check`, and the given options of playback, keyword arguments of `Player`."""
     parser = CommandParser(
         prog='replay',
         description=__doc__,
@@ -109,11 +119,8 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
         default=False,
         help='repeat the run from its journal and compare; exit code 1 if a message differs',
     )
-    parser.add_argument(
-        '--ros-args', nargs=argparse.REMAINDER, default=[], help=argparse.SUPPRESS
-    )
     options = vars(parser.parse_args(arguments))
-    if options['check'] and (others := sorted(options.keys() - {'bag', 'check', 'ros_args'})):
+    if options['check'] and (others := sorted(options.keys() - {'bag', 'check'})):
         parser.error(f'argument --{others[0]}: not allowed with argument --check')
     return options
 
@@ -138,7 +145,7 @@ def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) 
     return run(
         'replay',
         lambda arguments: Player(reader, **options),  # noqa: ARG005  the node has no parameters
-        ['--ros-args', *arguments],
+        arguments,
         usage=_USAGE,
     )
 

@@ -98,6 +98,10 @@ def test_missing_topic_or_start_is_refused_with_those_present(bag, capsys) -> No
 # checks of bags
 
 
+def test_arguments_after_two_dashes_belong_to_the_command(bag) -> None:
+    assert main(['--ros-args', '-r', '__node:=other', '--', '--check', str(bag)]) == 0
+
+
 def test_check_of_a_wrong_bag_has_exit_code_1(messages, tmp_path, capsys) -> None:
     made = list(messages)
     index = [message.channel.topic for message in made].index('/twin/joint_states')
