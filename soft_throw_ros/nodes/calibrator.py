@@ -26,21 +26,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 import threading
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-import numpy as np
-from numpy.typing import NDArray
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.client import Client
-from rclpy.parameter import Parameter, parameter_value_to_python
 from soft_throw_ros.commands.identify_report import warning_lines
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
-    JOINTS,
     resolve,
     TWIN_SERVICES,
     TWIN_TOPICS,
@@ -50,7 +45,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
 from soft_throw_ros.identification.flight import motion_delay
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
-from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
+from soft_throw_ros.identification.tracks import ThrowTracks
 from soft_throw_ros.nodes.conversions import (
     msg_to_motion,
     msg_to_throw_result,
@@ -58,26 +53,20 @@ from soft_throw_ros.nodes.conversions import (
     msg_to_values,
     status_to_msg,
 )
-from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
+from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
 from soft_throw_ros.nodes.motion_gain import describe_gain, flight_duration, MeasuredThrow
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
-from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+from soft_throw_ros.nodes.remote_parameters import call, RemoteParameters
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
-from soft_throw_ros.storage.cdr import JointStateReader, MessageError
 from soft_throw_ros.twin.results import ThrowResult
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-Floats = NDArray[np.float64]
-
-_DRAIN_PERIOD = 0.02  # time between two reads of the measurements [s]
-_KEPT_NS = 10_000_000_000  # age of the oldest measurements kept, longer than any throw [ns]
 _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
 _AFTER = 6.0  # length of the track after the release [plate periods]
-_ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
@@ -87,9 +76,16 @@ _KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'pr
 _DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 
-
 _MOTION: Settings = {'recommendation.vary': 'motion', 'engine.command': True}
 """Parameters of a twin that recommends motions of the plate and commands them."""
+
+
+@dataclass
+class _MotionTrial:
+    """Throws before and after the twin commands the best motion of the plate."""
+
+    before: list[MeasuredThrow]
+    after: list[MeasuredThrow] = field(default_factory=list)
 
 
 class Calibrator(RunnableNode):
@@ -99,22 +95,17 @@ class Calibrator(RunnableNode):
         super().__init__('calibrator', **kwargs)
         self.parameters = NodeParameters(self, CALIBRATOR, arguments=arguments)
         settings = self.parameters.settings
-        self._twin = full_name(self, settings['twin'])
-        self._rig = full_name(self, settings['rig']) if settings['rig'] else ''
-        self._measured = _Measured(self, self._twin)
+        twin, rig = full_name(self, settings['twin']), settings['rig']
+        self._measured = MeasuredPositions(self, twin)
         self.add_cleanup(self._measured.close)
-        create_subscription(self, TWIN_TOPICS.throw_result.at(self._twin), self._on_results)
-        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(self._twin), self._on_command)
-        self._get = self.create_client(GetParameters, f'{self._twin}/get_parameters')
-        self._set = {
-            node: self.create_client(SetParametersAtomically, f'{node}/set_parameters_atomically')
-            for node in (self._twin, self._rig)
-            if node
-        }
+        create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
+        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
+        self._twin = RemoteParameters(self, twin)
+        self._rig = RemoteParameters(self, full_name(self, rig)) if rig else None
         self._apply = self.create_client(
-            Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, self._twin)
+            Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, twin)
         )
-        self.create_steady_timer(_DRAIN_PERIOD, self._measured.read_messages)
+        self.create_steady_timer(READ_PERIOD, self._measured.read_messages)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
         self._status = status_to_msg(
             self.get_fully_qualified_name(), 'identification', 'nothing has been identified yet'
@@ -123,8 +114,7 @@ class Calibrator(RunnableNode):
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_throws: Rig | None = None  # of the collected throws
         self._predicted: list[MeasuredThrow] = []  # in a row that the twin predicted well
-        self._before: list[MeasuredThrow] = []  # those before the motion was commanded
-        self._commanded: list[MeasuredThrow] | None = None  # None before it was commanded
+        self._trial: _MotionTrial | None = None  # until the gain is known
         self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
         self._is_busy = False
         self._closing = threading.Event()
@@ -157,10 +147,10 @@ class Calibrator(RunnableNode):
     def _on_result(self, result: ThrowResult, stamp_ns: int) -> None:
         if result.stage == 'final' and result.is_valid and not self._is_busy:
             self._measured.read_messages()
-            if self._commanded is None:
+            if self._trial is None:
                 self._on_measured_throw(result)
             elif result.accuracy is None:
-                self._on_commanded_throw(result, stamp_ns)
+                self._on_commanded_throw(self._trial, result, stamp_ns)
 
     def _on_measured_throw(self, result: ThrowResult) -> None:
         """Collect a throw that the twin predicted wrongly, or count one that it predicted well."""
@@ -198,24 +188,26 @@ class Calibrator(RunnableNode):
                     f'the last {required} throws followed the prediction; designing the motion '
                     'of the plate'
                 )
-                self._before, self._predicted = self._predicted, []
-                self._submit(self._command_motion)
+                self._submit(partial(self._command_motion, self._predicted))
+                self._predicted = []
 
-    def _on_commanded_throw(self, result: ThrowResult, end_ns: int) -> None:
+    def _on_commanded_throw(
+        self, trial: _MotionTrial, result: ThrowResult, end_ns: int
+    ) -> None:
         """Measure a throw whose motion the twin commanded, and report the gain after some."""
         commands = [msg for msg in self._commands if msg_to_time(msg.header.stamp) < end_ns]
-        if result.first is None or not commands or self._commanded is None:
+        if result.first is None or not commands:
             return
         start_ns = msg_to_time(commands[-1].header.stamp)
         release_ns = start_ns + round(1e9 * result.first.ejection_time)
         tracks = self._measured.between(start_ns, release_ns, name='')
         delay_ns = round(1e9 * motion_delay(tracks.plate, msg_to_motion(commands[-1])))
-        self._commanded.append(self._measure_flight(result, release_ns + delay_ns))
-        if len(self._commanded) == self.parameters.settings['throws']:
-            message, values = describe_gain(self._before, self._commanded)
+        trial.after.append(self._measure_flight(result, release_ns + delay_ns))
+        if len(trial.after) == self.parameters.settings['throws']:
+            message, values = describe_gain(trial.before, trial.after)
             self.get_logger().info(message)
             self._set_status(message, values)
-            self._commanded = None
+            self._trial = None
 
     def _measure_flight(self, result: ThrowResult, release_ns: int) -> MeasuredThrow:
         """Measure the ejection speed of a throw, or raise TrackError."""
@@ -245,11 +237,11 @@ class Calibrator(RunnableNode):
         """Identify the rig and apply the result."""
         self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
 
-    def _command_motion(self) -> None:
-        """Make the twin command the best motion of the plate."""
-        self._set_parameters(self._twin, _MOTION)
+    def _command_motion(self, before: list[MeasuredThrow]) -> None:
+        """Make the twin command the best motion of the plate, after throws without it."""
+        self._twin.set_values(_MOTION)
         self.get_logger().info(f'commanded: {self._apply_recommendation()}')
-        self._commanded = []
+        self._trial = _MotionTrial(before)
 
     def _report_failure(self, reason: str) -> None:
         """Log and publish the reason why an identification has changed nothing."""
@@ -267,7 +259,7 @@ class Calibrator(RunnableNode):
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
         values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
-        self._set_parameters(self._twin, {name: value.value for name, value in values.items()})
+        self._twin.set_values({name: value.value for name, value in values.items()})
         words = (
             f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()
         )
@@ -279,13 +271,13 @@ class Calibrator(RunnableNode):
         self._set_status(
             message, estimates | {'outliers': str(outliers)} | warnings, warn=bool(warnings)
         )
-        if self._rig:
-            before = self._layer()
+        if self._rig is not None:
+            before = self._twin.get_values(_LAYER)
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
-            after = self._layer()
+            after = self._twin.get_values(_LAYER)
             changes = {name: after[name] for name in after if after[name] != before[name]}
             if changes:
-                self._set_parameters(self._rig, changes)
+                self._rig.set_values(changes)
 
     def _set_status(
         self, message: str, values: dict[str, str] | None = None, *, warn: bool = False
@@ -294,93 +286,15 @@ class Calibrator(RunnableNode):
         name = self.get_fully_qualified_name()
         self._status = status_to_msg(name, 'identification', message, values or {}, warn=warn)
 
-    def _layer(self) -> Settings:
-        """Return the layer parameters of the twin, including pending changes."""
-        response = self._call(self._get, GetParameters.Request(names=_LAYER))
-        values = map(parameter_value_to_python, response.values)
-        return dict(zip(_LAYER, values, strict=True))
-
     def _apply_recommendation(self) -> str:
         """Request that the twin applies its recommendation; return the answer of the service."""
         for _ in range(_MAX_ATTEMPTS):
-            response = self._call(self._apply, Trigger.Request())
+            response = call(self._apply, Trigger.Request())
             if response.success:
                 return str(response.message)
             if self._closing.wait(_PAUSE):
                 break
         raise RequestRejected(f'{self._apply.srv_name}: {response.message}')
-
-    def _set_parameters(self, node: str, values: Settings) -> None:
-        request = SetParametersAtomically.Request(
-            parameters=[
-                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-            ]
-        )
-        result = self._call(self._set[node], request).result
-        if not result.successful:
-            raise RequestRejected(f'{node} rejects {values}: {result.reason}')
-
-    def _call(self, client: Client, request: object) -> Any:
-        """Call a service and wait until the executor has received the answer."""
-        if not client.wait_for_service(_ANSWER_TIMEOUT):
-            raise RequestRejected(f'{client.srv_name} is not available')
-        answered = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(_ANSWER_TIMEOUT):
-            client.remove_pending_request(future)
-            raise RequestRejected(f'{client.srv_name} does not answer')
-        return future.result()
-
-
-class _Measured:
-    """The measured positions of the last seconds."""
-
-    def __init__(self, node: RunnableNode, twin: str) -> None:
-        self._log = node.get_logger()
-        topic = TWIN_TOPICS.measured_joint_states.at(twin)
-        self._subscription = RawSubscription.of(node, topic)
-        self._read = JointStateReader().read_all
-        self._batches: deque[tuple[NDArray[np.int64], Floats]] = deque()
-
-    def read_messages(self) -> None:
-        """Read the messages that have arrived; call this often, so that no queue overflows."""
-        messages = self._subscription.drain(_DRAIN_PERIOD * MAX_DATA_RATE)
-        datas = [item.data for item in messages if len(item.data) <= MAX_MESSAGE_SIZE]
-        if not datas:
-            return
-        try:
-            states = self._read(datas)
-            columns = [states.names.index(joint) for joint in JOINTS]
-        except (MessageError, ValueError) as error:
-            self._log.warning(
-                f'{len(datas)} messages have no positions of plate and projectile: {error}',
-                throttle_duration_sec=1.0,
-            )
-            return
-        self._batches.append((states.stamps, states.position[:, columns]))
-        while self._batches[0][0][-1] < states.stamps[-1] - _KEPT_NS:
-            self._batches.popleft()
-
-    def between(self, start_ns: int, end_ns: int, *, name: str) -> ThrowTracks:
-        """Return the tracks of a throw, over the time since `start_ns`, or raise TrackError."""
-        if not self._batches or self._batches[0][0][0] > start_ns:
-            raise TrackError('measurements of its start were not received')
-        stamps = np.concatenate([batch[0] for batch in self._batches])
-        positions = np.concatenate([batch[1] for batch in self._batches])
-        stamps, order = np.unique(stamps, return_index=True)
-        inside = (stamps >= start_ns) & (stamps <= end_ns)
-        time = 1e-9 * (stamps[inside] - start_ns)
-        plate, projectile = positions[order][inside].T
-        return ThrowTracks(
-            name=name,
-            plate=Track(time=time, position=plate),
-            projectile=Track(time=time, position=projectile),
-        )
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._subscription.close()
 
 
 main = partial(run, 'calibrator', Calibrator)

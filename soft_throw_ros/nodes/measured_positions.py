@@ -1,0 +1,84 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Measured positions of plate and projectile, kept for some seconds and cut into throws."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
+from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
+from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
+from soft_throw_ros.nodes.process import RunnableNode
+from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+from soft_throw_ros.storage.cdr import JointStateReader, MessageError
+
+Floats = NDArray[np.float64]
+
+READ_PERIOD = 0.02
+"""Time between two reads. [s]"""
+
+_KEPT_NS = 10_000_000_000  # age of the oldest measurements kept, longer than any throw [ns]
+
+
+class MeasuredPositions:
+    """The measured positions of plate and projectile in the last seconds."""
+
+    def __init__(self, node: RunnableNode, twin: str) -> None:
+        self._log = node.get_logger()
+        topic = TWIN_TOPICS.measured_joint_states.at(twin)
+        self._subscription = RawSubscription.of(node, topic)
+        self._read = JointStateReader().read_all
+        self._batches: deque[tuple[NDArray[np.int64], Floats]] = deque()
+
+    def read_messages(self) -> None:
+        """Read the messages that have arrived; call this often, so that no queue overflows."""
+        messages = self._subscription.drain(READ_PERIOD * MAX_DATA_RATE)
+        datas = [item.data for item in messages if len(item.data) <= MAX_MESSAGE_SIZE]
+        if not datas:
+            return
+        try:
+            states = self._read(datas)
+            columns = [states.names.index(joint) for joint in JOINTS]
+        except (MessageError, ValueError) as error:
+            self._log.warning(
+                f'{len(datas)} messages have no positions of plate and projectile: {error}',
+                throttle_duration_sec=1.0,
+            )
+            return
+        self._batches.append((states.stamps, states.position[:, columns]))
+        while self._batches[0][0][-1] < states.stamps[-1] - _KEPT_NS:
+            self._batches.popleft()
+
+    def between(self, start_ns: int, end_ns: int, *, name: str) -> ThrowTracks:
+        """Return the tracks of a throw, over the time since `start_ns`, or raise TrackError."""
+        if not self._batches or self._batches[0][0][0] > start_ns:
+            raise TrackError('measurements of its start were not received')
+        stamps = np.concatenate([batch[0] for batch in self._batches])
+        positions = np.concatenate([batch[1] for batch in self._batches])
+        stamps, order = np.unique(stamps, return_index=True)
+        inside = (stamps >= start_ns) & (stamps <= end_ns)
+        time = 1e-9 * (stamps[inside] - start_ns)
+        plate, projectile = positions[order][inside].T
+        return ThrowTracks(
+            name=name,
+            plate=Track(time=time, position=plate),
+            projectile=Track(time=time, position=projectile),
+        )
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._subscription.close()

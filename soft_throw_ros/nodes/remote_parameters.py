@@ -1,0 +1,84 @@
+# Copyright 2026 soft_throw_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Parameters of another node, read and set from a thread beside the executor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import threading
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from soft_throw_ros.configuration import Settings
+from soft_throw_ros.twin.session import RequestRejected
+
+_ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
+
+
+class RemoteParameters:
+    """
+    The parameters of another node.
+
+    Parameters
+    ----------
+    node : Node
+        The node that asks; its executor receives the answers.
+    name : str
+        Full name of the other node.
+
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._name = name
+        self._get = node.create_client(GetParameters, f'{name}/get_parameters')
+        self._set = node.create_client(
+            SetParametersAtomically, f'{name}/set_parameters_atomically'
+        )
+
+    def get_values(self, names: Sequence[str]) -> Settings:
+        """Return parameters, including pending changes, or raise RequestRejected."""
+        response = call(self._get, GetParameters.Request(names=names))
+        values = map(parameter_value_to_python, response.values)
+        return dict(zip(names, values, strict=True))
+
+    def set_values(self, values: Settings) -> None:
+        """Set parameters together, or raise RequestRejected with the reason."""
+        request = SetParametersAtomically.Request(
+            parameters=[
+                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+            ]
+        )
+        result = call(self._set, request).result
+        if not result.successful:
+            raise RequestRejected(f'{self._name} rejects {values}: {result.reason}')
+
+
+def call(client: Client, request: object) -> Any:
+    """
+    Call a service and wait until the executor has received the answer.
+
+    RequestRejected is raised if the service is missing or does not answer.
+    """
+    if not client.wait_for_service(_ANSWER_TIMEOUT):
+        raise RequestRejected(f'{client.srv_name} is not available')
+    answered = threading.Event()
+    future = client.call_async(request)
+    future.add_done_callback(lambda _: answered.set())
+    if not answered.wait(_ANSWER_TIMEOUT):
+        client.remove_pending_request(future)
+        raise RequestRejected(f'{client.srv_name} does not answer')
+    return future.result()
