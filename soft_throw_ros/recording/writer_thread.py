@@ -75,11 +75,6 @@ class WriterThread:
         self._thread.start()
 
     @property
-    def is_alive(self) -> bool:
-        """Whether the thread runs."""
-        return self._thread.is_alive()
-
-    @property
     def waiting(self) -> int:
         """Number of messages that wait for the disk."""
         kept = sum(self.bag.counts.values()) if self.bag is not None else 0
