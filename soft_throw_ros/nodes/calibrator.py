@@ -32,6 +32,8 @@ import threading
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.client import Client
 from soft_throw_ros.commands.identify_report import warning_lines
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
@@ -57,7 +59,7 @@ from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERI
 from soft_throw_ros.nodes.motion_gain import describe_gain, flight_duration, MeasuredThrow
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
-from soft_throw_ros.nodes.remote_parameters import call, RemoteParameters
+from soft_throw_ros.nodes.service_calls import call, get_parameters, set_parameters
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.results import ThrowResult
@@ -100,8 +102,9 @@ class Calibrator(RunnableNode):
         self.add_cleanup(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
         create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
-        self._twin = RemoteParameters(self, twin)
-        self._rig = RemoteParameters(self, full_name(self, rig)) if rig else None
+        self._get_of_twin = self.create_client(GetParameters, f'{twin}/get_parameters')
+        self._set_of_twin = self._make_setter(twin)
+        self._set_of_rig = self._make_setter(full_name(self, rig)) if rig else None
         self._apply = self.create_client(
             Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, twin)
         )
@@ -126,6 +129,10 @@ class Calibrator(RunnableNode):
         )
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self.add_cleanup(self._closing.set)
+
+    def _make_setter(self, name: str) -> Client:
+        """Return a client that sets parameters of a node."""
+        return self.create_client(SetParametersAtomically, f'{name}/set_parameters_atomically')
 
     def start(self) -> None:
         """Log that the node is ready; its timers are running already."""
@@ -239,7 +246,7 @@ class Calibrator(RunnableNode):
 
     def _command_motion(self, before: list[MeasuredThrow]) -> None:
         """Make the twin command the best motion of the plate, after throws without it."""
-        self._twin.set_values(_MOTION)
+        set_parameters(self._set_of_twin, _MOTION)
         self.get_logger().info(f'commanded: {self._apply_recommendation()}')
         self._trial = _MotionTrial(before)
 
@@ -259,7 +266,9 @@ class Calibrator(RunnableNode):
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
         values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
-        self._twin.set_values({name: value.value for name, value in values.items()})
+        set_parameters(
+            self._set_of_twin, {name: value.value for name, value in values.items()}
+        )
         words = (
             f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()
         )
@@ -271,13 +280,13 @@ class Calibrator(RunnableNode):
         self._set_status(
             message, estimates | {'outliers': str(outliers)} | warnings, warn=bool(warnings)
         )
-        if self._rig is not None:
-            before = self._twin.get_values(_LAYER)
+        if self._set_of_rig is not None:
+            before = get_parameters(self._get_of_twin, _LAYER)
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
-            after = self._twin.get_values(_LAYER)
+            after = get_parameters(self._get_of_twin, _LAYER)
             changes = {name: after[name] for name in after if after[name] != before[name]}
             if changes:
-                self._rig.set_values(changes)
+                set_parameters(self._set_of_rig, changes)
 
     def _set_status(
         self, message: str, values: dict[str, str] | None = None, *, warn: bool = False

@@ -335,6 +335,8 @@ def test_refused_request_changes_nothing(ros, twin, listener) -> None:
     assert len(twin.outputs) == steps + 50  # it runs on
 
 
+# rclpy of Kilted logs by a function that it has deprecated
+@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')
 def test_incompatible_subscription_is_reported(ros, twin, listener) -> None:
     log = listener.log()
     topic = TWIN_TOPICS.joint_states.at(twin.get_fully_qualified_name())

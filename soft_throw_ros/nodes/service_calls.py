@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parameters of another node, read and set from a thread beside the executor."""
+"""Requests to services of other nodes, from a thread beside the executor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from typing import Any
 
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
-from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.twin.session import RequestRejected
@@ -29,42 +28,23 @@ from soft_throw_ros.twin.session import RequestRejected
 _ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 
 
-class RemoteParameters:
-    """
-    The parameters of another node.
+def get_parameters(client: Client, names: Sequence[str]) -> Settings:
+    """Return parameters of a node by a client of GetParameters, or raise RequestRejected."""
+    response = call(client, GetParameters.Request(names=names))
+    values = map(parameter_value_to_python, response.values)
+    return dict(zip(names, values, strict=True))
 
-    Parameters
-    ----------
-    node : Node
-        The node that asks; its executor receives the answers.
-    name : str
-        Full name of the other node.
 
-    """
-
-    def __init__(self, node: Node, name: str) -> None:
-        self._name = name
-        self._get = node.create_client(GetParameters, f'{name}/get_parameters')
-        self._set = node.create_client(
-            SetParametersAtomically, f'{name}/set_parameters_atomically'
-        )
-
-    def get_values(self, names: Sequence[str]) -> Settings:
-        """Return parameters, including pending changes, or raise RequestRejected."""
-        response = call(self._get, GetParameters.Request(names=names))
-        values = map(parameter_value_to_python, response.values)
-        return dict(zip(names, values, strict=True))
-
-    def set_values(self, values: Settings) -> None:
-        """Set parameters together, or raise RequestRejected with the reason."""
-        request = SetParametersAtomically.Request(
-            parameters=[
-                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-            ]
-        )
-        result = call(self._set, request).result
-        if not result.successful:
-            raise RequestRejected(f'{self._name} rejects {values}: {result.reason}')
+def set_parameters(client: Client, values: Settings) -> None:
+    """Set parameters by a client of SetParametersAtomically; raise RequestRejected if rejected."""
+    request = SetParametersAtomically.Request(
+        parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+    )
+    result = call(client, request).result
+    if not result.successful:
+        raise RequestRejected(f'{client.srv_name} rejects {values}: {result.reason}')
 
 
 def call(client: Client, request: object) -> Any:
