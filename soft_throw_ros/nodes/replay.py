@@ -158,7 +158,10 @@ def _check(reader: BagReader) -> int:
     results = check_bag(reader, _report_progress)
     for result in results:
         for line in result.describe().splitlines():
-            print(f'{result.twin}: {line}')
+            if result.exit_code == 2:
+                print(f'replay: {result.twin}: {line}', file=sys.stderr)
+            else:
+                print(f'{result.twin}: {line}')
     if reader.damage:
         print(f'replay: the bag is damaged, and messages may be missing: {reader.damage}')
     codes = {result.exit_code for result in results}

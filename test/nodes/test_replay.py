@@ -122,6 +122,12 @@ def test_check_of_a_damaged_bag_or_one_without_journal_has_its_exit_code(
     silent = [message for message in messages if not message.channel.topic.endswith('journal')]
     assert main(['--check', str(write(tmp_path / 'silent', silent))]) == 2
     assert 'journal' in capsys.readouterr().err
+    line = next(item for item in messages if item.channel.topic.endswith('journal'))
+    other = [*silent, line._replace(data=text('words of another program'))]
+    assert main(['--check', str(write(tmp_path / 'other', other))]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ''
+    assert 'no start' in printed.err
 
 
 WITHOUT_ROS = """
