@@ -228,7 +228,7 @@ class _Check:
             topic = message.channel.topic
             self._sequences[topic].append(message.sequence)
             if topic == self._journal_topic:
-                self._receive(_entry(message), message.log_time)
+                self._receive(_entry(message), message.published)
             else:
                 self._numbers[topic].add(message, is_in_run=self._session is not None)
         self._read_early_lines(math.inf)
@@ -238,14 +238,14 @@ class _Check:
 
     # the journal
 
-    def _receive(self, entry: journal.Entry, log_time: int) -> None:
+    def _receive(self, entry: journal.Entry, published: int) -> None:
         """Read a line of the journal, and early lines once their turn comes."""
         number = entry['line']
         if self._line < 0 < number and len(self._early) < _MAX_EARLY_LINES:
-            self._early[number] = entry, log_time
+            self._early[number] = entry, published
             return
         self._read_early_lines(number)
-        self._read_line(entry, log_time)
+        self._read_line(entry, published)
         while self._line + 1 in self._early:
             self._read_line(*self._early.pop(self._line + 1))
 
@@ -254,7 +254,7 @@ class _Check:
         for number in sorted(number for number in self._early if number < end):
             self._read_line(*self._early.pop(number))
 
-    def _read_line(self, entry: journal.Entry, log_time: int) -> None:
+    def _read_line(self, entry: journal.Entry, published: int) -> None:
         """Advance to a line of the journal; a start line begins a run."""
         kind, number = entry['kind'], entry['line']
         is_start = kind == 'start'
@@ -276,7 +276,7 @@ class _Check:
                 self._recorded.append(entry)
                 stage = entry.get('result', {}).get('stage', '')
                 times = self._result_times[stage]
-                times.append(max([log_time, *times[-1:]]))
+                times.append(max([published, *times[-1:]]))
             self._compare_lines()
         except _UNREPEATABLE as error:
             self._give_up(f'throw {self._throw} cannot be repeated from here: {error!s:.300}')

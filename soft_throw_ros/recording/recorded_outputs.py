@@ -31,7 +31,7 @@ from soft_throw_ros.twin.journal import STATE
 from soft_throw_ros.twin.results import State
 
 ORDER_TIME = 50_000_000
-"""Longest time between the receipt of a number and of its line of the journal. [ns]"""
+"""Longest time from the publishing of a number to that of its line of the journal. [ns]"""
 
 _NUMBER = struct.Struct('<d')
 
@@ -183,7 +183,7 @@ class RecordedNumbers:
         self.stage = stage  # of the results that have the number
         self.unreadable = 0  # number of messages that are no number
         self.last_step = 0  # step of the last expected number of this run
-        self._recorded: list[tuple[bytes, int, bool]] = []  # log time [ns], whether in the run
+        self._recorded: list[tuple[bytes, int, bool]] = []  # publishing [ns], whether in the run
         self._expected: list[bytes] = []
 
     def add(self, message: Message, *, is_in_run: bool) -> None:
@@ -191,7 +191,7 @@ class RecordedNumbers:
         if message.data[:2] != b'\0\1' or len(message.data) < 12:
             self.unreadable += 1
         else:
-            self._recorded.append((message.data[4:12], message.log_time, is_in_run))
+            self._recorded.append((message.data[4:12], message.published, is_in_run))
 
     def expect(self, value: float, step: int) -> None:
         """Add a number of the repeated session, and its step."""
@@ -205,7 +205,7 @@ class RecordedNumbers:
         Parameters
         ----------
         result_times : sequence of int
-            Log times of the lines of the journal about results of the stage of the number. [ns]
+            Times of publishing of the lines of the journal about results of this stage. [ns]
 
         Returns
         -------

@@ -372,10 +372,9 @@ def _number_or_text(text: str) -> float | str:
 
 def _published(message: Message) -> int:
     """Return when a message was published, or else received [ns]."""
-    published = message.publish_time or message.log_time
-    if published > _LAST_TIME:
-        raise MessageError(f'a time of {published} ns')
-    return published
+    if message.published > _LAST_TIME:
+        raise MessageError(f'a time of {message.published} ns')
+    return message.published
 
 
 def _read_joint_states(messages: Sequence[Message]) -> JointStates:

@@ -68,6 +68,11 @@ class Message(NamedTuple):
     sequence: int = 0  # Sequence number of the publisher; a bag keeps the lower 32 bits
 
     @property
+    def published(self) -> int:
+        """Time of publishing, or of receiving if the recorder did not note the former [ns]."""
+        return self.publish_time or self.log_time
+
+    @property
     def memory(self) -> int:
         """Approximate size in memory [bytes]."""
         return len(self.data) + OVERHEAD

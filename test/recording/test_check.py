@@ -240,6 +240,17 @@ def test_messages_logged_two_seconds_late_agree(plain, check) -> None:
     assert result.states == Count(same=2200)
 
 
+def test_lines_of_the_journal_received_after_their_numbers_agree(plain, check) -> None:
+    lines = {id(message) for message in plain.of('journal')}
+    late = [
+        message._replace(log_time=message.log_time + SECOND // 5 * (id(message) in lines))
+        for message in plain.messages
+    ]
+    result = check(sorted(late, key=lambda message: message.log_time))
+    assert result.exit_code == 0
+    assert result.numbers == Count(same=len(plain.numbers()))
+
+
 @pytest.mark.parametrize('lost', [range(700, 710), range(10), range(2200), range(2090, 2200)])
 def test_missing_states_must_be_counted_as_losses(plain, check, lost) -> None:
     states = [plain.of('joint_states')[number] for number in lost]
