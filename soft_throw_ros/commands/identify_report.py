@@ -64,31 +64,7 @@ EJECTION_ROWS = (
 
 @dataclass(frozen=True, kw_only=True)
 class IdentificationReport:
-    """
-    Result of an identification.
-
-    Parameters
-    ----------
-    sources : tuple of str
-        Names of the throws or files.
-    result : mapping of str to Estimate
-        Fitted parameters of the twin.
-    held : mapping of str to float
-        Parameters that the fit assumed as known.
-    chosen : mapping of str to str
-        Chosen models that differ from the request.
-    answer : tuple of str
-        Lines that come first.
-    lines : tuple of str
-        Further lines of the printed report.
-    data : mapping
-        The content of `lines` for programs, in types that JSON can represent.
-    notes : tuple of str
-        Defects of the tracks, such as missing samples or messages.
-    warnings : tuple of str
-        Reasons to doubt the result.
-
-    """
+    """Result of an identification."""
 
     sources: tuple[str, ...]
     """Names of the throws or files."""

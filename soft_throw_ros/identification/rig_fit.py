@@ -282,6 +282,8 @@ def fit_rig(
         If the tracks do not determine the parameters, with the reason.
 
     """
+    if not throws:
+        raise FitError('there is no throw to fit to')
     description = description or FitDescription()
     description.check_throws([throw.name for throw in throws])
     free = [name for name in LAYER if description.is_free(name)]

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
 from soft_throw_ros.configuration.csv_rows import MIN_STEP
+from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -87,6 +88,8 @@ class Track:
     TrackError
         If the series do not fit, are shorter than `FEWEST`, are not finite, beyond `MAX_TIME` or
         `MAX_HEIGHT`, or do not increase.
+    ValueError
+        If the noise is not finite and positive.
 
     """
 
@@ -100,7 +103,8 @@ class Track:
     """Lower limit of the estimate. [m]"""
 
     def __post_init__(self) -> None:
-        time, position = self.time, self.position
+        time = np.asarray(self.time, dtype=np.float64)
+        position = np.asarray(self.position, dtype=np.float64)
         if time.ndim != 1 or time.shape != position.shape or time.size < FEWEST:
             raise TrackError(
                 f'a track is two series of the same length, at least {FEWEST}, '
@@ -116,6 +120,10 @@ class Track:
         if is_bad.any():
             index = int(np.flatnonzero(is_bad)[0])
             raise TrackError(f'time must increase, got {time[index + 1]} after {time[index]}')
+        if self.known_noise is not None:
+            checks.require_positive('known_noise', self.known_noise)
+        object.__setattr__(self, 'time', time)
+        object.__setattr__(self, 'position', position)
 
     @cached_property
     def noise(self) -> float:

@@ -399,3 +399,8 @@ def test_tracks_without_information_on_the_layer_are_refused(make_throw):
     ):
         with pytest.raises(FitError, match=re.escape(value)):
             fit_rig(throws, KNOWN)
+
+
+def test_fit_without_throws_is_refused() -> None:
+    with pytest.raises(FitError, match='no throw'):
+        fit_rig([], Rig())

@@ -230,3 +230,9 @@ def test_record_is_cut_at_long_gaps():
 )
 def test_record_of_one_settling_throw_is_not_cut(whole):
     assert split_into_throws(whole) == [whole]
+
+
+@pytest.mark.parametrize('noise', [0.0, -1e-6, np.nan])
+def test_noise_that_is_not_positive_is_refused(noise) -> None:
+    with pytest.raises(ValueError, match='known_noise'):
+        Track(time=np.arange(20.0), position=np.zeros(20), known_noise=noise)
