@@ -1,14 +1,9 @@
-# Copyright 2026 soft_throw_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
-"""The physics: numbers in, numbers out. No clock, no file, no ROS."""
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+The physics of one throw: rigs, the closed form, the steppers, and batches of throws.
+
+Numbers in SI units go in, numbers come out; there is no clock, no file and no ROS. This package
+imports the standard library, numpy, numba and SciPy only.
+
+"""

@@ -1,16 +1,5 @@
-# Copyright 2026 soft_throw_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
 """
 Identification of a rig from measured tracks: parameters with their uncertainties, without ROS.
 
@@ -22,4 +11,6 @@ first order (`linear_fit`), and effects that the tracks hardly show are added to
 (`unseen`). `fit_warnings` finds reasons to doubt a fit.
 `forward` is the only module that calls the steppers of the core. `ejection` computes the first
 release.
+
+This package may import `twin`, `design` and the packages below them.
 """
