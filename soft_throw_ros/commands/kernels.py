@@ -21,11 +21,9 @@ from types import ModuleType
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
-from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.twin import engine_fit, outlier_filter
-from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 
 Say = Callable[[str], object]
@@ -55,7 +53,6 @@ PARTS: dict[str, Callable[[], object]] = {
     'design': lambda: solve_request(TWIN.defaults()),
     'measured': _measure,
     'cells': lambda: _prepare(cell_stepper, 'cells'),
-    'other_models': lambda: predict_by_other_models(Rig(), ''),
     'imperfect_rig': imperfect_rig.warm_up,
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""

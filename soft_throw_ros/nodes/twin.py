@@ -36,7 +36,6 @@ from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime_node import RealTimeNode
 from soft_throw_ros.nodes.recommendations import (
     affects_recommendation,
-    other_models_values,
     recommend_for,
     RecommendationState,
     uncertainty_values,
@@ -210,8 +209,6 @@ class Twin(RealTimeNode):
         beside = {}
         if not self.is_compiling:  # otherwise this process would compile their kernels, too
             beside = uncertainty_values(result.rig, settings)
-            if not self.session.is_measured:
-                beside |= other_models_values(result.rig, settings)
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, due, [status])
         if result.is_valid:

@@ -8,12 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
 from soft_throw_ros.twin.throws import ScheduledThrow, Tick, time_until_over
@@ -88,34 +85,6 @@ def test_energies_end_at_the_release_of_a_simulation(request_) -> None:
     assert total[-1] == pytest.approx(throw.energies.stored, rel=0.05)
     if throw.energies.heat == 0.0:
         np.testing.assert_allclose(total, work, atol=1e-3 * work.max())
-
-
-def test_other_models_predict_the_first_release() -> None:
-    rig = rig_of(TWIN.defaults())
-    releases = {
-        name: simulate(rig, model=name, max_events=1)
-        for name in ('travelling_wave', 'cells_elastic', 'cells_glued')
-    }
-    expected = {
-        name: (throw.ejection_time, throw.energy_transfer) for name, throw in releases.items()
-    }
-    spring = spring_mass.first_release(
-        frequency_ratio=rig.natural_frequency / rig.engine.frequency
-    )
-    time = float(spring.ejection_phase) / rig.engine.frequency
-    expected['spring_mass'] = time, float(spring.energy_transfer)
-    for model in MODELS:
-        models = predict_by_other_models(rig, model)
-        assert set(models) == set(expected) - {model}
-        for name, release in models.items():
-            time, alpha = expected[name]
-            assert release.ejection_time == pytest.approx(time, rel=1e-4)
-            assert release.energy_transfer == pytest.approx(alpha, rel=1e-3)
-    lossy = predict_by_other_models(rig_of(complete_settings(layer__loss_tangent=0.1)), '')
-    assert 'travelling_wave' not in lossy
-    rig = rig_of(complete_settings(gravity=30.0, engine__amplitude=1e-5))
-    weak = predict_by_other_models(rig, '')
-    assert weak['cells_elastic'] is weak['cells_glued'] is None
 
 
 STIFF = {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0, 'layer__loss_tangent': 0.1}
