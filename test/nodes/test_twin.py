@@ -149,7 +149,7 @@ def test_every_number_of_a_result_is_published_under_its_name(thrown) -> None:
     for number, topic in THROW_TOPICS:
         value = results[number.stage].get(number.name)
         if value is None:  # of a measured plate, or of the model of the twin itself
-            group = ('lead', 'accuracy.', 'residual.', 'measurement.', 'travelling_wave.')
+            group = ('lead', 'accuracy.', 'residual.', 'measurement.')
             assert number.name.startswith(group)
             assert thrown.heard(topic) == []
         else:
