@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks, cases, descriptions of fits and videos that are wrong, or nearly right."""
+"""Tracks, descriptions of fits and videos that are wrong, or nearly right."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.commands import free_layers, identify, throw
+from soft_throw_ros.commands import free_layers, identify
 from soft_throw_ros.commands.track import main as track_video
 from soft_throw_ros.identification.fit_description import DEFAULTS, FitDescription
 from soft_throw_ros.identification.track_csv import read_csv, UNITS
@@ -66,18 +66,6 @@ def test_identify_finds_a_rig_or_refuses(tmp_path: Path, text: str, options: lis
 def test_free_layer_is_fitted_or_refused(tmp_path: Path, text: str, thickness: str) -> None:
     path = tmp_path / 'layer.csv'
     run_on(path, text, free_layers.main, thickness, str(path))
-
-
-@fuzzed(0.06)
-@given(text=texts('mu,kappa,zeta\n0.3,8,0\n2,60,0.064\n', 'zeta,x,kappa,mu\n0,a,10,1\n'))
-def test_cases_are_computed_or_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / 'cases.csv'
-    code, out, printed = run_on(path, text, throw.main, '--cases', str(path))
-    if code == 2:
-        assert 'cases.csv' in printed
-    else:
-        rows = [line.split(',') for line in out.splitlines()[1:]]
-        assert all(np.isfinite([float(cell) for cell in row]).all() for row in rows)
 
 
 FIT_FILE = """\
