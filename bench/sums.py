@@ -26,8 +26,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.core.wave_stepper import WaveStepper
-from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.objectives.robust import Robust
+from soft_throw_ros.design.objective import Limits, robust
 from soft_throw_ros.design.recommendation import recommend
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
@@ -211,7 +210,7 @@ def recommendation() -> Table:
         Case('plain', lambda: float(recommend(rig).energy_transfer),
              error=lambda alpha: max(best - alpha, 0.0) / best, goal=5e4),
         Case('brute force, 400 x 400 by the closed form', brute_force, error=lambda _: 0.0),
-        Case('robust', lambda: recommend(rig, objective=Robust())),
+        Case('robust', lambda: recommend(rig, objective=robust)),
         Case('with a limit of strain', lambda: recommend(rig, limits=limits)),
         Case('with loss and a limit of strain',
              lambda: recommend(lossy, limits=limits), goal=2e6),

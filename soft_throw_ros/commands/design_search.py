@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import chain
 from typing import get_args
 
-from soft_throw_ros.commands.design_texts import remarks_of, summary_of, uncertainty_text, UNITS
+from soft_throw_ros.commands.design_texts import summary_of, uncertainty_text
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
@@ -33,7 +33,6 @@ from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.recommendation import Recommendation, Vary
 from soft_throw_ros.design.requests import RequestResult, solve_request
-from soft_throw_ros.design.sensitivity import Sensitivity, TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import (
     prediction_uncertainty,
     PredictionUncertainty,
@@ -70,7 +69,7 @@ def add_recommend_arguments(parser: CommandParser) -> None:
 def add_aim_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design aim`."""
     parser.epilog = f'The exit code is {NOT_REACHED} if the target is out of reach.'
-    without = ('objective', 'quantile', 'masses', 'frequencies', *_OF_MOTIONS)
+    without = ('objective', 'masses', 'frequencies', *_OF_MOTIONS)
     _add_arguments(parser, 'target and means', without)
 
 
@@ -171,25 +170,9 @@ def _recommendation_columns(best: Recommendation) -> Columns:
 
 
 def _recommendation_lines(best: Recommendation) -> Iterator[str]:
-    """List the sensitivities, the best layers of the library, and remarks."""
-    yield ''
-    yield (
-        f'around the recommended layer{"best":>11}{f"{100.0 * TOLERATED_LOSS:g} % within +-":>18}'
-        f'{"1 % more":>12}'
-    )
-    yield from map(_sensitivity_line, best.sensitivities)
+    """List the best layers of the library."""
     if best.candidates:
         width = max(22, *(len(item.layer) for item in best.candidates))
         yield from ('', f'{"from the library":{width}}{"mm":>6}{"score":>11}')
         for item in best.candidates:
             yield f'{item.layer:{width}}{1e3 * item.thickness:6.1f}{item.score:11.3f}'
-    yield from ('', remarks_of(best))
-
-
-def _sensitivity_line(item: Sensitivity) -> str:
-    unit, scale = UNITS[item.name]
-    title = item.name.replace('_', ' ')
-    return (
-        f'{title:22}{unit:>6}{scale * item.value:11.4g}{scale * item.tolerance:18.2g}'
-        f'{item.sensitivity:+10.2f} %'
-    )

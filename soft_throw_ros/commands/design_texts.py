@@ -12,22 +12,9 @@ from soft_throw_ros.core.throws import STRONG_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.recommendation import Recommendation
-from soft_throw_ros.design.requests import limits_of, objective_of, RequestResult
-from soft_throw_ros.design.sensitivity import TOLERATED_LOSS
+from soft_throw_ros.design.recommendation import Recommendation, TOLERATED_LOSS
+from soft_throw_ros.design.requests import limits_of, RequestResult
 from soft_throw_ros.design.uncertainty import PredictionUncertainty
-
-UNITS = {
-    'thickness': ('mm', 1e3),
-    'wave_speed': ('m/s', 1.0),
-    'mass': ('g', 1e3),
-    'frequency': ('Hz', 1.0),
-    'damping_ratio': ('', 1.0),
-}
-"""Units of the parameters of a `Sensitivity` in tables, and their factors from SI."""
-
-_VARIED = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}
-"""Varied parameters for the values of `vary` that are not parameter names themselves."""
 
 
 def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
@@ -48,15 +35,15 @@ def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
         return _aim_summary(best, rig)
     if isinstance(best, MotionDesign):
         return motion_summary(best)
-    return _recommendation_summary(
-        best, rig.layer, limits_of(settings), objective_of(settings).summary
-    )
+    is_peak = settings['recommendation.objective'] == 'peak'
+    score_name = 'alpha' if is_peak else 'worst alpha'
+    return _recommendation_summary(best, rig.layer, limits_of(settings), score_name)
 
 
 def _recommendation_summary(
     best: Recommendation, old: Layer, limits: Limits, score_name: str
 ) -> str:
-    """Describe the new layer, the gain of energy, and the tolerances."""
+    """Describe the new layer, the gain of energy, the tolerances, and doubts."""
     if best.rig.layer == old:
         text = (
             f'no layer within the limits is better than the present one '
@@ -68,12 +55,21 @@ def _recommendation_summary(
             f'{_changes(best, old, limits)}: {_gain(best.gain)} '
             f'({score_name} {now} -> {best.score:.2f})'
         )
-    tolerances = []
-    for item in best.sensitivities:
-        if item.name in _VARIED.get(best.vary, (best.vary,)):
-            unit, scale = UNITS[item.name]
-            tolerances.append(f'+-{scale * item.tolerance:.2g} {unit}')
-    return f'{text}; {" or ".join(tolerances)} costs {100.0 * TOLERATED_LOSS:g} %'
+    text += (
+        f'; +-{1e3 * best.tolerances["thickness"]:.2g} mm or '
+        f'+-{best.tolerances["wave_speed"]:.2g} m/s costs {100.0 * TOLERATED_LOSS:g} %'
+    )
+    if best.rig.gravity_ratio > STRONG_GRAVITY:
+        text += (
+            f'; gravity is {best.rig.gravity_ratio:.2g} of the largest acceleration of the plate, '
+            'so that later swings of the plate throw as well'
+        )
+    if best.peak_strain >= 1.0:
+        text += (
+            f'; no layer can be compressed by {100.0 * best.peak_strain:.0f} %: lower the '
+            'amplitude or limit the strain'
+        )
+    return text
 
 
 def _changes(best: Recommendation, old: Layer, limits: Limits) -> str:
@@ -109,29 +105,6 @@ def _gain(gain: float) -> str:
     if gain >= 0.0:
         return f'{100.0 * gain:.2g} % more energy'
     return f'{-100.0 * gain:.2g} % less energy, because the present layer exceeds the limits'
-
-
-def remarks_of(best: Recommendation) -> str:
-    """Compare a recommendation with the best ratios, and warn of gravity and large strain."""
-    optimum, rig = best.optimum, best.rig
-    remarks = [
-        (
-            f'for a plate of damping {optimum.damping_ratio:g} the optimum without loss is a '
-            f'projectile of {optimum.mass_ratio:.3f} times the mass of the layer and '
-            f'c_s / (L_s f) = {optimum.speed_ratio:.3f}, with alpha {optimum.energy_transfer:.3f}'
-        )
-    ]
-    if rig.gravity_ratio > STRONG_GRAVITY:
-        remarks.append(
-            f'gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
-            'that later swings of the plate throw as well'
-        )
-    if best.peak_strain >= 1.0:
-        remarks.append(
-            f'no layer can be compressed by {100.0 * best.peak_strain:.0f} %: lower the '
-            'amplitude or limit the strain'
-        )
-    return '; '.join(remarks)
 
 
 def _aim_summary(best: Aim, rig: Rig) -> str:

@@ -41,7 +41,7 @@ OBJECTIVES: Mapping[str, str] = {
     'robust': 'the most in the worst case of the uncertainties',
     'versatile': 'the most in the worst of several throws',
 }
-"""Objectives and their meanings; `design/objectives/NAME.py` has the class `Name`."""
+"""Objectives and their meanings; `design.objective` has the functions."""
 
 _RIG = Rig()
 
@@ -257,9 +257,6 @@ _ENTRIES = (
         low=1e-3, high=2.0, or_zero=True),
     row('recommendation.max_amplitude', 0.1, 'Largest amplitude to aim with',
         unit='m', low=1e-5, high=0.1),
-    row('recommendation.quantile', 0.0,
-        'Which case counts when robust: 0 is the worst, 0.05 is worse than 95 % of all',
-        low=0.0, high=0.5),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
         unit='kg', low=1e-5, high=1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import fields
-import importlib
 import math
 from typing import Any, TypeAlias
 
@@ -15,7 +14,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.aiming import Aim, aim, Target
 from soft_throw_ros.design.motion_design import design_motion, MotionDesign, MotionVary
-from soft_throw_ros.design.objective import Limits, Objective
+from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
 
@@ -69,7 +68,8 @@ def solve_request(
             "recommendation.vary 'amplitude' is for recommendation.objective 'aim' alone, got "
             f'{request["objective"]!r}'
         )
-    return recommend(rig, objective=objective_of(settings), **search)
+    objective = OBJECTIVES[request['objective']](settings)
+    return recommend(rig, objective=objective, **search)
 
 
 def solve_motion_request(
@@ -96,14 +96,6 @@ def limits_of(settings: Settings) -> Limits:
     """Return the limits that the settings set; 0 is none."""
     request = _request(settings)
     return Limits(**{item.name: request[item.name] or math.inf for item in fields(Limits)})
-
-
-def objective_of(settings: Settings) -> Objective:
-    """Return the objective of the settings, defined in the file of the same name."""
-    name = str(settings['recommendation.objective'])
-    module = importlib.import_module(f'soft_throw_ros.design.objectives.{name}')
-    objective: type[Objective] = getattr(module, name.capitalize())
-    return objective.from_settings(settings)
 
 
 def _request(settings: Settings) -> Settings:

@@ -12,7 +12,7 @@ from pathlib import Path
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.commands.design_texts import remarks_of, summary_of
+from soft_throw_ros.commands.design_texts import summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
@@ -21,7 +21,6 @@ from soft_throw_ros.core.rig import model_for, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
-from soft_throw_ros.design.recommendation import Recommendation
 from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
@@ -100,8 +99,6 @@ class RecommendationState:
                 node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR
             )
         values = {**self.values(), **rig}
-        if isinstance(best, Recommendation):
-            values['remarks'] = remarks_of(best)
         is_missed = isinstance(best, Aim) and not best.is_reached
         return status_to_msg(node_name, 'recommendation', self.describe(), values, warn=is_missed)
 

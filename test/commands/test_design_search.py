@@ -2,19 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands `design recommend` and `design aim`."""
 
+from functools import partial
 import re
 
 import pytest
 from soft_throw_ros.commands import design, design_search
-from soft_throw_ros.commands.design_texts import remarks_of, uncertainty_text
+from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Projectile, Rig
 from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import aim, Target
-from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.objectives.robust import Robust
-from soft_throw_ros.design.objectives.versatile import Versatile
+from soft_throw_ros.design.objective import Limits, robust, versatile
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
@@ -43,7 +42,6 @@ def test_table_compares_the_recommended_and_the_present_layer(command):
     best, now = recommend(Rig(), vary='thickness'), predict(Rig())
     summary = command.json('recommend', '--vary', 'thickness')['recommendation']['summary']
     assert printed.startswith(f'{summary}\n\n')
-    assert printed.endswith(f'\n\n{remarks_of(best)}\n')
     for title, name, scale in (
         ('thickness L_s', 'thickness', 1e3),
         ('wave speed c_s', 'wave_speed', 1.0),
@@ -55,13 +53,6 @@ def test_table_compares_the_recommended_and_the_present_layer(command):
         shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx([scale * value for value in expected], rel=1e-5)
     assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
-    _, table = printed.split('around the recommended layer')
-    for item, scale in zip(best.sensitivities, (1e3, 1.0, 1e3), strict=False):
-        (line,) = re.findall(rf'^{item.name.replace("_", " ")} .*', table, re.MULTILINE)
-        value, within, more = map(float, re.findall(r'[-+]?\d+\.?\d*', line))
-        expected = [scale * item.value, scale * item.tolerance]
-        assert [value, within] == pytest.approx(expected, rel=0.05)
-        assert more == pytest.approx(item.sensitivity, abs=0.006)
 
 
 def test_json_has_everything_to_the_last_digit(command):
@@ -72,9 +63,7 @@ def test_json_has_everything_to_the_last_digit(command):
     assert result['wave_speed'] == best.wave_speed
     assert result['now']['energy_transfer'] == predict(rig).energy_transfer
     assert result['by_thickness']['thickness'] == best.by_thickness.thickness
-    assert [item['tolerance'] for item in result['sensitivities']] == [
-        item.tolerance for item in best.sensitivities
-    ]
+    assert result['tolerances'] == best.tolerances
     assert printed['parameters']['recommendation.vary'] == 'wave_speed'
     assert printed['uncertainty'] == prediction_uncertainty(best.rig).values()
 
@@ -88,20 +77,20 @@ def test_layer_without_a_throw_is_null_in_json(command):
 
 def test_options_define_the_request(command):
     options = {
-        'objective': 'robust', 'quantile': 0.05, 'vary': 'thickness', 'thickness-max': 0.012,
+        'objective': 'robust', 'vary': 'thickness', 'thickness-max': 0.012,
         'uncertain-wave-speed': 0.6, 'uncertain-mass': 0.05,
     }
     args = [text for name, value in options.items() for text in (f'--{name}', value)]
     best = recommend(
         Rig(),
         vary='thickness',
-        objective=Robust(uncertainties=Uncertainties(wave_speed=0.6, mass=0.05), quantile=0.05),
+        objective=partial(robust, uncertainties=Uncertainties(wave_speed=0.6, mass=0.05)),
         limits=Limits(thickness_max=0.012),
     )
     result = command.json('recommend', *args)['recommendation']
     assert (result['thickness'], result['score']) == (best.thickness, best.score)
     args = ('--objective', 'versatile', '--masses', 1e-3, 3e-3, 6e-3, '--frequencies', 50, 70)
-    objective = Versatile(masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
+    objective = partial(versatile, masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
     result = command.json('recommend', *args)['recommendation']
     assert result['score'] == recommend(Rig(), objective=objective).score
 
@@ -150,9 +139,7 @@ def test_file_for_another_task_is_refused_with_that_task(command, write, name, v
         ('--objective aim', "argument --objective: .*'aim'"),
         ('--vary amplitude', "argument --vary: .*'amplitude'"),
         ('--max-strain -1', r'argument --max-strain: .* or 0, got -1\.0'),
-        ('--quantile 0.6', r'argument --quantile: .* from 0 to 0.5, got 0\.6'),
         ('--masses 0.001 heavy', r"argument --masses: .* got \[0.001, 'heavy'\]"),
-        ('--objective versatile --masses' + 17 * ' 0.001', 'masses must be .* 16'),
         ('--frequencies 0', r'argument --frequencies: .* from 1 to 1000 Hz, got \[0.0\]'),
         ('--thickness-min 0.03 --thickness-max 0.02', '--thickness-min: .* got 0.03 and 0.02'),
         ('--objective robust --uncertain-wave-speed 10', 'wave_speed .* 7.8, got 10'),
