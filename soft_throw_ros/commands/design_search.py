@@ -39,9 +39,6 @@ from soft_throw_ros.design.uncertainty import (
     Uncertainties,
 )
 
-NOT_REACHED = 1
-"""Exit code if the target of an aim is out of reach."""
-
 Columns = dict[str, Mapping[str, float] | None]
 """Predictions by the titles of their columns."""
 
@@ -62,15 +59,14 @@ _OF_MOTIONS = ('plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel'
 
 def add_recommend_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design recommend`."""
-    without = ('max_amplitude', 'target_height', 'target_speed', *_OF_MOTIONS)
+    without = ('target_height', 'target_speed', *_OF_MOTIONS)
     _add_arguments(parser, 'request', without, _OBJECTIVE, _VARY)
 
 
 def add_aim_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design aim`."""
-    parser.epilog = f'The exit code is {NOT_REACHED} if the target is out of reach.'
-    without = ('objective', 'masses', 'frequencies', *_OF_MOTIONS)
-    _add_arguments(parser, 'target and means', without)
+    without = ('objective', 'vary', 'masses', 'frequencies', *_OF_MOTIONS)
+    _add_arguments(parser, 'target and limits', without)
 
 
 def _add_arguments(
@@ -98,19 +94,19 @@ def run_recommend(arguments: argparse.Namespace) -> int:
 
 
 def run_aim(arguments: argparse.Namespace) -> int:
-    """Print an aim; return 0 or `NOT_REACHED`, or raise ValueError for a bad request."""
+    """Print an aim; return 0, or raise ValueError for a bad request."""
     settings = read_settings(arguments)
     targets = {'recommendation.target_height', 'recommendation.target_speed'}
     # Only a file with the objective 'aim' has a target; otherwise an option must give it.
     if settings['recommendation.objective'] != 'aim' and not vars(arguments).keys() & targets:
         raise ValueError('no target: give --target-height M or --target-speed M/S')
     settings['recommendation.objective'] = 'aim'
-    best = _print_answer(settings, 'aim', arguments.json)
-    return 0 if isinstance(best, Aim) and best.is_reached else NOT_REACHED
+    _print_answer(settings, 'aim', arguments.json)
+    return 0
 
 
-def _print_answer(settings: Settings, name: str, as_json: bool) -> RequestResult:
-    """Compute a recommendation or an aim, print the result, and return it."""
+def _print_answer(settings: Settings, name: str, as_json: bool) -> None:
+    """Compute a recommendation or an aim, and print the result."""
     with slow_notice('design'):
         best = solve_request(settings)
         uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
@@ -124,7 +120,6 @@ def _print_answer(settings: Settings, name: str, as_json: bool) -> RequestResult
         print_result(
             data, chain([summary, ''], _lines(settings, best, uncertainty)), as_json=as_json
         )
-    return best
 
 
 def _lines(
@@ -138,24 +133,19 @@ def _lines(
         assert isinstance(best, Recommendation)  # other requests are refused
         columns, more = _recommendation_columns(best), _recommendation_lines(best)
     yield from write_predictions(columns, best.rig.layer.linear_range(settings['max_strain']))
-    yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
+    yield f'With the uncertainties (uncertainty.*): {uncertainty_text(uncertainty)}'
     yield from more
 
 
 def _aim_columns(settings: Settings, best: Aim) -> Columns:
-    """Return the present throw, the aimed one, and the aimed one with the present layer."""
+    """Return the present throw and the aimed one."""
     rig = rig_of(settings)
     columns: Columns = {'now': None}
     with contextlib.suppress(ThrowUnresolvedError):  # the present rig does not throw
         now, last = predict(rig), last_release(rig)
         reached = {'amplitude': rig.engine.amplitude, 'speed': last.speed, 'height': last.height}
         columns['now'] = {**vars(now), **reached}
-    columns['aimed' if best.is_reached else 'the_most'] = vars(best)
-    if best.rig.layer != rig.layer:
-        with contextlib.suppress(ThrowUnresolvedError):  # no amplitude throws the present layer
-            with_present_layer = solve_request({**settings, 'recommendation.vary': 'amplitude'})
-            if isinstance(with_present_layer, Aim) and with_present_layer.is_reached:
-                columns['with_this_layer'] = vars(with_present_layer)
+    columns['aimed'] = vars(best)
     return columns
 
 

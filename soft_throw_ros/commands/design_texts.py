@@ -32,7 +32,7 @@ def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
 
     """
     if isinstance(best, Aim):
-        return _aim_summary(best, rig)
+        return _aim_summary(best, settings)
     if isinstance(best, MotionDesign):
         return motion_summary(best)
     is_peak = settings['recommendation.objective'] == 'peak'
@@ -107,25 +107,15 @@ def _gain(gain: float) -> str:
     return f'{-100.0 * gain:.2g} % less energy, because the present layer exceeds the limits'
 
 
-def _aim_summary(best: Aim, rig: Rig) -> str:
-    """Describe the throw that reaches a target or comes closest, and the active limits."""
-    height, speed = best.target_height, best.target_speed
-    target = f'{speed:g} m/s' if height is None else f'{height:g} m high'
-    amplitude = f'amplitude {1e3 * best.amplitude:.4g} mm'
-    strain = f'strain {1e2 * best.peak_strain:.3g} %'
-    acceleration = f'acceleration {best.peak_acceleration:.3g} m/s2'
-    layer = 'the present layer'
-    if best.layer or best.rig.layer != rig.layer:
-        name = f'{best.layer}, ' if best.layer else ''
-        layer = f'a layer of {name}{1e3 * best.thickness:.4g} mm and {best.wave_speed:.4g} m/s'
-    loads = f'{amplitude}, {strain}, {acceleration}'
-    if best.is_reached:
-        return f'{layer} reaches {target}: {loads}'
-    reached = f'{best.speed:.4g} m/s' if height is None else f'{best.height:.4g} m high'
-    texts = {'max_amplitude': amplitude, 'max_strain': strain, 'max_acceleration': acceleration}
-    limits = [texts[name] for name in best.limited_by.split(', ') if name]
-    reason = f'which {" and ".join(limits)} limits' if limits else 'no amplitude reaches it'
-    return f'{target} is not reached: {layer} reaches {reached}, {reason}; {loads}'
+def _aim_summary(best: Aim, settings: Settings) -> str:
+    """Describe the amplitude that reaches a target, and the loads."""
+    speed = settings['recommendation.target_speed']
+    height = settings['recommendation.target_height']
+    return (
+        f'amplitude {1e3 * settings["engine.amplitude"]:.4g} -> {1e3 * best.amplitude:.4g} mm '
+        f'reaches {f"{speed:g} m/s" if speed else f"{height:g} m high"}: strain '
+        f'{1e2 * best.peak_strain:.3g} %, acceleration {best.peak_acceleration:.3g} m/s2'
+    )
 
 
 def motion_summary(design: MotionDesign) -> str:

@@ -226,9 +226,9 @@ _ENTRIES = (
         choices=(*OBJECTIVES, 'aim')),
     row('recommendation.vary', 'both',
         'Properties that may change: thickness or wave speed of the layer, both, or the layer as '
-        'one of the library; or the motion of the plate, for the most energy per throw; '
-        '`amplitude` for aiming alone, which always changes the amplitude',
-        choices=('thickness', 'wave_speed', 'both', 'library', 'motion', 'amplitude')),
+        'one of the library; or the motion of the plate, for the most energy per throw; aiming '
+        'changes the amplitude only',
+        choices=('thickness', 'wave_speed', 'both', 'library', 'motion')),
     row('recommendation.plate_speed', 0.0,
         'Largest speed of a plate whose motion is designed; 0 is that of its motion now',
         unit='m/s', low=1e-3, high=100.0, or_zero=True),
@@ -255,8 +255,6 @@ _ENTRIES = (
     row('recommendation.max_loss_tangent', 0.0,
         'Largest loss tangent of a material to pick; 0 does not limit it',
         low=1e-3, high=2.0, or_zero=True),
-    row('recommendation.max_amplitude', 0.1, 'Largest amplitude to aim with',
-        unit='m', low=1e-5, high=0.1),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
         unit='kg', low=1e-5, high=1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',

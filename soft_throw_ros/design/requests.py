@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from dataclasses import fields
 import math
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import Cancelled
-from soft_throw_ros.design.aiming import Aim, aim, Target
+from soft_throw_ros.design.aiming import Aim, aim
 from soft_throw_ros.design.motion_design import design_motion, MotionDesign, MotionVary
 from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
@@ -44,32 +44,21 @@ def solve_request(
         If `cancelled` returns True.
 
     """
-    rig, request = rig or rig_of(settings), _request(settings)
-    if request['vary'] == 'motion':
-        return solve_motion_request(settings, rig=rig, cancelled=cancelled)
-    search: dict[str, Any] = {
-        'vary': request['vary'],
-        'limits': limits_of(settings),
-        'cancelled': cancelled,
-    }
-    if request['vary'] == 'library':
-        search['materials'] = library(str(settings['layer.library'])).materials
+    rig, request, limits = rig or rig_of(settings), _request(settings), limits_of(settings)
     if request['objective'] == 'aim':
         height, speed = request['target_height'] or None, request['target_speed'] or None
-        if height is None and speed is None:
-            raise ValueError(
-                'nothing to aim at: recommendation.target_height (--target-height) or '
-                'recommendation.target_speed (--target-speed) must be above 0, got 0 for both'
-            )
-        target = Target(height=height, speed=speed)
-        return aim(rig, target, max_amplitude=request['max_amplitude'], **search)
-    if request['vary'] == 'amplitude':
-        raise ValueError(
-            "recommendation.vary 'amplitude' is for recommendation.objective 'aim' alone, got "
-            f'{request["objective"]!r}'
-        )
-    objective = OBJECTIVES[request['objective']](settings)
-    return recommend(rig, objective=objective, **search)
+        return aim(rig, height=height, speed=speed, limits=limits, cancelled=cancelled)
+    if request['vary'] == 'motion':
+        return solve_motion_request(settings, rig=rig, cancelled=cancelled)
+    is_from_library = request['vary'] == 'library'
+    return recommend(
+        rig,
+        vary=request['vary'],
+        objective=OBJECTIVES[request['objective']](settings),
+        limits=limits,
+        materials=library(str(settings['layer.library'])).materials if is_from_library else None,
+        cancelled=cancelled,
+    )
 
 
 def solve_motion_request(

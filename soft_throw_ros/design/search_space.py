@@ -67,8 +67,8 @@ def search_spaces(
     ----------
     rig : Rig
         Rig with the present layer.
-    vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
-        Part of the layer that may vary; 'amplitude' keeps the layer.
+    vary : {'thickness', 'wave_speed', 'both', 'library'}
+        Part of the layer that may vary.
     limits : Limits
         Limits of the parameters that may vary.
     materials : mapping of str to Material

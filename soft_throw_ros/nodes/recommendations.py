@@ -59,9 +59,9 @@ class RecommendationState:
             return {}
         if isinstance(best, MotionDesign):
             return {motions.PARAMETER: str(_save_motion(best))}
-        changes: dict[str, float | str] = {}
         if isinstance(best, Aim):
-            changes['engine.amplitude'] = best.amplitude
+            return {'engine.amplitude': best.amplitude}
+        changes: dict[str, float | str] = {}
         if best.layer:
             changes['layer.name'] = best.layer
             known = library(self.config.settings['layer.library']).layers[best.layer]
@@ -99,8 +99,7 @@ class RecommendationState:
                 node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR
             )
         values = {**self.values(), **rig}
-        is_missed = isinstance(best, Aim) and not best.is_reached
-        return status_to_msg(node_name, 'recommendation', self.describe(), values, warn=is_missed)
+        return status_to_msg(node_name, 'recommendation', self.describe(), values)
 
 
 def _save_motion(best: MotionDesign) -> Path:

@@ -27,8 +27,8 @@ def test_defaults_request_the_peak_without_limits():
 @pytest.mark.parametrize(
     ('changes', 'message'),
     [
-        ({'vary': 'amplitude'}, "recommendation.vary 'amplitude' .* got 'peak'"),
-        ({'objective': 'aim', 'target_height': 0.0}, 'target_height .*target_speed .* got 0'),
+        ({'vary': 'motion', 'objective': 'robust'}, "vary 'motion' .* got 'robust'"),
+        ({'objective': 'aim', 'target_height': 0.0}, 'either a height or a speed'),
     ],
 )
 def test_impossible_requests_are_refused(changes, message):

@@ -490,17 +490,17 @@ def test_command_has_the_start_and_the_motion(ros, start_twin, listen_to, tmp_pa
     assert motion.times == pytest.approx(plate.times, abs=1e-9)
 
 
-def test_aim_out_of_reach_warns_of_the_limit(ros, twin, listener) -> None:
+def test_aim_is_applied_as_an_amplitude_and_refused_beyond_a_limit(ros, twin, listener) -> None:
     listener.listen(TWIN_TOPICS.recommendation)
-    request = {'objective': 'aim', 'vary': 'amplitude', 'target_height': 0.2}
-    best = ask(ros, twin, **request, max_strain=0.12)
-    status = listener.status(
-        TWIN_TOPICS.recommendation, 'recommendation', lambda s: s.level == DiagnosticStatus.WARN
-    )
-    assert '0.2 m' in status.message
-    assert 'strain 12 %' in status.message
+    best = ask(ros, twin, objective='aim', target_height=0.2)
+    assert ros.parameters(twin).get('recommended.amplitude') == best.amplitude
     assert listener.trigger(TWIN_SERVICES.apply_recommendation).success
     assert twin.parameters.settings['engine.amplitude'] == best.amplitude
+    assert ask(ros, twin, max_strain=0.12) is None
+    status = listener.status(
+        TWIN_TOPICS.recommendation, 'recommendation', lambda s: s.level == DiagnosticStatus.ERROR
+    )
+    assert '0.2 m high takes an amplitude' in status.message
 
 
 # clock
