@@ -15,6 +15,7 @@ from soft_throw_ros.commands.design_texts import motion_summary
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
+    MAIN_PARAMETERS,
     new_file,
     read_settings,
 )
@@ -40,10 +41,7 @@ _VARY = replace(
     meaning='Part of the layer that may change besides the motion',
     choices=get_args(MotionVary),
 )
-_LIMITS = (
-    'plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel', 'vary', 'thickness_min',
-    'thickness_max', 'wave_speed_min', 'wave_speed_max', 'max_strain', 'max_acceleration',
-)
+_LIMITS = ('plate_speed', 'plate_acceleration', 'plate_travel')
 _HEADS = {
     'best': 'best_motion', 'layer': 'best_layer', 'both': 'motion_and_layer',
     'linear': 'linear_layer',
@@ -60,8 +58,8 @@ def add_arguments(parser: CommandParser) -> None:
         'or .rrd (recording of Rerun)',
     )
     names = [f'recommendation.{name}' for name in _LIMITS]
-    add_options(parser, names, title='limits of the actuator and the layer', entries=[_VARY])
-    add_rig_options(parser)
+    add_options(parser, names, title='limits of the actuator')
+    add_rig_options(parser, MAIN_PARAMETERS)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -102,7 +100,7 @@ def _lines(design: MotionDesign, max_strain: Any) -> Iterator[str]:
     if 'now' in design.others and design.limits == PlateLimits.of(design.others['now'].engine):
         yield (
             'The limits of the plate are those of the present motion; set others by '
-            '--plate-speed, --plate-acceleration, --plate-jerk and --plate-travel.'
+            '--plate-speed, --plate-acceleration and --plate-travel.'
         )
 
 

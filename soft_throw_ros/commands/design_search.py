@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 import contextlib
 from dataclasses import replace
 from itertools import chain
@@ -15,6 +15,7 @@ from soft_throw_ros.commands.design_texts import summary_of, uncertainty_text
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
+    MAIN_PARAMETERS,
     read_settings,
     RECOMMENDATION_PARAMETERS,
     UNCERTAINTY_PARAMETERS,
@@ -54,30 +55,28 @@ _VARY = replace(
 )
 
 
-_OF_MOTIONS = ('plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel')
-
-
 def add_recommend_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design recommend`."""
-    without = ('target_height', 'target_speed', *_OF_MOTIONS)
-    _add_arguments(parser, 'request', without, _OBJECTIVE, _VARY)
+    _add_arguments(
+        parser, 'request',
+        (_OBJECTIVE.name, _VARY.name, 'layer.library', 'recommendation.max_strain'),
+        _OBJECTIVE, _VARY,
+    )
 
 
 def add_aim_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design aim`."""
-    without = ('objective', 'vary', 'masses', 'frequencies', *_OF_MOTIONS)
-    _add_arguments(parser, 'target and limits', without)
+    names = [f'recommendation.{name}' for name in ('target_height', 'target_speed', 'max_strain')]
+    _add_arguments(parser, 'target and limit', names)
 
 
 def _add_arguments(
-    parser: CommandParser, title: str, without: tuple[str, ...], *entries: Entry
+    parser: CommandParser, title: str, names: Iterable[str], *entries: Entry
 ) -> None:
     parser.usage = '%(prog)s [OPTION ...]'
     parser.add_json_option()
-    names = [name for name in RECOMMENDATION_PARAMETERS if not name.endswith(without)]
     add_options(parser, names, title=title, entries=entries)
-    add_options(parser, UNCERTAINTY_PARAMETERS, title='uncertainties')
-    add_rig_options(parser)
+    add_rig_options(parser, MAIN_PARAMETERS)
 
 
 def run_recommend(arguments: argparse.Namespace) -> int:

@@ -14,8 +14,8 @@ from typing import TypedDict
 
 from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
-    add_options,
     add_rig_options,
+    MAIN_PARAMETERS,
     model_name,
     read_settings,
     UNCERTAINTY_PARAMETERS,
@@ -64,20 +64,19 @@ def _parser() -> CommandParser:
         usage='%(prog)s [OPTION ...]',
     )
     parser.add_argument(
-        '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES), type=model_name,
+        '--model', dest='models', metavar='NAME', action='append', choices=tuple(MODEL_NOTES),
+        type=model_name,
         help=f'only this model; may be repeated: {", ".join(MODEL_NOTES)} (default all)',
     )
     parser.add_json_option()
-    add_options(parser, ['max_strain'], title='range of the linear models')
-    add_options(parser, UNCERTAINTY_PARAMETERS, title='uncertainties')
-    add_rig_options(parser)
+    add_rig_options(parser, MAIN_PARAMETERS)
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
     settings = read_settings(arguments)
     with slow_notice('throw'):
-        prediction = predict(settings, arguments.model or MODEL_NOTES)
+        prediction = predict(settings, arguments.models or MODEL_NOTES)
     print_result(prediction, _table(prediction), as_json=arguments.json)
     return 0
 
@@ -256,4 +255,4 @@ def _table(prediction: Prediction) -> Iterator[str]:
         settings = prediction['parameters']
         max_strain = float(settings['max_strain'])  # type: ignore[arg-type]
         limit = rig_of(settings).layer.linear_range(max_strain)
-        yield strain_warning(limit, '--max-strain')
+        yield strain_warning(limit, 'max_strain')

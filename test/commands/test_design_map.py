@@ -61,7 +61,7 @@ def test_map_without_a_release_has_a_note_and_can_be_drawn(command, tmp_path):
     pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
     printed = command.run(
         'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
-        '--amplitude', 1e-3, '--loss-tangent', 0.1, '--output', tmp_path / 'map.png',
+        '--amplitude', 1e-3, '-p', 'layer.loss_tangent:=0.1', '--output', tmp_path / 'map.png',
     )
     assert 'the projectile is released nowhere' in printed
     assert (tmp_path / 'map.png').exists()
@@ -72,7 +72,7 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path):
     files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png')]
     printed = command.run(
         'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30', '--thickness', 0.01,
-        '--mass', 2e-3, '--gravity', 0, '--motion', 'harmonic', '--output', *files,
+        '--mass', 2e-3, '-p', 'gravity:=0', '--motion', 'harmonic', '--output', *files,
     )
     rig = Rig(
         engine=Engine(damping_ratio=0.0), layer=Layer(thickness=0.01),

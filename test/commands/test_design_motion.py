@@ -17,7 +17,8 @@ from soft_throw_ros.design.plate_motion import PlateLimits
 import yaml
 
 COMMAND = (design.main, 'motion')
-QUICK = ('--gravity', 0)
+QUICK = ('-p', 'gravity:=0')
+NEO_HOOKEAN = ('-p', 'layer.stress_strain_law:=neo_hookean')
 DATA = Path(__file__).parents[1] / 'data'
 
 
@@ -29,7 +30,7 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     assert float(command.row(printed, 'energy transfer alpha')[-1]) > 4.1
     assert all(path.stat().st_size > 1000 for path in files)
     assert throw.main([
-        '--motion', str(files[0]), '--gravity', '0', '--model', 'travelling_wave',
+        '--motion', str(files[0]), '-p', 'gravity:=0', '--model', 'travelling_wave',
     ]) == 0
     assert float(command.row(capsys.readouterr().out, 'ejection speed V_e')[-1]) == speed
     # read by an independent parser
@@ -61,7 +62,7 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
 
 
 def test_json_has_everything_in_si(command):
-    result = command.json(*QUICK, '--vary', 'thickness', '--plate-travel', 0.01)
+    result = command.json(*QUICK, '-p', 'recommendation.vary:=thickness', '--plate-travel', 0.01)
     motion = result['motion']
     assert motion['limits']['travel'] == 0.01
     assert motion['throws'].keys() == {'now', 'harmonic', 'step', 'layer', 'best', 'both'}
@@ -70,7 +71,7 @@ def test_json_has_everything_in_si(command):
 
 
 def test_stiffening_layer_is_distinguished_from_a_linear_one(command):
-    printed = command.run(*QUICK, '--stress-strain-law', 'neo_hookean', '--amplitude', '3e-3')
+    printed = command.run(*QUICK, *NEO_HOOKEAN, '--amplitude', '3e-3')
     assert re.search(r'm/s from this layer, and from a linear one [12]\.\d+ m/s', printed)
     *_, linear, best = map(float, command.row(printed, 'ejection speed V_e'))
     assert linear != best
@@ -88,7 +89,7 @@ def test_recorded_motion_is_improved(command):
     [
         (['--output', 'best.txt'], "must end with .csv, .yaml, .png, .rrd, got 'best.txt'"),
         (['--plate-speed', '-1'], 'argument --plate-speed: .*-1'),
-        (['--vary', 'library'], 'library'),
+        (['--vary', 'thickness'], 'unrecognized arguments: --vary'),
         (['--motion', 'nosuch.csv'], 'nosuch.csv: No such file'),
     ],
 )

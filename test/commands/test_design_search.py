@@ -32,7 +32,7 @@ jelly:
 
 @pytest.mark.parametrize(('law', 'is_warned'), [('linear', True), ('neo_hookean', False)])
 def test_table_warns_beyond_the_linear_range_of_the_law_only(command, law, is_warned):
-    args = ('--vary', 'thickness', '--stress-strain-law', law, '--amplitude', 3e-3)
+    args = ('--vary', 'thickness', '-p', f'layer.stress_strain_law:={law}', '--amplitude', 3e-3)
     printed = command.run('recommend', *args)
     assert ('leaves the linear range' in printed) is is_warned
 
@@ -76,11 +76,10 @@ def test_layer_without_a_throw_is_null_in_json(command):
 
 
 def test_options_define_the_request(command):
-    options = {
-        'objective': 'robust', 'vary': 'thickness', 'thickness-max': 0.012,
-        'uncertain-wave-speed': 0.6, 'uncertain-mass': 0.05,
-    }
-    args = [text for name, value in options.items() for text in (f'--{name}', value)]
+    settings = ('recommendation.thickness_max:=0.012', 'uncertainty.wave_speed:=6e-1',
+                'uncertainty.mass:=0.05')
+    args = ['--objective', 'robust', '--vary', 'thickness']
+    args += [word for text in settings for word in ('-p', text)]
     best = recommend(
         Rig(),
         vary='thickness',
@@ -89,7 +88,8 @@ def test_options_define_the_request(command):
     )
     result = command.json('recommend', *args)['recommendation']
     assert (result['thickness'], result['score']) == (best.thickness, best.score)
-    args = ('--objective', 'versatile', '--masses', 1e-3, 3e-3, 6e-3, '--frequencies', 50, 70)
+    args = ('--objective', 'versatile', '-p', 'recommendation.masses:=[1e-3, 3e-3, 6e-3]',
+            '-p', 'recommendation.frequencies:=[50, 70]')
     objective = partial(versatile, masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
     result = command.json('recommend', *args)['recommendation']
     assert result['score'] == recommend(Rig(), objective=objective).score
@@ -139,12 +139,13 @@ def test_file_for_another_task_is_refused_with_that_task(command, write, name, v
         ('--objective aim', "argument --objective: .*'aim'"),
         ('--vary amplitude', "argument --vary: .*'amplitude'"),
         ('--max-strain -1', r'argument --max-strain: .* or 0, got -1\.0'),
-        ('--masses 0.001 heavy', r"argument --masses: .* got \[0.001, 'heavy'\]"),
-        ('--frequencies 0', r'argument --frequencies: .* from 1 to 1000 Hz, got \[0.0\]'),
-        ('--thickness-min 0.03 --thickness-max 0.02', '--thickness-min: .* got 0.03 and 0.02'),
-        ('--objective robust --uncertain-wave-speed 10', 'wave_speed .* 7.8, got 10'),
+        ('-p recommendation.masses:=[0.001,x]', r"argument -p: .* got \[0.001, 'x'\]"),
+        ('-p recommendation.masses:=[0.001', 'argument -p: recommendation.masses .* YAML'),
+        ('-p gravitation:=3', r"argument -p: must be NAME:=VALUE .* 'gravitation:=3'"),
+        ('-p gravity=3', "argument -p: must be NAME:=VALUE .* 'gravity=3'"),
+        ('--objective robust -p uncertainty.wave_speed:=10', 'wave_speed .* 7.8, got 10'),
         ('--max-strain 0.001', 'strain of at most 0.001 '),
-        ('--gravity 30 --amplitude 1e-5', 'gravity .19 of the largest'),
+        ('-p gravity:=30 --amplitude 1e-5', 'gravity .19 of the largest'),
     ],
 )
 def test_refused_arguments_are_quoted(command, args, message):
@@ -171,7 +172,7 @@ def test_table_has_the_present_throw_and_the_aim(command):
 
 
 def test_target_speed_replaces_the_default_height(command):
-    printed = command.json('aim', '--target-speed', 1.5, '--gravity', 0)
+    printed = command.json('aim', '--target-speed', 1.5, '-p', 'gravity:=0')
     assert printed['aim']['speed'] == pytest.approx(1.5, rel=1e-9)
     assert printed['aim']['height'] is None  # infinite: JSON has no number for this
     assert printed['parameters']['recommendation.objective'] == 'aim'
@@ -191,10 +192,10 @@ def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
         ('--target-height 0', 'either a height or a speed'),
         ('--target-height -1', r'argument --target-height: .*, got -1\.0'),
         ('--target-height 0.1 --target-speed 2', 'argument --target-height: .*, got 0.1 and 2'),
-        ('--target-height 0.1 --gravity 0', 'gravity, got gravity 0'),
+        ('--target-height 0.1 -p gravity:=0', 'gravity, got gravity 0'),
         ('--target-height 0.2 --max-strain 0.12', r'0\.2 m high takes an amplitude of .* 0\.12'),
         ('--objective peak', 'unrecognized arguments: --objective peak'),
-        ('--target-height 1 --library no.yaml', 'argument --library: no.yaml'),
+        ('--target-height 1 -p layer.library:=no.yaml', 'argument -p: no.yaml'),
     ],
 )
 def test_refused_arguments_of_an_aim_are_quoted(command, args, message):

@@ -5,13 +5,14 @@
 import argparse
 import os
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
 import time
 
 import pytest
-from soft_throw_ros.commands import design, options, output
+from soft_throw_ros.commands import design, options, output, throw
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
@@ -58,6 +59,27 @@ def test_every_parameter_of_the_rig_is_an_option():
     assert len(options_of_rig) == len(of_rig)
     assert all(option in parser.format_help() for option in options_of_rig)
     assert read_settings(parser.parse_args([])) == TWIN.defaults()
+
+
+@pytest.mark.parametrize('task', [*design.TASKS, None])
+def test_commands_of_a_rig_have_few_options(capsys, task):
+    main, words = (design.main, [task]) if task else (throw.main, [])
+    with pytest.raises(SystemExit):
+        main([*words, '--help'])
+    shown = re.findall(r'^  (-\S+)', capsys.readouterr().out, re.MULTILINE)
+    assert {'--config', '-p', '--thickness'} <= set(shown)
+    assert len(shown) <= 16
+
+
+def test_named_parameter_is_set_like_an_option():
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser, ['layer.thickness'])
+    words = ['--thickness=0.01', '-p', 'layer.density:=1.1e3', '-p',
+             'recommendation.frequencies:=[50, 7e1]', '-p', 'layer.thickness:=0.012']
+    settings = read_settings(parser.parse_args(words))
+    assert settings['layer.thickness'] == 0.012
+    assert settings['layer.density'] == 1100.0
+    assert settings['recommendation.frequencies'] == (50.0, 70.0)
 
 
 def test_design_without_a_known_task_names_all_tasks_in_one_line(command):

@@ -53,7 +53,7 @@ def test_models_of_one_throw_agree_on_every_line(command):
 
 
 def test_internal_loss_requires_cells_and_shows_its_heat(command):
-    models = command.json('--loss-tangent', 0.05)
+    models = command.json('-p', 'layer.loss_tangent:=0.05')
     for name in ('closed_form', 'travelling_wave'):
         assert models['models'][name] is None
         assert '0.05' in models['notes'][name]
@@ -67,7 +67,8 @@ def test_internal_loss_requires_cells_and_shows_its_heat(command):
     ('thickness', 'speed', 'is_late'), [(0.0168, 7.8, False), (0.1, 3.16, True)]
 )
 def test_shocks_before_the_release_are_a_note(command, thickness, speed, is_late):
-    rig = ('--thickness', thickness, '--wave-speed', speed, '--stress-strain-law', 'neo_hookean')
+    rig = ('--thickness', thickness, '--wave-speed', speed, '-p',
+           'layer.stress_strain_law:=neo_hookean')
     printed = command.json(*rig, '--model', 'cells')
     layer = Layer(thickness=thickness, wave_speed=speed, stress_strain_law='neo_hookean')
     shock_time = Rig(layer=layer).shock_time
@@ -96,7 +97,7 @@ def test_table_has_the_models_side_by_side_as_in_the_json(command):
 
 
 def test_uncertainty_of_the_rig_is_shown(command):
-    options = [*EXACT, '--uncertain-thickness', 1e-3, '--uncertain-mass', 0]
+    options = [*EXACT, '-p', 'uncertainty.thickness:=1e-3', '-p', 'uncertainty.mass:=0']
     printed = command.json(*options)
     expected = prediction_uncertainty(Rig(), Uncertainties(thickness=1e-3, mass=0.0))
     assert printed['uncertainty'] == expected.values()
@@ -122,7 +123,7 @@ def test_options_replace_values_of_the_file(command, write):
         (('--layer', 'jelly'), "argument --layer: .* got 'jelly'"),
         (('--motion', 'measured'), "argument --motion: .*'measured'"),
         (('--model', 'magic'), "argument --model: .* 'magic'"),
-        (('--max-strain', '0'), 'max_strain must be .* got 0'),
+        (('-p', 'max_strain:=0'), 'argument -p: max_strain must be .* got 0'),
         (('--layer', 'gelatin_2.0mm', '--thickness', '0.01'), 'is 0.002, got 0.01'),
         (('--thicknes', '0.01'), '--thicknes 0.01'),
         (('--config', 'no_such.yaml'), 'no_such.yaml: '),

@@ -153,9 +153,9 @@ def test_library_of_layers_is_read_or_refused(tmp_path: Path, text: str) -> None
             assert values.items() <= settings.items()
 
 
-OPTIONS = ('--thickness', '--wave-speed', '--density', '--mass', '--frequency', '--amplitude',
-           '--damping-ratio', '--gravity', '--loss-tangent', '--max-strain', '--layer',
-           '--motion', '--length', '--diameter', '--bogus')
+OPTIONS = ('--thickness=', '--wave-speed=', '--mass=', '--frequency=', '--amplitude=', '--layer=',
+           '--motion=', '--bogus=', '-p', '-pgravity:=', '-player.density:=',
+           '-player.loss_tangent:=', '-pengine.damping_ratio:=', '-pmax_strain:=')
 
 
 @fuzzed(0.04)
@@ -164,7 +164,7 @@ def test_throw_predicts_or_refuses(tmp_path: Path, data: Any) -> None:
     arguments = ['--model', 'closed_form', '--model', 'spring_mass', '--json']
     for option in data.draw(st.lists(st.sampled_from(OPTIONS), max_size=4)):
         value = data.draw(st.sampled_from(NUMBERS) | st.floats(1e-4, 100.0).map(repr) | st.text())
-        arguments.append(f'{option}={value}')
+        arguments.append(f'{option}{value}')
     with bounded(tmp_path):
         code, out, printed = run(throw.main, arguments)
     if code == 0:
