@@ -101,13 +101,6 @@ MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
 }
 """Motions of the plate, each with the function that makes the engine of complete settings."""
 
-_RECOMMENDED = (
-    'thickness', 'wave_speed', 'density', 'youngs_modulus', 'loss_tangent', 'mass_ratio',
-    'speed_ratio', 'ejection_time', 'ejection_speed', 'energy_transfer', 'peak_strain',
-    'peak_acceleration', 'peak_plate_force', 'plate_work', 'score', 'amplitude',
-)
-"""Numbers of a recommendation that are parameters, too."""
-
 _ENTRIES = (
     row('engine.motion', 'underdamped',
         'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), the '
@@ -252,9 +245,6 @@ _ENTRIES = (
     row('recommendation.max_acceleration', 0.0,
         'Largest acceleration of the projectile to allow; 0 does not limit it',
         unit='m/s2', low=1.0, high=1e6, or_zero=True),
-    row('recommendation.max_loss_tangent', 0.0,
-        'Largest loss tangent of a material to pick; 0 does not limit it',
-        low=1e-3, high=2.0, or_zero=True),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
         unit='kg', low=1e-5, high=1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',
@@ -269,7 +259,6 @@ _ENTRIES = (
     *(
         row(f'recommended.{number.name}', math.nan, number.meaning, unit=number.unit)
         for number in RECOMMENDED_NUMBERS
-        if number.name in _RECOMMENDED
     ),
 )
 
@@ -431,7 +420,6 @@ TWIN = Table(
         'measured.window': 'measured.smoothing_window',
         'measured.wait': 'measured.latency',
         'layer.elasticity': 'layer.stress_strain_law',
-        'recommended.peak_force': 'recommended.peak_plate_force',
     },
     resolve=resolve_stack,
     rules=(

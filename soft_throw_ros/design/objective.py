@@ -41,8 +41,6 @@ class Limits:
         Largest magnitude of the strain anywhere in the layer. [-]
     max_acceleration : float
         Largest magnitude of the projectile's acceleration. [m/s2]
-    max_loss_tangent : float
-        Largest loss tangent of a material of the library. [-]
 
     Raises
     ------
@@ -57,7 +55,6 @@ class Limits:
     wave_speed_max: float = 50.0
     max_strain: float = math.inf
     max_acceleration: float = math.inf
-    max_loss_tangent: float = math.inf
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -314,7 +314,6 @@ def _refusal(rig: Rig, vary: str, limits: Limits) -> str:
         *(
             f'a {name} of at most {limit:g}{unit}'
             for name, limit, unit in (
-                ('loss tangent', limits.max_loss_tangent, ''),
                 ('strain', limits.max_strain, ''),
                 ('acceleration', limits.max_acceleration, ' m/s2'),
             )

@@ -87,9 +87,8 @@ def search_spaces(
         return [SearchSpace(rig, LayerRange(thickness, speeds))]
     spaces = []
     for material in materials.values():
-        speed, loss_tangent = material.wave_speed, material.loss_tangent.value
-        is_within_limits = limits.wave_speed_min <= speed.value <= limits.wave_speed_max
-        if not is_within_limits or loss_tangent > limits.max_loss_tangent:
+        speed = material.wave_speed.value
+        if not limits.wave_speed_min <= speed <= limits.wave_speed_max:
             continue
         smallest, largest = limits.thickness
         sheets = [(item, item) for item in material.thicknesses if smallest <= item <= largest]
@@ -97,15 +96,15 @@ def search_spaces(
             sheet = replace(
                 layer,
                 thickness=low if low == high else layer.thickness,
-                wave_speed=speed.value,
+                wave_speed=speed,
                 density=material.density.value,
-                loss_tangent=loss_tangent,
+                loss_tangent=material.loss_tangent.value,
                 diameter=material.diameter or layer.diameter,
             )
             spaces.append(
                 SearchSpace(
                     replace(rig, layer=sheet),
-                    LayerRange((low, high), (speed.value, speed.value)),
+                    LayerRange((low, high), (speed, speed)),
                     material.layer_name(low),
                 )
             )

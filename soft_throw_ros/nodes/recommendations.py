@@ -17,7 +17,7 @@ from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
-from soft_throw_ros.core.rig import model_for, Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import model_for, Rig
 from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
@@ -79,11 +79,7 @@ class RecommendationState:
 
     def values(self) -> dict[str, float | str | bool]:
         """Return the values of the recommendation without its rig; empty without an answer."""
-        if self.best is None:
-            return {}
-        return {
-            'g_load': self.best.peak_acceleration / STANDARD_GRAVITY, **self.best.values()
-        }
+        return {} if self.best is None else self.best.values()
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""

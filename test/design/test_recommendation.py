@@ -234,6 +234,7 @@ def test_limit_that_is_not_active_costs_nothing():
 def test_every_result_in_the_table_belongs_to_a_recommendation_or_an_aim():
     best = recommend(Rig())
     results = [entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result]
+    assert len(results) <= 9
     for name in results:
         assert name == 'amplitude' or getattr(best, name) is not None
 
@@ -257,8 +258,8 @@ def test_values_are_flat_and_complete():
         (Rig(), {'vary': 'thickness', 'limits': Limits(max_strain=0.01)}, r'of at most 0\.01 '),
         (
             Rig(),
-            {'vary': 'library', 'limits': Limits(max_loss_tangent=1e-3), 'materials': LOSSY},
-            r'loss tangent of at most 0\.001',
+            {'vary': 'library', 'limits': Limits(wave_speed_max=2.0), 'materials': LOSSY},
+            'from the library .* to 2 m/s',
         ),
     ],
 )

@@ -54,7 +54,7 @@ def test_search_ends_when_cancelled_between_batches(name, batches):
 def test_every_limit_counts():
     limits = {
         'thickness_min': 0.002, 'wave_speed_max': 30.0, 'max_strain': 0.1,
-        'max_acceleration': 500.0, 'max_loss_tangent': 0.2,
+        'max_acceleration': 500.0,
     }
     named = {f'recommendation__{name}': value for name, value in limits.items()}
     settings = complete_settings(**named)
