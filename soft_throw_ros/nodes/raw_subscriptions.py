@@ -18,13 +18,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import ROSClock
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import (
-    DurabilityPolicy,
-    qos_check_compatible,
-    QoSCompatibility,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.configuration.interface import find_topic, Topic
 from soft_throw_ros.nodes.conversions import profile_to_dict
@@ -156,12 +150,11 @@ class RawSubscription:
         self._counter.update(found, self._reported)
         reason = ''
         for item in (found[gid] for gid in found.keys() - self.publishers):
-            fit, text = qos_check_compatible(item.qos_profile, self._profile)
+            _, text = qos_check_compatible(item.qos_profile, self._profile)
             if item.topic_type != self.channel.type:
                 reason = f'its messages are {item.topic_type}'
-            elif fit == QoSCompatibility.ERROR:
-                text = text.replace('ERROR: ', ' ').strip(' ;')
-                reason = f'{text}; start again to receive all'
+            elif 'ERROR: ' in text:
+                reason = text.replace('ERROR: ', ' ').strip() + ' start again to receive all'
         self.publishers = set(found)
         return reason
 

@@ -189,14 +189,10 @@ class Recorder(RunnableNode):
         message, error = self._message(), recording.error
         losses, missing = recording.losses(), recording.missing_sources
         lost = sum(losses.values())
+        text = f'{lost} messages lost{missing}'
         statuses = [
             status('bag', error or message, values, warn=bool(error)),
-            status(
-                'losses',
-                f'{lost} messages lost{missing}',
-                {'lost': lost, **losses},
-                warn=lost > 0 or bool(missing),
-            ),
+            status('losses', text, {'lost': lost, **losses}, warn=lost > 0 or bool(missing)),
         ]
         if recording.viewer is not None:
             error = recording.viewer.failure or recording.viewer.error

@@ -312,7 +312,7 @@ def _largest(counts: dict[str, int]) -> str:
 def first_few(names: Sequence[str]) -> str:
     """Return the first names of a list, and the number of the others."""
     others = len(names) - _MAX_NAMES
-    return ', '.join(names[:_MAX_NAMES]) + (f' and {others} others' if others > 0 else '')
+    return ', '.join(names[:_MAX_NAMES]) + (f' and {others} more' if others > 0 else '')
 
 
 def has_rerun(settings: Settings) -> bool:
