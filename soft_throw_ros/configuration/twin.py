@@ -119,10 +119,11 @@ _ENTRIES = (
         kind='the path of a file, or empty'),
     row('engine.command', False,
         'Publish the motion of `engine.motion_file` before each throw, for a controller that '
-        'moves the plate; only if `time_scale` is 1'),
+        'moves the plate; the motion begins and ends at rest at the same height, and `time_scale` '
+        'is 1'),
     row('engine.command_lead', 0.2,
         'Time from this message to the start of the motion, at most a quarter of `throw.period`',
-        unit='s', low=0.0, high=10.0),
+        unit='s', low=0.01, high=10.0),
     row('engine.frequency', _RIG.engine.frequency, 'Natural frequency f of the plate',
         unit='Hz', low=1.0, high=1000.0),
     row('engine.amplitude', _RIG.engine.amplitude, 'Height A at which the plate settles',

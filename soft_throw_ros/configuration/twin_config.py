@@ -96,9 +96,9 @@ class TwinConfig:
         rig = rig_of(settings, motion_of) if rig is None else rig
         motion = settings['engine.motion']
         plate = Underdamped.of(rig.engine)
-        is_commanded = (
-            settings['engine.command'] and motion == 'file' and settings['time_scale'] == 1.0
-        )
+        period, lead = settings['throw.period'], settings['engine.command_lead']
+        if period:
+            lead = min(lead, 0.25 * period)
         return cls(
             settings=settings,
             rig=rig,
@@ -120,8 +120,8 @@ class TwinConfig:
             state_rate=settings['rate.state'],
             field_rate=settings['rate.field'],
             time_scale=1.0 if motion == 'measured' else settings['time_scale'],
-            command_lead=settings['engine.command_lead'] if is_commanded else None,
-            throw_period=settings['throw.period'],
+            command_lead=lead if settings['engine.command'] else None,
+            throw_period=period,
             max_events=settings['throw.max_events'],
             max_strain=rig.layer.linear_range(settings['max_strain']),
         )
