@@ -17,6 +17,7 @@ import signal
 
 from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
+from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.table import float_of, value_text
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 
@@ -156,6 +157,18 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
         options = (f'argument {option_of(name)}: ' for name in error.names if name in request)
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
     return settings
+
+
+def stated_parameters(arguments: argparse.Namespace) -> set[str]:
+    """Return the parameters that the options or the file state; the others have defaults."""
+    values = {name: value for name, value in vars(arguments).items() if name in _WITH_OPTION}
+    if 'config' in arguments:
+        sources = files.read_arguments(('--ros-args', '--params-file', arguments.config))
+        items = files.select(sources, '/twin').items()
+        values = {name: source.value for name, source in items} | values
+    if values.get('layer.name', CUSTOM) != CUSTOM or values.get('layer.stack'):
+        values |= dict.fromkeys(TWIN.names_in('layer'))
+    return set(TWIN.without_deprecated(values))
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:

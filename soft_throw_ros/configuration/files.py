@@ -9,7 +9,7 @@ of each, file and line or argument, for error messages and for the order of requ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
 import math
@@ -191,8 +191,18 @@ def _matches(pattern: str, node: str) -> bool:
     return re.fullmatch(regex, node) is not None
 
 
-def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
-    """Return the text of a ROS parameter file with comments from the table."""
+def render(
+    settings: Settings,
+    *,
+    table: Table = TWIN,
+    title: str = '',
+    assumed: Collection[str] = (),
+) -> str:
+    """
+    Return the text of a ROS parameter file with comments from the table.
+
+    Assumed parameters are comments as well, so that no reader takes their values as stated.
+    """
     lines = [f'# {line}'.rstrip() for line in title.splitlines()]
     lines += [f'/**/{table.node}:', f'  {_KEY}:']
     group = ''
@@ -207,7 +217,8 @@ def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
             lines += textwrap.wrap(
                 comment, 99, initial_indent=indent, subsequent_indent=f'{indent}# '
             )
-            lines.append(f'{indent}{tail}: {_text(settings[entry.name])}')
+            text = f'{tail}: {_text(settings[entry.name])}'
+            lines.append(indent + (f'# {text}  # assumed' if entry.name in assumed else text))
     return '\n'.join(lines) + '\n'
 
 

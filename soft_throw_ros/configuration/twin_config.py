@@ -18,7 +18,7 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import model_for, Rig
 from soft_throw_ros.storage.message import SECOND
 
-_BOUND_PER_DEVIATION = math.sqrt(3.0)
+BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
 
 
@@ -113,8 +113,8 @@ class TwinConfig:
                 start_speed=settings['measured.start'] * plate.peak_velocity,
                 residual_threshold=settings['measured.residual_threshold'],
                 plate=plate,
-                frequency_error=settings['uncertainty.frequency'] / _BOUND_PER_DEVIATION,
-                damping_error=settings['uncertainty.damping_ratio'] / _BOUND_PER_DEVIATION,
+                frequency_error=settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
+                damping_error=settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
                 prediction_error=settings['measured.prediction_error'],
             ),
             state_rate=settings['rate.state'],

@@ -252,6 +252,8 @@ class Calibrator(RunnableNode):
             self.get_logger().warning(warning)
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
+        if not rig_fit.fit.is_converged:
+            raise ValueError('the fit stopped at its limit before it converged')
         values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
         set_parameters(
             self._set_of_twin, {name: value.value for name, value in values.items()}

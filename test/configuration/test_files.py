@@ -124,6 +124,8 @@ def test_written_file_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data
     everybody = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']
     assert everybody['engine']['amplitude'] == amplitude  # and not its text
     assert everybody['layer']['thickness'] == thickness
+    path.write_text(files.render(settings, assumed=['layer.thickness']), 'utf-8')
+    assert files.read(path)['layer.thickness'] == TWIN.defaults()['layer.thickness']
 
 
 TEXTS = (
