@@ -30,6 +30,7 @@ class MeasurementConfig:
     latency_ns: int  # time to wait for samples out of order [ns]
     position_noise: float  # standard deviation of the heights of the plate [m]
     velocity_noise: float  # standard deviation of its velocities [m/s]
+    stamp_error: float  # standard deviation of the stamps [s]
     start_speed: float  # upward speed at which a throw has begun [m/s]
     residual_threshold: float  # rms of the projectile beyond which the model is wrong [m]
     plate: Underdamped  # expected motion in a throw
@@ -109,6 +110,7 @@ class TwinConfig:
                 latency_ns=round(settings['measured.latency'] * SECOND),
                 position_noise=settings['measured.position_noise'],
                 velocity_noise=settings['measured.velocity_noise'],
+                stamp_error=settings['measured.stamp_error'],
                 # relative to the plate's
                 start_speed=settings['measured.start'] * plate.peak_velocity,
                 residual_threshold=settings['measured.residual_threshold'],

@@ -328,7 +328,6 @@ class ThrowCycle:
         outputs = throw.advance(tick, motion)
         if self.monitor is not None and isinstance(throw, MeasuredThrow):
             self.monitor.engine_is_nominal = throw.engine_is_nominal
-            self.monitor.stamp_error = throw.stamp_error
         self._state = outputs.state
         self._rare_outputs.phases += tuple(
             (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events
