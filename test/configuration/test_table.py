@@ -83,17 +83,3 @@ def test_recorder_takes_topics_and_namespaces_and_nothing_else() -> None:
     for name in ('', 'a b', '//', '/twin/', '1'):
         with pytest.raises(ParameterError, match='topics must be'):
             RECORDER.check_value('topics', ['twin', name])
-
-
-def test_both_names_of_a_parameter_in_one_request_are_refused() -> None:
-    with pytest.raises(ParameterError, match=r'measured\.wait .* measured\.latency'):
-        TWIN.without_deprecated({'measured.wait': 0.0, 'measured.latency': 0.0})
-
-
-def test_every_former_name_stands_for_a_parameter_or_choice_that_exists() -> None:
-    for table in TABLES:
-        assert set(table.deprecated.values()) <= table.by_name.keys()
-        assert not table.deprecated.keys() & table.by_name.keys()
-        for entry in table.entries:
-            assert set(entry.deprecated.values()) <= set(entry.choices)
-            assert not set(entry.deprecated) & set(entry.choices)
