@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+import os
 import signal
 import sys
 import threading
@@ -28,7 +29,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
-from soft_throw_ros.nodes.exit_deadline import cancel_exit, exit_after
 from soft_throw_ros.nodes.help_texts import help_text
 from soft_throw_ros.nodes.transport import describe_discovery, use_transport_profile
 from std_srvs.srv import Trigger
@@ -198,6 +198,14 @@ def run(
     return code
 
 
+def exit_after(seconds: float, code: int) -> threading.Timer:
+    """End the process after a time [s] unless the timer that is returned is cancelled."""
+    watchdog = threading.Timer(seconds, os._exit, (code,))
+    watchdog.daemon = True
+    watchdog.start()
+    return watchdog
+
+
 def _on_signals(handler: Callable[[int, object], object] | signal.Handlers) -> None:
     """
     Handle the signals that ask a process to end.
@@ -269,11 +277,11 @@ def _shut_down(node: RunnableNode | None, code: int) -> int:
     if node is not None:
         node.close()
         code = code or node.exit_code or 0
-    deadline = exit_after(EXIT_TIME, code)
+    watchdog = exit_after(EXIT_TIME, code)
     # The destruction of publishers makes threads fail that still run; this is no error.
     threading.excepthook = lambda _death: None
     if node is not None:
         node.destroy_node()
     rclpy.try_shutdown()
-    cancel_exit(deadline)
+    watchdog.cancel()
     return code

@@ -59,7 +59,7 @@ def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
 
 
 HANGING = """
-import ctypes, sys, threading
+import sys, threading
 from soft_throw_ros.nodes import process
 
 class Hanging(process.RunnableNode):
@@ -70,10 +70,8 @@ class Hanging(process.RunnableNode):
         print('started', flush=True)
 
     def destroy_node(self):
-        if sys.argv[1] == 'hanging':  # at a lock that is locked twice, with the lock of Python
-            mutex = ctypes.create_string_buffer(64)
-            ctypes.PyDLL(None).pthread_mutex_lock(mutex)
-            ctypes.PyDLL(None).pthread_mutex_lock(mutex)
+        if sys.argv[1] == 'hanging':
+            threading.Event().wait()
         super().destroy_node()
         late = threading.Thread(target=lambda: self.create_publisher(None, '', 0))
         late.start()
