@@ -4,6 +4,7 @@ from pathlib import Path
 import re
 from typing import Any
 
+from damage import accepted, few, texts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
@@ -170,3 +171,24 @@ def test_results_are_ignored_except_in_arguments() -> None:
 
 def test_arguments_outside_ros_args_are_ignored() -> None:
     assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == TWIN.defaults()
+
+
+CONFIG = [path.read_text('utf-8') for path in layers.default_file().parent.glob('[!l]*.yaml')]
+FOAM = (
+    'foam: {description: x, source: y, density: {value: 100, range: [90, 110]}, '
+    'youngs_modulus: 2e4, loss_tangent: 0.1, thicknesses: [0.01, 0.02]}'
+)
+
+
+@few
+@given(data=st.data(), encoding=st.sampled_from(['utf-8', 'utf-8', 'utf-16', 'latin-1']))
+@pytest.mark.parametrize(('read', 'valid'), [(files.read, CONFIG), (layers.library, [FOAM])])
+def test_damaged_yaml_is_read_or_refused_with_its_name(
+    tmp_path: Path, read: Any, valid: list[str], data: Any, encoding: str
+) -> None:
+    path = tmp_path / 'file.yaml'
+    path.write_bytes(data.draw(texts(*valid)).encode(encoding, 'replace'))
+    result = accepted(lambda: read(path), str(path))
+    if read is files.read and result is not None:
+        assert result.keys() == TWIN.defaults().keys()
+        assert all(TWIN.check_value(name, value) == value for name, value in result.items())
