@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
-    model_name,
     new_file,
     open_executor,
     read_settings,
@@ -82,7 +81,7 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add('axes', metavar='AXIS', nargs='*', help='two axes (default: x and C, as in the paper)')
     add(
-        '--model', choices=tuple(MODELS), metavar='NAME', type=model_name,
+        '--model', choices=tuple(MODELS), metavar='NAME',
         help=f'one of {", ".join(MODELS)} '
         '(default travelling_wave, or cells with loss)',
     )

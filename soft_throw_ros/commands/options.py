@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 import contextlib
 from dataclasses import replace
-from functools import partial
 import math
 import multiprocessing
 from pathlib import Path
@@ -70,23 +69,10 @@ def add_rig_options(parser: argparse.ArgumentParser) -> None:
     add_options(parser, RIG_PARAMETERS, title=title, description=text)
 
 
-def model_name(text: str) -> str:
-    """Return the name of a model; print a warning if `text` is a deprecated name."""
-    return str(TWIN.without_deprecated({'model': text}, files.print_warning)['model'])
-
-
 def _number_or_text(text: str) -> float | str:
     """Parse a number; return any other text unchanged, for the table of parameters to refuse."""
     value = float_of(text)
     return text if value is None else value
-
-
-def _warn_of_option(option: str, new_option: str, text: str) -> str:
-    """Print that an option is deprecated, and return its value."""
-    files.print_warning(
-        f'{option} is deprecated and will be refused from the next release on: use {new_option}'
-    )
-    return text
 
 
 def add_options(
@@ -120,15 +106,6 @@ def add_options(
             default=argparse.SUPPRESS,
             help=text.replace('`', '').replace('%', '%%'),
         )
-        for option in (option_of(old) for old, new in TWIN.deprecated.items() if new == name):
-            group.add_argument(
-                option,
-                dest=name,
-                type=partial(_warn_of_option, option, option_of(name)),
-                choices=entry.choices or None,
-                default=argparse.SUPPRESS,
-                help=argparse.SUPPRESS,
-            )
 
 
 def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
@@ -168,7 +145,7 @@ def stated_parameters(arguments: argparse.Namespace) -> set[str]:
         values = {name: source.value for name, source in items} | values
     if values.get('layer.name', CUSTOM) != CUSTOM or values.get('layer.stack'):
         values |= dict.fromkeys(TWIN.names_in('layer'))
-    return set(TWIN.without_deprecated(values))
+    return set(values)
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:

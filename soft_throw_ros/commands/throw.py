@@ -18,7 +18,6 @@ from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
-    model_name,
     number_type,
     option_of,
     positive,
@@ -75,7 +74,7 @@ def _parser() -> CommandParser:
         argument_default=argparse.SUPPRESS,
     )
     parser.add_argument(
-        '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES), type=model_name,
+        '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES),
         help=f'only this model; may be repeated: {", ".join(MODEL_NOTES)} (default all)',
     )
     group = parser.add_mutually_exclusive_group()

@@ -51,13 +51,6 @@ _NAMED = (*STACKED, 'layer.diameter', 'layer.stack')
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 """Targets of an aim, of which one is 0."""
 
-_FORMER_MODELS = {
-    'finite_difference': 'cells',
-    'finite_difference_elastic': 'cells_elastic',
-    'finite_difference_glued': 'cells_glued',
-}
-"""Names of the models of cells before version 0.4."""
-
 
 def _bounds(name: str) -> dict[str, Any]:
     unit, low, high = BOUNDS[name]
@@ -193,7 +186,7 @@ _ENTRIES = (
     row('model', 'travelling_wave',
         'Model of layer and projectile; cells replace the travelling wave for internal loss, '
         'large strain or a stack',
-        choices=tuple(MODELS), deprecated=_FORMER_MODELS),
+        choices=tuple(MODELS)),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
         unit='s', low=0.05, high=3600.0, or_zero=True),
     row('throw.max_events', 20,
@@ -433,13 +426,6 @@ TWIN = Table(
     hints={
         'layer.youngs_modulus': 'the modulus is density times wave speed squared: '
         'set layer.wave_speed'
-    },
-    deprecated={
-        'measured.band': 'measured.residual_threshold',
-        'measured.window': 'measured.smoothing_window',
-        'measured.wait': 'measured.latency',
-        'layer.elasticity': 'layer.stress_strain_law',
-        'recommended.peak_force': 'recommended.peak_plate_force',
     },
     resolve=resolve_stack,
     rules=(

@@ -124,12 +124,11 @@ def decode(line: str) -> Entry:
 
 
 def checked_settings(entry: Entry, key: str) -> Settings:
-    """Return settings of an entry by present names; JournalError if missing or refused."""
+    """Return settings of an entry; JournalError if missing or refused."""
     settings = entry.get(key)
     if not isinstance(settings, Mapping):
         raise JournalError(f'an entry lacks {key}: {quote(dict(entry))}')
     try:
-        settings = TWIN.without_deprecated(settings)
         return {name: TWIN.check_value(name, value) for name, value in settings.items()}
     except ParameterError as error:
         raise JournalError(str(error)) from error

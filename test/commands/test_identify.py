@@ -381,7 +381,7 @@ def test_wrong_unit_without_a_header_is_noticed(command, write):
 
 
 def test_distant_samples_are_excluded_with_a_note(command, tmp_path):
-    # found by make fuzz: a cut joins the time of a row at rest and the height of another row
+    # A cut joins the time of a row at rest and the height of another row
     text = (SAMPLE.parent / 'reference_tracks.csv').read_text(encoding='utf-8')
     path = tmp_path / 'throw.csv'
     path.write_text(text[:231] + text[2854:4692], encoding='utf-8')

@@ -31,7 +31,6 @@ from soft_throw_ros.configuration.interface import (
 )
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core import processors
 from soft_throw_ros.core.processors import usable_processors
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.recommendation import recommend
@@ -432,8 +431,7 @@ def test_changes_affect_varied_parameters_only(vary) -> None:
 
 
 def test_recommendation_leaves_a_processor_to_the_ticks(monkeypatch) -> None:
-    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: set(range(8)))
-    monkeypatch.setattr(processors, 'cpu_quota', lambda: 3.0)
+    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 1, 2})
     counts = []
     config = TwinConfig.from_settings(TWIN.defaults())
     recommend_for(config, cancelled=lambda: counts.append(usable_processors()))
