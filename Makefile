@@ -12,7 +12,6 @@
 #   make test-all         also run slow tests, and test on Kilted, with apt's versions, and without Vulkan
 #   make test-slow        run the slow tests on Jazzy
 #   make lint             run the linters only, which takes seconds
-#   make fuzz             test 100,000 random bad inputs; CASES=1000, SEED=7
 #   make bench            measure the speed;    ARGS='one_throw recorder'
 #   make bench-check      measure the speed and compare the ratios with bench/ratios.json
 #   make soak             run everything together for 30 minutes; ARGS='--minutes 2'
@@ -26,7 +25,6 @@
 ROS_DISTRO ?= jazzy
 PYTHON ?= python3
 ARGS ?=
-CASES ?= 100000
 
 # Each test process uses its own ROS domain, and there are 101 domains.
 PARALLEL := -n auto --maxprocesses 32 --dist worksteal
@@ -62,7 +60,7 @@ endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
 .PHONY: install warm_up twin throw identify demo loop inspect lint bench bench-check soak trials
-.PHONY: figures fuzz lock clean
+.PHONY: figures lock clean
 .PHONY: test test-all test-slow test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
@@ -139,14 +137,6 @@ lint: .venv/jazzy/.testable
 test-kilted: .venv/kilted/.testable $(KERNELS)
 	.venv/kilted/bin/soft-throw warm_up
 	.venv/kilted/bin/python -m pytest $(PARALLEL) -m 'not once' test/nodes test/test_package.py
-
-# SEED and CASES repeat a run; the recipe prints both.
-fuzz: SEED := $(or $(SEED),$(shell date +%s))
-fuzz: .venv/jazzy/.testable $(KERNELS)
-	$(WARM_UP)
-	@echo 'to repeat this run: make fuzz CASES=$(CASES) SEED=$(SEED)'
-	FUZZ_CASES=$(CASES) .venv/jazzy/bin/python -m pytest $(PARALLEL) test/fuzz/fuzz_*.py --timeout 0 \
-		--hypothesis-profile=random --hypothesis-seed=$(SEED)
 
 # With the versions of apt on Ubuntu 24.04, whose numba supports Python up to 3.12.
 test-apt:

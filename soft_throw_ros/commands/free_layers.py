@@ -22,9 +22,11 @@ from soft_throw_ros.commands.options import (
     not_negative,
     parameter_type,
     read_settings,
+    stated_parameters,
 )
 from soft_throw_ros.commands.output import CommandParser, report_io_errors, run_command
 from soft_throw_ros.configuration import Settings
+from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.ringing import (
     change_of_length,
@@ -110,6 +112,7 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
     result = {'layer.wave_speed': speed.value}
     if arguments.with_loss:
         result['layer.loss_tangent'] = loss.value
+    known = stated_parameters(arguments) | result.keys()
     if arguments.figure:
         identify_figure.draw_layers(layers, speed, arguments.thickness_error, arguments.figure)
     lines = [f'{"thickness":>12} {"period T_0":>22} {"loss tangent there":>22}']
@@ -125,6 +128,7 @@ def _identify(arguments: argparse.Namespace, settings: Settings) -> Identificati
     return IdentificationReport(
         sources=tuple(paths),
         result=result,
+        assumed=tuple(name for name in DEFAULT_IS_ANOTHER_RIG if name not in known),
         lines=tuple(lines),
         data={
             'layers': [

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 import contextlib
 from dataclasses import replace
-from functools import partial
 import math
 import multiprocessing
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
+from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.table import float_of, value_text
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 import yaml
@@ -28,11 +28,9 @@ class WorkersLostError(RuntimeError):
 
 
 def option_of(name: str) -> str:
-    """Return the option of a parameter: the last part of its name, with a prefix."""
-    group, _, last = name.rpartition('.')
-    if name == 'layer.name':
-        return '--layer'
-    return ('--uncertain-' if group == 'uncertainty' else '--') + last.replace('_', '-')
+    """Return the option of a parameter: the last part of its name."""
+    last = 'layer' if name == 'layer.name' else name.rpartition('.')[2]
+    return f'--{last.replace("_", "-")}'
 
 
 RECOMMENDATION_PARAMETERS = tuple(TWIN.names_in('recommendation'))
@@ -98,23 +96,10 @@ def add_rig_options(
     add_options(parser, names, title=title, description=text)
 
 
-def model_name(text: str) -> str:
-    """Return the name of a model; print a warning if `text` is a deprecated name."""
-    return str(TWIN.without_deprecated({'model': text}, files.print_warning)['model'])
-
-
 def _number_or_text(text: str) -> float | str:
     """Parse a number; return any other text unchanged, for the table of parameters to refuse."""
     value = float_of(text)
     return text if value is None else value
-
-
-def _warn_of_option(option: str, new_option: str, text: str) -> str:
-    """Print that an option is deprecated, and return its value."""
-    files.print_warning(
-        f'{option} is deprecated and will be refused from the next release on: use {new_option}'
-    )
-    return text
 
 
 def add_options(
@@ -147,15 +132,6 @@ def add_options(
             default=argparse.SUPPRESS,
             help=text.replace('`', '').replace('%', '%%'),
         )
-        for option in (option_of(old) for old, new in TWIN.deprecated.items() if new == name):
-            group.add_argument(
-                option,
-                dest=name,
-                type=partial(_warn_of_option, option, option_of(name)),
-                choices=entry.choices or None,
-                default=argparse.SUPPRESS,
-                help=argparse.SUPPRESS,
-            )
 
 
 def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
@@ -188,6 +164,18 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
         )
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
     return settings
+
+
+def stated_parameters(arguments: argparse.Namespace) -> set[str]:
+    """Return the parameters that the options or the file state; the others have defaults."""
+    values = {name: value for name, value in vars(arguments).items() if name in TWIN.by_name}
+    if 'config' in arguments:
+        sources = files.read_arguments(('--ros-args', '--params-file', arguments.config))
+        items = files.select(sources, '/twin').items()
+        values = {name: source.value for name, source in items} | values
+    if values.get('layer.name', CUSTOM) != CUSTOM or values.get('layer.stack'):
+        values |= dict.fromkeys(TWIN.names_in('layer'))
+    return set(values)
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:

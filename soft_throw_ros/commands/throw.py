@@ -16,7 +16,6 @@ from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
     add_rig_options,
     MAIN_PARAMETERS,
-    model_name,
     read_settings,
     UNCERTAINTY_PARAMETERS,
 )
@@ -65,7 +64,6 @@ def _parser() -> CommandParser:
     )
     parser.add_argument(
         '--model', dest='models', metavar='NAME', action='append', choices=tuple(MODEL_NOTES),
-        type=model_name,
         help=f'only this model; may be repeated: {", ".join(MODEL_NOTES)} (default all)',
     )
     parser.add_json_option()

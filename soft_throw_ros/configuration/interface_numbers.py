@@ -87,8 +87,6 @@ THROW_NUMBERS = (
            'measurement', 's', 'final'),
     Number('residual.ejection_speed_error', 'Ejection speed of the model minus that of the '
            'measurement', 'm/s', 'final'),
-    Number('measurement.stamp_error', 'Standard deviation of the stamps of samples', 's',
-           'final'),
     Number('measurement.samples_missing', 'Samples that were lost or came too late', '',
            'final'),
     Number('measurement.time_skipped', 'Time of skipped ticks', 's', 'final'),

@@ -61,7 +61,6 @@ RIG = Table(
         row('wear.wave_speed', 0.95, 'Wave speed of the aged layer relative to the new one',
             low=0.1, high=2.0),
     ),
-    deprecated={'layer.elasticity': 'layer.stress_strain_law'},
     resolve=resolve_stack,
 )
 """The parameters of the rig; parameters shared with the twin have the same meaning."""

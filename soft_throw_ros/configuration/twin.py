@@ -51,13 +51,6 @@ _NAMED = (*STACKED, 'layer.diameter', 'layer.stack')
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 """Targets of an aim, of which one is 0."""
 
-_FORMER_MODELS = {
-    'finite_difference': 'cells',
-    'finite_difference_elastic': 'cells_elastic',
-    'finite_difference_glued': 'cells_glued',
-}
-"""Names of the models of cells before version 0.4."""
-
 
 def _bounds(name: str) -> dict[str, Any]:
     unit, low, high = BOUNDS[name]
@@ -112,10 +105,11 @@ _ENTRIES = (
         kind='the path of a file, or empty'),
     row('engine.command', False,
         'Publish the motion of `engine.motion_file` before each throw, for a controller that '
-        'moves the plate; only if `time_scale` is 1'),
+        'moves the plate; the motion begins and ends at rest at the same height, and `time_scale` '
+        'is 1'),
     row('engine.command_lead', 0.2,
         'Time from this message to the start of the motion, at most a quarter of `throw.period`',
-        unit='s', low=0.0, high=10.0),
+        unit='s', low=0.01, high=10.0),
     row('engine.frequency', _RIG.engine.frequency, 'Natural frequency f of the plate',
         unit='Hz', low=1.0, high=1000.0),
     row('engine.amplitude', _RIG.engine.amplitude, 'Height A at which the plate settles',
@@ -131,6 +125,8 @@ _ENTRIES = (
         unit='m', low=1e-9, high=1e-2),
     row('measured.velocity_noise', 1e-2, 'Standard deviation of its measured velocities, if any',
         unit='m/s', low=1e-6, high=10.0),
+    row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps of samples',
+        unit='s', low=0.0, high=1e-3),
     row('measured.start', 0.1,
         "Part of the plate's peak speed by `engine.*` at which a throw has started",
         low=0.01, high=0.9),
@@ -183,7 +179,7 @@ _ENTRIES = (
     row('model', 'travelling_wave',
         'Model of layer and projectile; cells replace the travelling wave for internal loss, '
         'large strain or a stack',
-        choices=tuple(MODELS), deprecated=_FORMER_MODELS),
+        choices=tuple(MODELS)),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
         unit='s', low=0.05, high=3600.0, or_zero=True),
     row('throw.max_events', 20,
@@ -414,12 +410,6 @@ TWIN = Table(
     hints={
         'layer.youngs_modulus': 'the modulus is density times wave speed squared: '
         'set layer.wave_speed'
-    },
-    deprecated={
-        'measured.band': 'measured.residual_threshold',
-        'measured.window': 'measured.smoothing_window',
-        'measured.wait': 'measured.latency',
-        'layer.elasticity': 'layer.stress_strain_law',
     },
     resolve=resolve_stack,
     rules=(

@@ -19,10 +19,12 @@ active, so the programme begins without limits of the strain, and adds the limit
 exceeds, until the solution keeps all limits.
 
 Pulses are quadratic B-splines. Their heights bound velocity, acceleration and jerk at all times.
-The height of the plate is a cubic spline, which a file of times and heights stores without loss.
+The height of the plate is a cubic spline that begins and ends at rest, without acceleration.
 The spacing of the pulses is a whole number of nanoseconds, the resolution of trajectory messages.
-The exact stepper then simulates the throw to its end. A motion that meets the projectile again is
-rejected, and a motion that slightly exceeds a limit of the layer or the projectile is scaled down.
+A quintic then leads the plate back to its first height, so that a controller can repeat the
+motion. The exact stepper then simulates the throw to its end. A motion that meets the projectile
+again is rejected, and a motion that slightly exceeds a limit of the layer or the projectile is
+scaled down.
 
 Loss and stacks are linear, too. For a neo-Hookean layer the programme uses the linear layer of
 the same modulus at rest, but the simulation uses the neo-Hookean layer. Programmes are solved for
@@ -125,6 +127,15 @@ _ROUNDING = 1e-12
 _STROKE_PULSES = 2000
 """Pulses of an engine's first stroke."""
 
+_RETURN_SHARE = 0.25
+"""Peak speed, acceleration and jerk of the way back, over those of the motion. [-]"""
+
+_QUINTIC_PEAKS = (1.875, 10.0 / math.sqrt(3.0), 60.0)
+"""Peak speed, acceleration and jerk of a quintic from rest to rest, of height and duration 1."""
+
+_NO_RETURN = 1e-9
+"""Distance from the first height that is rounding. [m]"""
+
 _LAYERS = 7
 """Layers along each of two axes of the initial grid of a search; twice as many along one. [-]"""
 
@@ -216,6 +227,20 @@ class Pulses(NamedTuple):
         states: Floats = np.column_stack([heights, velocity, acceleration])
         return SampledMotion(self.step * np.arange(float(len(states))), states)
 
+    def motion_and_back(self) -> SampledMotion:
+        """Return the motion with a way back to its first height, slow beside the motion."""
+        motion = self.motion()
+        distance = abs(float(motion.states[-1, 0]))
+        if distance <= _NO_RETURN:
+            return motion
+        changes = (np.diff(np.pad(self.heights, 3), n) / self.step**n for n in range(3))
+        durations = [
+            (peak * distance / (_RETURN_SHARE * np.abs(change).max())) ** (1.0 / order)
+            for order, (peak, change) in enumerate(zip(_QUINTIC_PEAKS, changes, strict=True), 1)
+        ]
+        end = motion.end_time + _whole_ns(max(durations))
+        return SampledMotion(np.append(motion.times, end), np.vstack([motion.states, np.zeros(3)]))
+
     def scaled(self, factor: float) -> Pulses:
         """Return the motion with all heights multiplied by a factor."""
         return Pulses(self.step, self.heights * factor)
@@ -256,8 +281,8 @@ def find_best_motion(
     Returns
     -------
     Throw
-        With `motion`, to its end. The plate comes to rest, and does not meet the projectile again
-        before that has come down.
+        With `motion`, to its end. The plate comes to rest at its first height, and does not meet
+        the projectile again before that has come down.
 
     Raises
     ------
@@ -366,7 +391,7 @@ def rest_to_rest(limits: PlateLimits, *, travel: float) -> Pulses:
     limits = replace(limits, speed=speed)
     ramp = max(speed / limits.peak_acceleration, 1e-4 * travel / speed)
     cruise = max(travel / speed - ramp, 0.0)
-    step = max(0.005 * ramp, 1e-4 * cruise)
+    step = _whole_ns(max(0.005 * ramp, 1e-4 * cruise))
     rounded = max(limits.acceleration_time, step)  # a moving average limits the jerk
     times = np.arange(0.0, 2.0 * ramp + cruise + rounded + 2.0 * step, step)
 
@@ -387,8 +412,13 @@ def first_stroke(engine: Engine) -> Pulses:
     else:
         times = np.linspace(0.0, 1.0 / engine.frequency, 2 * _STROKE_PULSES + 1)[1:]
         end = float(times[(motion.velocity(times) <= 0.0).argmax()])
-    times = np.linspace(0.0, end, _STROKE_PULSES + 1)
-    return Pulses.of(motion.position(times), end / _STROKE_PULSES)
+    step = _whole_ns(end / _STROKE_PULSES)
+    return Pulses.of(motion.position(step * np.arange(_STROKE_PULSES + 1)), step)
+
+
+def _whole_ns(time: float) -> float:
+    """Round a time up to whole nanoseconds, as messages have; others would add to the jerk [s]."""
+    return 1e-9 * math.ceil(1e9 * time)
 
 
 def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
@@ -404,7 +434,7 @@ def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
     model = model_for(rig, 'travelling_wave')
     for _ in range(_SCALINGS):
         try:
-            engine = replace(rig.engine, motion=pulses.motion())
+            engine = replace(rig.engine, motion=pulses.motion_and_back())
             throw = simulate(replace(rig, engine=engine), model=model)
         except (ValueError, EventLimitError, ThrowUnfinishedError):
             return None
@@ -472,7 +502,7 @@ class _Programme:
         self._is_fine = is_fine
         rig, (per_crossing, max_pulses) = problem.rig, _FINE if is_fine else _COARSE
         step = max(rig.crossing_time / per_crossing, longest / max_pulses)
-        self._step = 1e-9 * math.ceil(1e9 * step)
+        self._step = _whole_ns(step)
         self._count = math.ceil(longest / self._step) + 1
         model = model_for(rig, 'travelling_wave')
         cells = None if model == 'travelling_wave' or is_fine else SEARCH_CELLS

@@ -24,7 +24,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from soft_throw_ros.commands.identify_report import warning_lines
-from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
     resolve,
@@ -66,9 +65,6 @@ _KEPT_COMMANDS = 4  # number of the last commands that are kept
 _KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
 _DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
-
-_MOTION: Settings = {'recommendation.vary': 'motion', 'engine.command': True}
-"""Parameters of a twin that recommends motions of the plate and commands them."""
 
 
 @dataclass
@@ -235,8 +231,10 @@ class Calibrator(RunnableNode):
 
     def _command_motion(self, before: list[MeasuredThrow]) -> None:
         """Make the twin command the best motion of the plate, after throws without it."""
-        set_parameters(self._set_of_twin, _MOTION)
-        self.get_logger().info(f'commanded: {self._apply_recommendation()}')
+        set_parameters(self._set_of_twin, {'recommendation.vary': 'motion'})
+        applied = self._apply_recommendation()
+        set_parameters(self._set_of_twin, {'engine.command': True})
+        self.get_logger().info(f'commanded: {applied}')
         self._trial = _MotionTrial(before)
 
     def _report_failure(self, reason: str) -> None:
@@ -254,6 +252,8 @@ class Calibrator(RunnableNode):
             self.get_logger().warning(warning)
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
+        if not rig_fit.fit.is_converged:
+            raise ValueError('the fit stopped at its limit before it converged')
         values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
         set_parameters(
             self._set_of_twin, {name: value.value for name, value in values.items()}

@@ -167,13 +167,13 @@ class Player(RunnableNode):
         return made
 
     def _make_publisher(self, channel: Channel) -> Publisher:
-        kind = load_type(channel.type)
-        try:
+        try:  # first, since an import runs code, and a bag may name any module
             here = find_schema(channel.type, installed_prefixes()).type_hash
-        except SchemaError:
-            here = ''
+        except SchemaError as error:
+            raise ImportError(f'{channel.type} is not installed here') from error
         if here and channel.type_hash and here != channel.type_hash:
             raise ImportError(f'{channel.type} is defined otherwise here than in the bag')
+        kind = load_type(channel.type)
         return self.create_publisher(kind, channel.topic, _offer(channel.qos))
 
     def _messages(self) -> Iterator[Message]:

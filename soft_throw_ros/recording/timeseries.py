@@ -400,10 +400,10 @@ def _decode_motion(text: str) -> SampledMotion:
 
 
 def _known(settings: Settings) -> Settings:
-    """Return the known settings by their present names; raise ValueError for a bad value."""
+    """Return the known settings; raise ValueError for a bad value."""
     return {
         name: TWIN.check_value(name, value)
-        for name, value in TWIN.without_deprecated(settings).items()
+        for name, value in settings.items()
         if name in TWIN.by_name
     }
 

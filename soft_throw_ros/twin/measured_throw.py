@@ -152,11 +152,6 @@ class MeasuredThrow(OngoingThrow):
         return not self._plate.fit.has_failed
 
     @property
-    def stamp_error(self) -> float:
-        """Estimated standard deviation of the stamps, 0 without an estimate [s]."""
-        return self._plate.stamp_error
-
-    @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
         return layer_of(self._present.forked.display)
@@ -409,12 +404,9 @@ class MeasuredThrow(OngoingThrow):
         self, result: ThrowResult, lead: float | None, comparison: Comparison | None
     ) -> ThrowResult:
         """Add the faults of the measurement until now, and to a valid result its accuracy."""
-        onset, stamp_error = self._plate.onset, self._plate.stamp_error
-        if self.ended_by == 'noise' and not stamp_error:
-            stamp_error = onset.stamp_scatter  # the only information on the stamps
+        plate = self._plate
         disturbances = Disturbances(
-            stamp_error=stamp_error,
-            samples_missing=self._plate.estimator.missing_since(onset.onset_ns),
+            samples_missing=plate.estimator.missing_since(plate.onset.onset_ns),
             time_skipped=self._time_skipped,
         )
         if not result.is_valid:

@@ -108,7 +108,6 @@ class Comparison:
 class Disturbances:
     """Faults of the measurement during a throw that are no fault of the rig."""
 
-    stamp_error: float = 0.0  # standard deviation of the stamps of samples [s]
     samples_missing: int = 0  # gaps in an even rate: lost, or refused because too late
     time_skipped: float = 0.0  # of steps that the twin had no processor time for [s]
 

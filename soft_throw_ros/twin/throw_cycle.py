@@ -159,10 +159,18 @@ class ThrowCycle:
     def _lead_ticks(self) -> int:
         """Steps from the command of a motion to its start; 0 without a command."""
         config = self._staged.config
-        ticks = round((config.command_lead or 0.0) * config.state_rate)
-        if not config.throw_period:
-            return ticks
-        return min(ticks, self._prepared.period_ticks(config.throw_period) // 4)
+        return round((config.command_lead or 0.0) * config.state_rate)
+
+    def _commanded_end(self, step: int) -> float:
+        """Return the step at which a controller has played the commanded motion, if any."""
+        config, rig_state = self._staged.config, self._rig_state
+        motion = self._prepared.rig.engine.motion
+        if isinstance(rig_state, Returning):
+            return rig_state.end
+        start = rig_state.start_step if isinstance(rig_state, AtRest) else self._period_start
+        if config.command_lead is None or motion is None or start is None:
+            return step
+        return start + motion.end_time * config.state_rate
 
     def resume(self, step: int, entry: journal.Entry) -> None:
         """Start the throw of an entry of a journal at its step."""
@@ -320,7 +328,6 @@ class ThrowCycle:
         outputs = throw.advance(tick, motion)
         if self.monitor is not None and isinstance(throw, MeasuredThrow):
             self.monitor.engine_is_nominal = throw.engine_is_nominal
-            self.monitor.stamp_error = throw.stamp_error
         self._state = outputs.state
         self._rare_outputs.phases += tuple(
             (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events
@@ -353,11 +360,17 @@ class ThrowCycle:
         self._put_back(step)
 
     def _put_back(self, step: int, *, is_requested: bool = False) -> None:
-        """Begin the return to rest, with the settings that were pending in effect."""
+        """
+        Begin the return to rest, with the settings that were pending in effect.
+
+        It ends no sooner than a commanded motion, which the next command would replace.
+        """
+        commanded = (self._commanded_end(step) - step) / self._staged.config.state_rate
         self._commit(step)
         config, ticks = self._staged.config, 0
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
+            ticks = max(ticks, math.ceil(commanded * config.state_rate))
         self._start_monitoring()
         self._field_start = step
         returning = Returning(

@@ -3,6 +3,7 @@
 """The command `free_layers`."""
 
 from pathlib import Path
+import re
 
 import numpy as np
 import pytest
@@ -48,6 +49,8 @@ def test_free_layers_give_the_wave_speed(command, write, tmp_path):
     assert settings['layer.loss_tangent'] == pytest.approx(
         value(result, 'layer.loss_tangent')[0], rel=1e-2
     )
+    assert settings['uncertainty.wave_speed'] == pytest.approx(3.0**0.5 * error, rel=1e-2)
+    assert 'mass: 0.0012' not in re.sub('#.*', '', (tmp_path / 'rig.yaml').read_text())
     rows = [line.split() for line in command.run(*args).splitlines() if ' mm ' in line]
     assert [float(row[2]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)
 

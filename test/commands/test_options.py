@@ -19,6 +19,7 @@ from soft_throw_ros.commands.options import (
     open_executor,
     option_of,
     read_settings,
+    stated_parameters,
     WorkersLostError,
 )
 from soft_throw_ros.configuration import TWIN
@@ -80,6 +81,29 @@ def test_named_parameter_is_set_like_an_option():
     assert settings['layer.thickness'] == 0.012
     assert settings['layer.density'] == 1100.0
     assert settings['recommendation.frequencies'] == (50.0, 70.0)
+
+
+LAYER = set(TWIN.names_in('layer'))
+
+
+@pytest.mark.parametrize(
+    ('words', 'text', 'stated'),
+    [
+        ((), '', set()),
+        (('--mass', '0.002'), '', {'projectile.mass'}),
+        (('--layer', 'gelatin_16.8mm'), '', LAYER),
+        (('--stack', '8e-3 7 1000'), '', LAYER),
+        (('--layer', 'custom'), '', {'layer.name'}),
+        ((), 'layer: {name: gelatin_16.8mm}', LAYER),
+        (('--gravity', '0'), 'projectile: {mass: 0.002}', {'projectile.mass', 'gravity'}),
+    ],
+)
+def test_options_and_file_state_parameters(write, words, text, stated):
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser)
+    if text:
+        words += ('--config', str(write(f'twin: {{ros__parameters: {{{text}}}}}')))
+    assert stated_parameters(parser.parse_args(words)) == stated
 
 
 def test_design_without_a_known_task_names_all_tasks_in_one_line(command):

@@ -10,13 +10,19 @@ import statistics
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+import numpy as np
 import pytest
 from rclpy.node import Node
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
 from soft_throw_ros.configuration.rig import RIG, to_twin
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine
 from soft_throw_ros.design.motion_design import design_motion
 from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.identification.plate_fit import fit_plate
+from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
 from soft_throw_ros.nodes.topics import create_subscription
@@ -136,6 +142,17 @@ def test_best_motion_is_commanded_and_its_gain_is_measured(
         assert values[f'{name}.energy_transfer'] == pytest.approx(throw.energy_transfer, rel=2e-2)
     for process in (rig, calibrator, twin):
         process.end_well()
+
+
+def test_calibrator_rejects_a_fit_that_has_not_converged(ros) -> None:
+    time = np.arange(0.0, 0.1, 1e-3)
+    height = Underdamped.of(Engine()).position(time - 0.01)
+    noise = 1e-5 * np.random.default_rng(0).normal(size=time.size)
+    fit = fit_plate(Track(time=time, position=height + noise)).fit
+    assert not fit.is_mismatch
+    unfinished = RigFit(model=None, fit=replace(fit, is_converged=False))
+    with pytest.raises(ValueError, match='before it converged'):
+        ros.node(Calibrator)._apply_fit(unfinished)
 
 
 def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> None:

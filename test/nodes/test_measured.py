@@ -5,21 +5,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 import math
 from test.nodes.conftest import MILLISECOND, SECOND
 from typing import Any
 
+from damage import accepted, datas, few
 from diagnostic_msgs.msg import DiagnosticStatus
+from hypothesis import given
+from hypothesis import strategies as st
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rigs import aged, measured_throw
 from sensor_msgs.msg import JointState
-from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values, time_to_msg
+from soft_throw_ros.nodes.measured import _to_sample
+from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.twin.sample_buffer import Sample
+from twin_runs import BEGIN, Run
 
 MEASURED = TWIN_TOPICS.measured_joint_states.at('/twin').name
 BATCH_NS = 10 * MILLISECOND
@@ -202,3 +209,23 @@ def test_without_measurement_nothing_is_reported_about_it(ros, start_twin, liste
     statuses = listener.heard[TWIN_TOPICS.diagnostics.name][0].status
     assert not {'/twin: measurement', '/twin: model'} & {status.name for status in statuses}
     assert twin.session.sample_counts.taken == 0
+
+
+THROW = [
+    JointStateEncoder(FRAME, JOINTS, series=1).encode(s.stamp_ns, [s.plate, s.projectile])
+    for s in measured_throw(Rig(), begin_ns=BEGIN, onset=0.02, duration=0.06)
+]
+
+
+@few
+@given(damaged=st.dictionaries(st.integers(0, len(THROW) - 1), datas(*THROW[::50]), max_size=9))
+def test_damaged_messages_never_reach_the_outputs(damaged: dict[int, bytes]) -> None:
+    run, reader = Run(engine__motion='measured'), JointStateReader()
+    for number, message in enumerate(THROW):
+        values = accepted(partial(reader.read, damaged.get(number, message)))
+        sample = values and _to_sample(values)
+        if sample is not None:
+            run.session.measure([sample])
+        if number % 5 == 0:
+            (outputs,) = run.go(1)
+            assert all(map(math.isfinite, outputs.state))

@@ -106,16 +106,6 @@ def test_number_is_accepted_as_every_parameter_type(twin, client) -> None:
         assert (tuple(received) if isinstance(value, tuple) else received) == value
 
 
-def test_former_names_set_the_present_parameters_with_a_warning(twin, client, capfd) -> None:
-    assert client.set(**{'layer.elasticity': 'neo_hookean'}) == ['']
-    assert client.get('layer.stress_strain_law') == 'neo_hookean'
-    assert client.set(model='finite_difference') == ['']
-    assert twin.parameters.settings['model'] == client.get('model') == 'cells'
-    words = capfd.readouterr().err
-    assert 'layer.elasticity is deprecated' in words
-    assert "model 'finite_difference' is deprecated" in words
-
-
 def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
     for value in (math.nan, math.inf, -0.01, 0, 'soft', True, ['a'], None):
         (reason,) = client.set(layer__thickness=value)

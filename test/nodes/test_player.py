@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import contextlib
 from functools import partial
 from pathlib import Path
+import sys
 from test.nodes.conftest import SECOND
 from typing import Any
 
@@ -211,6 +212,7 @@ def test_unplayable_topics_are_skipped_and_reported(ros, play, tmp_path, capsys)
         Channel(topic='/strange', type='no_such_msgs/msg/Thing', schema='int32 x'),
         Channel(topic='/action', type='no_such_msgs/action/Go_FeedbackMessage', schema=''),
         Channel(topic='/odd', type='Thing', schema=''),
+        Channel(topic='/code', type='this/msg/Thing', schema=''),
         Channel(topic='bad name', type='std_msgs/msg/String', schema=string.text),
         Channel(topic='/otherwise', type='std_msgs/msg/String', schema='', type_hash='RIHS01_ab'),
         channel('/deep', depth=2**40),
@@ -222,7 +224,8 @@ def test_unplayable_topics_are_skipped_and_reported(ros, play, tmp_path, capsys)
     player = play(write(tmp_path / 'bag', sorted(made, key=lambda message: message.log_time)))
     assert finish(ros, player) == 0
     reasons = {item.topic: reason for item, reason in player.skipped.items()}
-    for topic in ('/strange', '/action', '/odd'):
+    assert 'this' not in sys.modules  # a bag imports nothing
+    for topic in ('/strange', '/action', '/odd', '/code'):
         (kind,) = (item.type for item in strange if item.topic == topic)
         assert reasons[topic] == f'{kind} is not installed here'
     assert {'bad name', '/deep'} <= set(reasons)

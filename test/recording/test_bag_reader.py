@@ -4,20 +4,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import shutil
 from test.recording.conftest import plain, read, TYPES
 import tracemalloc
 
 from bags import profiles, write
+from damage import accepted, datas, few
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Metadata
 from mcap.writer import CompressionType, IndexType, Writer
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Reader as RosbagsReader
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import parse_qos
+from soft_throw_ros.commands.recover import main as recover_bag
 from soft_throw_ros.recording import mcap_scan
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
@@ -280,3 +285,38 @@ def test_too_large_index_is_refused_and_not_needed_to_recover(tmp_path, monkeypa
     with pytest.raises(UnfinishedError, match='index'):
         BagReader(path)
     assert recover(path, tmp_path / 'new').message_count == 50
+
+
+@pytest.fixture(scope='module')
+def small_bags(tmp_path_factory):
+    """Return the bytes of small bags, and their messages."""
+    channel = Channel(topic='/odd', type='t/msg/T', schema='int8 x')
+    messages = [Message(channel, bytes([number] * 20), number, 0, number) for number in range(40)]
+    folder = tmp_path_factory.mktemp('small')
+    contents = []
+    for name in ('none', 'lz4', 'zstd'):
+        write(folder / name, messages, chunk=10, compression=name)
+        contents.append((folder / f'{name}/{name}_0.mcap').read_bytes())
+    return contents, {message.data for message in messages}
+
+
+@few
+@given(data=st.data())
+def test_damaged_bag_gives_messages_as_they_were_written_or_is_refused(
+    tmp_path, small_bags, data
+):
+    contents, written = small_bags
+    path, target = tmp_path / 'bag.mcap', tmp_path / 'new'
+    path.write_bytes(data.draw(datas(*contents)))
+    shutil.rmtree(target, ignore_errors=True)
+
+    def read():
+        with BagReader(path) as reader:
+            return {message.data for message in reader.messages()}
+
+    assert (accepted(read, str(path)) or set()) <= written
+    with contextlib.suppress(SystemExit):  # with code 2, if nothing can be recovered
+        recover_bag([str(path), '--to', str(target)])
+    if target.exists():
+        with RosbagsReader(target) as reader:
+            assert {bytes(message) for *_, message in reader.messages()} <= written

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import json
 from typing import Any
 
 from bags import text
@@ -136,19 +135,6 @@ def test_rig_changes_with_a_throw_or_reset_and_requests_are_known_before() -> No
     twin.session.reset()
     rigs = Read(twin.go(1).messages).contents[TWIN_TOPICS.journal]
     assert [rig.layer.thickness for _, rig in rigs] == [0.0168, 0.01, 0.012]
-
-
-def test_former_names_in_a_journal_give_the_present_rig(real) -> None:
-    entry = {
-        'kind': 'start',
-        'step': 3,
-        'settings': {'layer.elasticity': 'neo_hookean', 'model': 'finite_difference_elastic'},
-    }
-    reader = TwinReader()
-    data = text(json.dumps(entry))
-    reader.read_journal(Message(real.channels['journal'], data, 5, 5))
-    assert reader.rig == Rig(layer=Layer(stress_strain_law='neo_hookean'))
-    assert reader.settings['model'] == 'cells_elastic'
 
 
 @pytest.mark.parametrize(
