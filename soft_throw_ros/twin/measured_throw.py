@@ -339,7 +339,10 @@ class MeasuredThrow(OngoingThrow):
         )
         lead = release.time - (tick.due_ns - self._start_of(estimate)) / SECOND
         self._lead = lead if self._lead is None else self._lead
-        result = self._make_result('predicted', tick, stepper, [release], peak_speed)
+        result = self._make_result(
+            'predicted', tick, stepper, [release],
+            start_ns=self._start_of(estimate), peak_plate_speed=peak_speed,
+        )
         return self._with_measurement(result, lead, None)
 
     def _start_of(self, estimate: EngineEstimate | None) -> int:
@@ -397,7 +400,10 @@ class MeasuredThrow(OngoingThrow):
             self._accuracy = self._assess_accuracy(
                 release, estimate, peak_speed=peak_speed, is_certain=self._is_certain
             )
-        result = self._make_result(stage, tick, self._stepper, self.events, peak_speed)
+        result = self._make_result(
+            stage, tick, self._stepper, self.events,
+            start_ns=self._present.start_ns, peak_plate_speed=peak_speed,
+        )
         return self._with_measurement(result, self._lead, self._residuals.compare(release))
 
     def _with_measurement(
@@ -406,6 +412,7 @@ class MeasuredThrow(OngoingThrow):
         """Add the faults of the measurement until now, and to a valid result its accuracy."""
         plate = self._plate
         disturbances = Disturbances(
+            clock_offset_ns=plate.onset.clock_offset_ns,
             samples_missing=plate.estimator.missing_since(plate.onset.onset_ns),
             time_skipped=self._time_skipped,
         )

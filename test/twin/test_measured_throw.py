@@ -616,6 +616,18 @@ def test_measured_run_is_replayed_bit_by_bit_from_any_throw(seed, throw, rate) -
     run.assert_repeated(throw if throw <= run.session.throws else 0)
 
 
+def test_offset_of_the_stamps_is_in_the_results_of_a_run_and_of_its_replay() -> None:
+    run = Run(**MEASURED)
+    for offset_ns in (-7, 10**18):
+        run.on_samples = partial(run.session.measure, clock_offset_ns=offset_ns)
+        run.measure(noise=5e-6)
+        run.session.reset()
+        run.go(3)
+    finals = run.results('final')
+    assert [final.disturbances.clock_offset_ns for final in finals] == [-7, 10**18]
+    run.assert_repeated()
+
+
 INVALID = {
     'plate': st.sampled_from([0.0, 0.3004, -50.0, 99.0, 1e300, math.nan, -math.inf]),
     'plate_velocity': st.sampled_from([0.0, 10.0, -999.0, math.inf]),
