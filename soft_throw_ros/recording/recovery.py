@@ -28,9 +28,6 @@ from soft_throw_ros.storage.mcap_file import (
 )
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
-_BUFFER_SIZE = 2**20
-"""Size of the unsaved messages above which they are saved. [bytes]"""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
@@ -79,8 +76,6 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             for file in files:
                 for message in file.messages():
                     writer.write(message)
-                    if writer.unsaved > _BUFFER_SIZE:
-                        writer.flush()
             for text in unrepeated(file.metadata for file in files):
                 writer.add_metadata(text.name, text.metadata)
             for item in unrepeated(file.attachments for file in files):
