@@ -46,7 +46,7 @@ def test_large_deviations_without_a_warning_are_counted_as_silently_wrong():
 
 
 def test_command_identifies_clean_throws_and_free_layers(capsys, tmp_path):
-    log, names = tmp_path / 'log.jsonl', ('clean, known exactly', 'free layers, losses')
+    log, names = tmp_path / 'log.jsonl', ('clean, known exactly', 'free layers')
     main(['--rows', *names, '--rigs', '1', '--workers', '1', '--log', str(log)])
     printed = capsys.readouterr().out
     clean, layers = map(json.loads, log.read_text().splitlines())
