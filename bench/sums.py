@@ -14,7 +14,7 @@ from bench.race import Case, Table
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.cell_stepper import CellStepper
+from soft_throw_ros.core.cell_stepper import CellStepper, throw_batch
 from soft_throw_ros.core.closed_form import (
     first_release,
     first_release_kernel,
@@ -22,7 +22,7 @@ from soft_throw_ros.core.closed_form import (
     MAX_INTERVALS,
 )
 from soft_throw_ros.core.processors import usable_processors
-from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.rig import Layer, Ratios, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.core.wave_stepper import WaveStepper
@@ -119,14 +119,8 @@ def landscape() -> Table:
     def closed_form(threads: int | None) -> Floats:
         return np.asarray(first_releases(**ratios, threads=threads).ejection_phase)
 
-    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
-    thickness = rig.layer.thickness * rig.mass_ratio / ratios['mass_ratio']
-    wave_speed = ratios['speed_ratio'] * thickness * rig.engine.frequency
-    layers = {'thickness': thickness, 'wave_speed': wave_speed}
-
     def by_cells() -> Floats:
-        throws = throw_many(rig, layers, model='cells', threads=1)
-        return throws.ejection_time * rig.engine.frequency
+        return throw_batch(Ratios(**ratios), Layer(), threads=1)[0]
 
     def error(phases: Floats) -> float:
         errors = np.abs(phases - exact)
@@ -163,13 +157,12 @@ def one_second() -> Table:
 
     def gel_case(name: str, goal: float, **options: Any) -> Case:
         gel = Rig(layer=Layer(**options))
-        fine = simulate(gel, model='cells', max_events=1, cells=1024)
+        fine = simulate(gel, max_events=1, cells=1024)
         call = partial(run, CellStepper(gel, cells=64), TICKS, reads=True)
         error = error_of(fine.ejection_time)
         return Case(f'64 cells with {name}, the same', call, error=error, goal=goal)
 
     waves = WaveStepper(rig)
-    elastic = CellStepper(rig, model='cells_elastic')
     cases = [
         Case('waves, 200 steps per crossing, one call',
              partial(run, WaveStepper(rig, steps=200), 1, reads=False), goal=2000.0),
@@ -185,8 +178,6 @@ def one_second() -> Table:
                  loss_tangent=0.05),
         gel_case('large strain and constant loss', 100.0, stress_strain_law='neo_hookean',
                  loss_tangent=0.05, loss='constant'),
-        Case('elastic projectile, default cells, the same',
-             partial(run, elastic, TICKS, reads=True)),
     ]
     error = error_of(simulate(rig, max_events=1).ejection_time)
     return Table(

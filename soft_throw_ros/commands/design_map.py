@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
-    model_name,
     new_file,
     open_executor,
     read_settings,
@@ -31,7 +30,6 @@ from soft_throw_ros.commands.output import (
     written_file,
 )
 from soft_throw_ros.configuration import rig_of, TWIN
-from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.design.landscape import (
     AXES,
     check_axis,
@@ -82,11 +80,6 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add('axes', metavar='AXIS', nargs='*', help='two axes (default: x and C, as in the paper)')
     add(
-        '--model', choices=tuple(MODELS), metavar='NAME', type=model_name,
-        help=f'one of {", ".join(MODELS)} '
-        '(default travelling_wave, or cells with loss)',
-    )
-    add(
         '--release', choices=get_args(Release), default='first',
         help='first or last release of a throw (default first)',
     )
@@ -109,7 +102,6 @@ def run(arguments: argparse.Namespace) -> int:
     if len(names) != 2:
         raise ValueError(f'AXIS must be given twice or not at all, got {" ".join(names)}')
     axes = dict(map(_read_axis, names))
-    has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
     total = math.prod(values.size for values in axes.values())
     try:
         if arguments.rerun:
@@ -123,7 +115,6 @@ def run(arguments: argparse.Namespace) -> int:
             landscape = compute_landscape(
                 rig,
                 axes,
-                model=arguments.model or ('cells' if has_cells else 'travelling_wave'),
                 release=arguments.release,
                 executor=executor,
                 progress=bar.update,
@@ -173,7 +164,7 @@ def _read_axis(text: str) -> tuple[str, Floats]:
 def _summary(landscape: Landscape) -> Iterator[str]:
     """Describe the largest energy transfer and its position in a few lines."""
     size = ' x '.join(str(values.size) for values in landscape.axes.values())
-    yield f'{size} throws, {landscape.release} release by {landscape.model}'
+    yield f'{size} throws, {landscape.release} release'
     optimum = landscape.optimum
     if optimum is None:
         yield 'the projectile is released nowhere on the map'
@@ -188,9 +179,7 @@ def _summary(landscape: Landscape) -> Iterator[str]:
         )
     lost = int(np.isnan(landscape.energy_transfer).sum())
     if lost:
-        yield f'{lost} throws without a release, or with one that the model cannot resolve'
-    if landscape.left_out:
-        yield f'neglected by this model: {", ".join(landscape.left_out)}'
+        yield f'{lost} throws without a release, or with one that cannot be resolved'
 
 
 def _shown_axis(name: str) -> tuple[str, float]:
@@ -281,7 +270,7 @@ def _highest(landscape: Landscape, name: str) -> float | None:
 
 
 def _title(landscape: Landscape) -> str:
-    """Name the model, the release, and the values of the rig that are no axes."""
+    """Name the release, and the values of the rig that are no axes."""
     rig = landscape.rig
     fixed = [
         f'{AXES[name].symbol} = {value:g} {TWIN.by_name[name].unit}'.rstrip()
@@ -290,10 +279,9 @@ def _title(landscape: Landscape) -> str:
             ('layer.loss_tangent', rig.layer.loss_tangent),
             ('gravity', rig.gravity),
         )
-        if value > 0.0 and name not in (*landscape.axes, *landscape.left_out)
+        if value > 0.0 and name not in landscape.axes
     ]
-    model = landscape.model.replace('_', ' ')
-    return ', '.join([f'{landscape.release} release by the model {model}', *fixed])
+    return ', '.join([f'{landscape.release} release', *fixed])
 
 
 def _marks(landscape: Landscape) -> Iterator[tuple[str, tuple[float, float]]]:

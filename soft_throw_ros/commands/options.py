@@ -69,11 +69,6 @@ def add_rig_options(parser: argparse.ArgumentParser) -> None:
     add_options(parser, RIG_PARAMETERS, title=title, description=text)
 
 
-def model_name(text: str) -> str:
-    """Return the name of a model; print a warning if `text` is a deprecated name."""
-    return str(TWIN.without_deprecated({'model': text}, files.print_warning)['model'])
-
-
 def _number_or_text(text: str) -> float | str:
     """Parse a number; return any other text unchanged, for the table of parameters to refuse."""
     value = float_of(text)

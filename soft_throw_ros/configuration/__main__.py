@@ -58,10 +58,6 @@ def _parameters_page() -> Iterator[str]:
         if table.deprecated:
             former = ', '.join(f'`{old}` (`{new}`)' for old, new in table.deprecated.items())
             yield f'Former names, accepted with a warning in this release: {former}.\n'
-        for entry in table.entries:
-            if entry.deprecated:
-                former = ', '.join(f'`{old}` (`{new}`)' for old, new in entry.deprecated.items())
-                yield f'Former values of `{entry.name}`, likewise: {former}.\n'
 
 
 def _row(entry: Entry) -> tuple[str, ...]:

@@ -88,8 +88,6 @@ class Entry:
     """Largest number of items of a list."""
     examples: tuple[str, ...] = ()
     """Some of the allowed texts, for the description of the parameter."""
-    deprecated: Mapping[str, str] = field(default_factory=dict)
-    """Former names of choices and their present names; they are accepted for one release."""
 
     @property
     def group(self) -> str:
@@ -104,7 +102,7 @@ class Entry:
     @property
     def is_of_rig(self) -> bool:
         """Whether a change waits for the next throw, because it ends the wave in the layer."""
-        return self.group in ('engine', 'layer', 'projectile', 'gravity', 'model')
+        return self.group in ('engine', 'layer', 'projectile', 'gravity')
 
     @property
     def rule(self) -> str:
@@ -207,7 +205,7 @@ class Table:
         self, request: Settings, warn: Callable[[str], object] = lambda _text: None
     ) -> dict[str, Any]:
         """
-        Return a request with present names of parameters and choices in place of former ones.
+        Return a request with present names of parameters in place of former ones.
 
         Parameters
         ----------
@@ -234,14 +232,7 @@ class Table:
                     )
                 warn(f'{name} is deprecated, and refused from the next release on: '
                      f'use {new_name}')
-            entry = self.by_name.get(new_name)
-            if entry is not None and isinstance(value, str) and value in entry.deprecated:
-                choice = entry.deprecated[value]
-                warn(f'{new_name} {value!r} is deprecated, and refused from the next release on: '
-                     f'use {choice!r}')
-                current[new_name] = choice
-            else:
-                current[new_name] = value
+            current[new_name] = value
         return current
 
     def check_value(self, name: str, value: object) -> Value:

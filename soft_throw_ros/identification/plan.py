@@ -410,8 +410,7 @@ class Planner:
         """Return the errors after a throw."""
         condition = self.conditions[number]
         rig = changed_rig(self.rig, condition.values())
-        model = 'cells' if rig.layer.needs_cells else 'travelling_wave'
-        throw = simulate(rig, model=model, until=self.setup.duration)
+        throw = simulate(rig, until=self.setup.duration)
         return PlannedThrow(
             condition=condition,
             errors=known.errors(),

@@ -28,7 +28,7 @@ HELP = {
     'twin': NodeHelp(
         'Simulate a throwing rig in real time; publish its motion and the result of every throw.',
         TWIN,
-        ('model', 'layer.name', 'layer.thickness', 'projectile.mass', 'engine.motion',
+        ('layer.name', 'layer.thickness', 'projectile.mass', 'engine.motion',
          'throw.period', 'rate.state', 'time_scale'),
         '-p layer.thickness:=0.0095 -p throw.period:=2.0',
     ),

@@ -141,13 +141,7 @@ def recommend_for(
 
 def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
     """Return the uncertainty of a rig's throw, as values of a status."""
-    if settings['model'] not in _RELEASED:
-        return {}
     return _uncertainty_values(rig, Uncertainties.from_settings(settings))
-
-
-_RELEASED = ('travelling_wave', 'cells', 'cells_elastic')
-"""Models whose first release is that of waves in the layer, within 1e-5."""
 
 
 @functools.lru_cache(maxsize=4)

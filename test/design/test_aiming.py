@@ -156,6 +156,6 @@ def test_bad_requests_are_refused_with_the_value(make, message):
 def test_aim_with_a_lossy_layer_counts_its_last_release():
     rig = Rig(layer=Layer(loss_tangent=0.1))
     aimed = aim(rig, Target(height=0.1))
-    throw = simulate(aimed.rig, model='cells')
+    throw = simulate(aimed.rig)
     assert rise(throw) == pytest.approx(0.1, rel=2e-3)
     assert aimed.amplitude > aim(Rig(), Target(height=0.1)).amplitude

@@ -142,13 +142,12 @@ def test_former_names_in_a_journal_give_the_present_rig(real) -> None:
     entry = {
         'kind': 'start',
         'step': 3,
-        'settings': {'layer.elasticity': 'neo_hookean', 'model': 'finite_difference_elastic'},
+        'settings': {'layer.elasticity': 'neo_hookean'},
     }
     reader = TwinReader()
     data = text(json.dumps(entry))
     reader.read_journal(Message(real.channels['journal'], data, 5, 5))
     assert reader.rig == Rig(layer=Layer(stress_strain_law='neo_hookean'))
-    assert reader.settings['model'] == 'cells_elastic'
 
 
 @pytest.mark.parametrize(
