@@ -27,7 +27,7 @@ from soft_throw_ros.nodes.conversions import (
     throw_result_to_msg,
     time_to_msg,
 )
-from soft_throw_ros.nodes.recommendations import other_models_values, recommend_for
+from soft_throw_ros.nodes.recommendations import recommend_for, uncertainty_values
 from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.recording.schemas import find_schema
 from soft_throw_ros.storage.cdr import encode_array, JointStateEncoder
@@ -141,7 +141,7 @@ class TwinMessages(Run):
                 axes = getattr(TWIN_TOPICS, name).axes
                 self._send(name, encode_array(axes, values), 5)
         for result in outputs.results:
-            beside = other_models_values(result.rig, self.settings)
+            beside = uncertainty_values(result.rig, self.settings)
             status = throw_result_to_msg(result, self.node, beside)
             self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
             values = {**result.values(), **beside} if result.is_valid else {}

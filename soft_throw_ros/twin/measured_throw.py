@@ -287,7 +287,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _predict_state(self, known: float, tick: Tick) -> PredictedState:
         """Predict the projectile up to the time that the future plate cannot influence."""
-        fork, ahead = self._present.forked.lookahead, known + self._prepared.lookahead
+        fork, ahead = self._present.forked.lookahead, known + self._prepared.rig.crossing_time
         self._advance_fork(fork, ahead)
         stamp_ns = self._present.start_ns + round(ahead * SECOND)
         return PredictedState(
@@ -306,7 +306,7 @@ class MeasuredThrow(OngoingThrow):
             return None
         fork = present.forked.lookahead
         release = fork.events()[0] if fork.event_count else None
-        if release is not None and release.time <= known + prepared.release_lookahead:
+        if release is not None and release.time <= known + prepared.rig.crossing_time:
             if self._is_lost_in_noise:
                 self.ended_by = 'noise'
                 return None

@@ -92,10 +92,9 @@ def test_best_motion_beats_the_others_within_their_limits(layer):
     rig = Rig(layer=Layer(**layer))
     limits = PlateLimits.of(rig.engine)
     throw = find_best_motion(rig, limits)
-    model = 'cells' if rig.layer.loss_tangent else 'travelling_wave'
     step = Engine(motion=rest_to_rest(limits, travel=limits.travel).motion())
-    assert throw.ejection_speed > simulate(rig, model=model).ejection_speed
-    assert throw.ejection_speed > simulate(replace(rig, engine=step), model=model).ejection_speed
+    assert throw.ejection_speed > simulate(rig).ejection_speed
+    assert throw.ejection_speed > simulate(replace(rig, engine=step)).ejection_speed
     assert excess(throw.motion, limits) < 1.0 + 1e-9
     assert throw.recontacts == 0
     np.testing.assert_array_equal(throw.motion.states[-1, 1:], 0.0)
@@ -113,7 +112,7 @@ STACK = Stack(sheets=(Layer(wave_speed=19.0, density=1350.0), Layer(thickness=4e
 def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
     design = design_motion(Rig(layer=layer, gravity=0.0))
     throws = {name: throw.ejection_speed for name, throw in design.throws.items()}
-    real = simulate(design.rig, model='cells')
+    real = simulate(design.rig)
     assert design.rig.layer == layer
     assert throws['best'] == pytest.approx(real.ejection_speed, rel=1e-4)
     assert throws['best'] > max(throws['now'], throws['harmonic']) * 1.01
@@ -122,7 +121,7 @@ def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
     assert ('linear' in throws) is (layer.stress_strain_law != 'linear')
     if 'linear' in throws:
         linear = replace(design.rig, layer=replace(layer, stress_strain_law='linear'))
-        speed = simulate(linear, model='cells').ejection_speed
+        speed = simulate(linear).ejection_speed
         assert throws['linear'] == pytest.approx(speed, rel=1e-4)
         assert abs(throws['best'] / speed - 1.0) > 1e-3
         assert f'{throws["best"]:.3g} m/s from this layer' in motion_summary(design)

@@ -131,7 +131,7 @@ def eventful() -> Twin:
     twin.go(77)
     twin.stall(13)  # during a reset
     twin.go(300)
-    twin.session.change({'throw.period': 0.6, 'model': 'cells'})
+    twin.session.change({'throw.period': 0.6, 'layer.loss_tangent': 0.01})
     twin.go(500)
     twin.stall(7)  # in mid-flight
     twin.go(1200)
