@@ -38,7 +38,7 @@ def test_json_has_the_throw_and_the_spring_to_the_last_digit(command):
 
 
 def test_spring_is_the_limit_of_a_heavy_projectile_on_a_harmonic_plate(command):
-    rig = ('--mass', 1.0, '--wave-speed', 150, '--amplitude', 0.02, '--gravity', 0, '--motion',
+    rig = ('--mass', 1.0, '--wave-speed', 150, '--amplitude', 0.02, '-p', 'gravity:=0', '--motion',
            'harmonic')
     printed = command.json(*rig)
     names = ('ejection_time', 'ejection_phase', 'ejection_speed', 'energy_transfer')
