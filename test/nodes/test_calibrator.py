@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import contextlib
 from dataclasses import replace
+import itertools
 import math
 import statistics
 from test.nodes.conftest import MILLISECOND, SECOND
@@ -27,6 +29,7 @@ from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
+from soft_throw_ros.nodes import measured_positions
 from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions
@@ -209,10 +212,15 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
     assert capfd.readouterr().err.count('; identifying') == 1
 
 
-def test_measurements_are_found_again_after_their_clock_was_set_back(ros) -> None:
+@pytest.fixture
+def positions(ros) -> MeasuredPositions:
     node = ros.node(RunnableNode, 'calibrator')
     positions = MeasuredPositions(node, '/twin')
     node.add_cleanup(positions.close)
+    return positions
+
+
+def test_measurements_are_found_again_after_their_clock_was_set_back(ros, positions) -> None:
     sensors = ros.node(Sensors, ros)
     for first_ns in (10 * SECOND, 2 * SECOND):
         stamps = range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND)
@@ -230,3 +238,20 @@ def test_measurements_are_found_again_after_their_clock_was_set_back(ros) -> Non
         assert plate.position == pytest.approx(1e-9 * start_ns + plate.time)
     with pytest.raises(TrackError):
         positions.between(SECOND, 2 * SECOND, name='before the first one')
+
+
+def test_measurements_whose_stamps_stand_still_are_forgotten(ros, monkeypatch, request) -> None:
+    monkeypatch.setattr(measured_positions, '_KEPT_READS', 3)
+    positions, heights = request.getfixturevalue('positions'), itertools.count()
+    sensors = ros.node(Sensors, ros)
+
+    def oldest_height() -> float:
+        height = float(next(heights))
+        for since_ns in range(0, 100 * MILLISECOND, MILLISECOND):
+            sensors.send(Sample(SECOND + since_ns, height, math.nan, 0.0))
+        positions.read_messages()
+        with contextlib.suppress(TrackError):  # few have arrived
+            return float(positions.between(SECOND, 2 * SECOND, name='').plate.position[0])
+        return 0.0
+
+    ros.spin_until(lambda: oldest_height() > 0.0, 'room for later measurements')

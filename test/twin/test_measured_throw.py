@@ -288,7 +288,7 @@ def test_wrong_kind_of_heights_is_reported_with_a_remedy(change, advice) -> None
     assert not run.results('release')
 
 
-def with_stamp_errors(samples: Sequence[Sample], error: float, seed: int = 0) -> list[Sample]:
+def with_stamp_errors(samples: Sequence[Sample], error: float, seed: int) -> list[Sample]:
     """Return samples with stamps that have normal errors with a standard deviation [s]."""
     errors = error * SECOND * np.random.default_rng(seed).standard_normal(len(samples))
     return [
