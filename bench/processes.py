@@ -180,8 +180,9 @@ class RecordedStates(NamedTuple):
 
     @property
     def lost(self) -> int:
-        """Number of messages missing in the sequence numbers of the publisher."""
-        return int((np.diff(self.numbers) - 1).sum())
+        """Number of messages missing in the sequence numbers, which a new publisher restarts."""
+        steps = np.diff(self.numbers)
+        return int((steps[steps > 0] - 1).sum())
 
 
 def _readers(bag: Path, **options: Any) -> Iterator[Any]:
