@@ -268,6 +268,7 @@ LATER = '/talk of a later publisher'
 LATCHED = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')  # rclpy's own
 @pytest.mark.parametrize(
     ('first', 'second'), [(LATCHED, QoSProfile(depth=9)), (LATCHED, BEST_EFFORT), (9, BEST_EFFORT)]
 )
