@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from soft_throw_ros.commands.design_texts import motion_summary
@@ -26,25 +25,18 @@ from soft_throw_ros.commands.output import (
     write_predictions,
     written_file,
 )
-from soft_throw_ros.configuration import motions, TWIN
+from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.plate import PlateMotion
-from soft_throw_ros.design.motion_design import MotionDesign, MotionVary
+from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.requests import solve_motion_request
 from soft_throw_ros.recording.rerun_output import new_stream, save_recording
 import yaml
 
-_VARY = replace(
-    TWIN.by_name['recommendation.vary'],
-    default='motion',
-    meaning='Part of the layer that may change besides the motion',
-    choices=get_args(MotionVary),
-)
 _LIMITS = ('plate_speed', 'plate_acceleration', 'plate_travel')
 _HEADS = {
-    'best': 'best_motion', 'layer': 'best_layer', 'both': 'motion_and_layer',
-    'linear': 'linear_layer',
+    'best': 'best_motion', 'layer': 'best_layer', 'linear': 'linear_layer',
 }
 
 
@@ -66,8 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Design a motion, print its predictions, and write it to files; return 0."""
     settings = read_settings(arguments)
     with slow_notice('design'):
-        vary = vars(arguments).get('recommendation.vary', _VARY.default)
-        design = solve_motion_request(settings, vary=vary)
+        design = solve_motion_request(settings)
         for path in arguments.output:
             with written_file(path) as unfinished:
                 _WRITERS[path.suffix](design, unfinished)
@@ -83,19 +74,18 @@ def _lines(design: MotionDesign, max_strain: Any) -> Iterator[str]:
     """Yield the summary, and a table that compares all cases."""
     yield motion_summary(design)
     yield ''
-    rigs = {**design.others, 'best': design.rig, 'both': design.rig}
+    rigs = {**design.others, 'best': design.rig}
     columns: dict[str, Mapping[str, float] | None] = {}
     for name, throw in design.throws.items():
         rig = rigs[name]
-        column = {**vars(throw), 'max_strain': rig.layer.linear_range(max_strain)}
-        if name != 'best' or 'both' not in design.throws:
-            peaks = PlateLimits.of(rig.engine)
-            column |= {
-                'plate_speed': peaks.speed,
-                'plate_acceleration': peaks.acceleration,
-                'plate_travel': peaks.travel,
-            }
-        columns[_HEADS.get(name, name)] = column
+        peaks = PlateLimits.of(rig.engine)
+        columns[_HEADS.get(name, name)] = {
+            **vars(throw),
+            'max_strain': rig.layer.linear_range(max_strain),
+            'plate_speed': peaks.speed,
+            'plate_acceleration': peaks.acceleration,
+            'plate_travel': peaks.travel,
+        }
     yield from write_predictions(columns, max_strain)
     if 'now' in design.others and design.limits == PlateLimits.of(design.others['now'].engine):
         yield (
@@ -119,8 +109,8 @@ def _curves(design: MotionDesign) -> Iterator[tuple[str, np.ndarray, PlateMotion
     """Yield title, times and motion of each case, all up to the same end time."""
     end = max(design.motion.end_time, 1.2 * design.ejection_time)
     for name, motion in design.motions.items():
-        throw = design.throws['both' if name == 'best' and 'both' in design.throws else name]
-        yield f'{name}: {throw.ejection_speed:.3g} m/s', np.linspace(0.0, end, 1001), motion
+        speed = design.throws[name].ejection_speed
+        yield f'{name}: {speed:.3g} m/s', np.linspace(0.0, end, 1001), motion
 
 
 def draw(design: MotionDesign, path: Path) -> None:

@@ -139,12 +139,6 @@ def motion_summary(design: MotionDesign) -> str:
             f'{gain("layer").removesuffix(" more")} by a layer of {1e3 * layer.thickness:.4g} mm '
             f'and {layer.wave_speed:.4g} m/s'
         )
-    if 'both' in throws:
-        both = throws['both']
-        gains.append(
-            f'{gain("both").removesuffix(" more")} by both, with '
-            f'{1e3 * both.thickness:.4g} mm and {both.wave_speed:.4g} m/s'
-        )
     text = f'with the same motor, {", ".join(gains)}'
     if 'linear' in throws:
         speed, linear = design.ejection_speed, throws['linear'].ejection_speed

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import contextlib
 from dataclasses import dataclass, replace
 import math
-from typing import get_args, Literal, TypeAlias
 
 import numpy as np
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
@@ -17,14 +16,12 @@ from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import Throw
 from soft_throw_ros.core.throws import (
     Cancelled,
-    require_uniform,
     rig_with,
     throw_many,
 )
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import (
     find_best_motion,
-    find_layer_for_motion,
     first_stroke,
     follow,
     linear_layer,
@@ -35,8 +32,6 @@ from soft_throw_ros.design.plate_motion import (
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.recommendation import recommend
 
-MotionVary: TypeAlias = Literal['motion', 'thickness', 'wave_speed', 'both']
-
 _FREQUENCIES = np.geomspace(0.05, 20.0, 1200)
 """Frequencies of harmonic motions that are tried, in parts of the rig's. [-]"""
 
@@ -46,9 +41,7 @@ class MotionDesign(PredictedThrow):
     """The best motion of the plate, and its throw."""
 
     rig: Rig
-    """The rig with the best motion, and with the best layer if the layer may vary."""
-    vary: MotionVary
-    """Properties of the layer that may vary; none for 'motion'."""
+    """The rig with the best motion."""
     limits: PlateLimits
     """Limits of the actuator."""
     others: Mapping[str, Rig]
@@ -63,8 +56,7 @@ class MotionDesign(PredictedThrow):
     """
     Throws of the rigs for comparison, and the `best` throw.
 
-    The `best` throw is never slower than `harmonic` and `step`. If the layer may vary, `both` is
-    the throw with the best layer and motion, and `best` is the throw with the present layer.
+    The `best` throw is never slower than `harmonic` and `step`.
     """
     layer: str = ''
     """Empty: the layer is not from a library."""
@@ -95,12 +87,11 @@ def design_motion(
     rig: Rig,
     plate: PlateLimits | None = None,
     *,
-    vary: MotionVary = 'motion',
     limits: Limits | None = None,
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
     """
-    Find the best motion of the plate, alone or together with the best layer.
+    Find the best motion of the plate.
 
     Parameters
     ----------
@@ -108,15 +99,11 @@ def design_motion(
         The present rig.
     plate : PlateLimits, optional
         Limits of the actuator; those of its present motion if not given.
-    vary : {'motion', 'thickness', 'wave_speed', 'both'}
-        Parameters of the layer that may change as well.
     limits, cancelled : optional
         As for `recommend`; the strain of the layer and the acceleration count.
 
     Raises
     ------
-    ValueError
-        If a choice is unknown, or a stack is to be varied.
     ThrowUnresolvedError
         If no throw within the limits releases the projectile.
     SearchCancelledError
@@ -129,26 +116,15 @@ def design_motion(
     1.15
 
     """
-    if vary not in get_args(MotionVary):
-        raise ValueError(f'vary must be one of {", ".join(get_args(MotionVary))}, got {vary!r}')
-    if vary != 'motion':
-        require_uniform(rig)
     plate, limits = plate or PlateLimits.of(rig.engine), limits or Limits()
     motions = _motions(rig, plate, limits, cancelled)
     own = motions.pop('best')
     rigs = {'now': rig} | {name: throw.rig for name, throw in motions.items() if name != 'now'}
     if rig.layer.is_uniform:
         with contextlib.suppress(ThrowUnresolvedError):
-            varied = 'both' if vary == 'motion' else vary
-            rigs['layer'] = recommend(rig, vary=varied, limits=limits, cancelled=cancelled).rig
+            rigs['layer'] = recommend(rig, limits=limits, cancelled=cancelled).rig
     result = {'best': own.rig}
-    if vary != 'motion':
-        layer = find_layer_for_motion(rig, plate, vary, loads=limits, cancelled=cancelled)
-        both = max(own, _motions(layer, plate, limits, cancelled)['best'], key=_speed)
-        if 'layer' in rigs and predict(rigs['layer']).ejection_speed > _speed(both):
-            both = max(both, _motions(rigs['layer'], plate, limits, cancelled)['best'], key=_speed)
-        result['both'] = both.rig
-    best = result['best' if vary == 'motion' else 'both']
+    best = own.rig
     if rig.layer.stress_strain_law != 'linear':
         rigs['linear'] = replace(best, layer=linear_layer(best.layer))
     throws = {}
@@ -156,9 +132,8 @@ def design_motion(
         with contextlib.suppress(ThrowUnresolvedError):
             throws[name] = predict(candidate)
     return MotionDesign(
-        **vars(throws['both' if vary != 'motion' else 'best']),
+        **vars(throws['best']),
         rig=best,
-        vary=vary,
         limits=plate,
         others={name: other for name, other in rigs.items() if name in throws},
         throws=throws,

@@ -136,9 +136,6 @@ _QUINTIC_PEAKS = (1.875, 10.0 / math.sqrt(3.0), 60.0)
 _NO_RETURN = 1e-9
 """Distance from the first height that is rounding. [m]"""
 
-_LAYERS = 7
-"""Layers along each of two axes of the initial grid of a search; twice as many along one. [-]"""
-
 
 @dataclass(frozen=True, kw_only=True)
 class PlateLimits:
@@ -318,62 +315,6 @@ def find_best_motion(
     return best
 
 
-def find_layer_for_motion(
-    rig: Rig,
-    limits: PlateLimits,
-    vary: str,
-    *,
-    loads: Limits | None = None,
-    cancelled: Cancelled | None = None,
-) -> Rig:
-    """
-    Find the layer with the fastest throw by its best motion.
-
-    Parameters
-    ----------
-    vary : {'thickness', 'wave_speed', 'both'}
-        Parameters of the layer that may change, within `loads`.
-    rig, limits, loads, cancelled
-        As for `find_best_motion`.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If nothing is thrown.
-
-    Notes
-    -----
-    The largest speed at a given time does not jump from layer to layer, as releases of a given
-    motion do. So the best point of a coarse grid is improved by Nelder's and Mead's method.
-
-    """
-    loads = loads or Limits()
-    names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
-    box = np.log([getattr(loads, name) for name in names])
-
-    def rig_at(logarithms: Floats) -> Rig:
-        values = np.exp(np.clip(logarithms, *box.T)).tolist()
-        return replace(rig, layer=replace(rig.layer, **dict(zip(names, values, strict=True))))
-
-    def slowness(logarithms: Floats) -> float:
-        problem = _Problem(rig_at(logarithms), limits, loads, cancelled, set())
-        return -_shortest_time(problem, is_rough=True)[1]
-
-    axes = [np.linspace(low, high, _LAYERS * (3 - len(names))) for low, high in box]
-    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(names))
-    values = [slowness(point) for point in grid]
-    best = grid[int(np.argmin(values))]
-    if min(values) == 0.0:
-        raise ThrowUnresolvedError(f'no motion of the plate throws within {limits} and {loads}')
-    spacing = np.array([axis[1] - axis[0] for axis in axes])
-    simplex = np.vstack([best, best + 0.4 * np.diag(spacing)])
-    options = {
-        'initial_simplex': simplex, 'xatol': 5e-3, 'fatol': 1e-4 * limits.speed, 'maxfev': 60,
-    }
-    result = scipy.optimize.minimize(slowness, best, method='Nelder-Mead', options=options)
-    return rig_at(result.x)
-
-
 def rest_to_rest(limits: PlateLimits, *, travel: float) -> Pulses:
     """
     Return the shortest motion up by `travel` [m], as a controller makes it for a given height.
@@ -478,7 +419,7 @@ class _Problem(NamedTuple):
     critical: Critical
 
 
-def _shortest_time(problem: _Problem, *, is_rough: bool = False) -> tuple[float, float]:
+def _shortest_time(problem: _Problem) -> tuple[float, float]:
     """Return the shortest time with nearly the largest speed, and the speed; 0 without a throw."""
     longest, *shorter = _times(problem.rig, problem.limits)
     programme = _Programme(problem, longest, is_fine=False)
@@ -488,8 +429,8 @@ def _shortest_time(problem: _Problem, *, is_rough: bool = False) -> tuple[float,
         return programme.solve(time)[1]
 
     speed = speed_at(longest)
-    if is_rough or not speed > 0.0:
-        return longest, max(speed, 0.0)
+    if not speed > 0.0:
+        return longest, 0.0
     index = bisect.bisect_left(shorter, (1.0 - _WAITING_GAIN) * speed, key=speed_at)
     return [*shorter, longest][index], speed
 

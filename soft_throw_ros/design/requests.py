@@ -13,7 +13,7 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.aiming import Aim, aim
-from soft_throw_ros.design.motion_design import design_motion, MotionDesign, MotionVary
+from soft_throw_ros.design.motion_design import design_motion, MotionDesign
 from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
@@ -64,7 +64,6 @@ def solve_request(
 def solve_motion_request(
     settings: Settings,
     *,
-    vary: MotionVary = 'motion',
     rig: Rig | None = None,
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
@@ -78,7 +77,7 @@ def solve_motion_request(
     rig = rig or rig_of(settings)
     now = vars(PlateLimits.of(rig.engine))
     plate = PlateLimits(**{name: request[f'plate_{name}'] or now[name] for name in now})
-    return design_motion(rig, plate, vary=vary, limits=limits_of(settings), cancelled=cancelled)
+    return design_motion(rig, plate, limits=limits_of(settings), cancelled=cancelled)
 
 
 def limits_of(settings: Settings) -> Limits:

@@ -62,11 +62,11 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
 
 
 def test_json_has_everything_in_si(command):
-    result = command.json(*QUICK, '-p', 'recommendation.vary:=thickness', '--plate-travel', 0.01)
+    result = command.json(*QUICK, '--plate-travel', 0.01)
     motion = result['motion']
     assert motion['limits']['travel'] == 0.01
-    assert motion['throws'].keys() == {'now', 'harmonic', 'step', 'layer', 'best', 'both'}
-    assert motion['throws']['both']['ejection_speed'] == motion['ejection_speed']
+    assert motion['throws'].keys() == {'now', 'harmonic', 'step', 'layer', 'best'}
+    assert motion['throws']['best']['ejection_speed'] == motion['ejection_speed']
     assert np.ptp(np.array(motion['rig']['engine']['motion']['states'])[:, 0]) <= 0.0100001
 
 
