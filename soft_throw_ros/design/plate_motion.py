@@ -124,9 +124,6 @@ _PROGRAMME_TIME = 60.0
 _ROUNDING = 1e-12
 """Relative room below the limits of the plate for rounding. [-]"""
 
-_STROKE_PULSES = 2000
-"""Pulses of an engine's first stroke."""
-
 _RETURN_SHARE = 0.25
 """Peak speed, acceleration and jerk of the way back, over those of the motion. [-]"""
 
@@ -202,16 +199,6 @@ class Pulses(NamedTuple):
     """Time between neighbours. [s]"""
     heights: Floats
     """Coefficients of the B-splines. [m/s]"""
-
-    @classmethod
-    def of(cls, positions: Floats, step: float) -> Pulses:
-        """
-        Return the pulses of a plate whose heights [m] are given, `step` apart.
-
-        Their heights are mean velocities, so no limit of speed, acceleration or jerk is exceeded
-        that the plate keeps.
-        """
-        return cls(step, np.diff(positions) / step)
 
     def motion(self) -> SampledMotion:
         """Return the motion, without the rest before and after it."""
@@ -302,7 +289,7 @@ def find_best_motion(
         programme = _Programme(problem, time_factor * time, is_fine=True)
         check_cancelled(cancelled)
         pulses, _ = programme.solve(time_factor * time)
-        throw = pulses and follow(rig, pulses, loads=loads)
+        throw = pulses and _follow(rig, pulses, loads=loads)
         if throw and (best is None or throw.ejection_speed > best.ejection_speed):
             best = throw
         if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
@@ -315,54 +302,12 @@ def find_best_motion(
     return best
 
 
-def rest_to_rest(limits: PlateLimits, *, travel: float) -> Pulses:
-    """
-    Return the shortest motion up by `travel` [m], as a controller makes it for a given height.
-
-    Acceleration, speed and braking are the largest allowed; a limited jerk rounds them off.
-    """
-    # If the travel is short the plate has to brake before it reaches the largest speed. Without
-    # acceleration it moves for as long as the acceleration takes to change.
-    speed = (0.25 * travel**2 * limits.jerk) ** (1.0 / 3.0)
-    if speed * limits.jerk > limits.acceleration**2:
-        change = limits.acceleration / limits.jerk
-        root = math.sqrt(change**2 + 4.0 * travel / limits.acceleration)
-        speed = 0.5 * limits.acceleration * (root - change)
-    speed = min(speed, limits.speed)
-    limits = replace(limits, speed=speed)
-    ramp = max(speed / limits.peak_acceleration, 1e-4 * travel / speed)
-    cruise = max(travel / speed - ramp, 0.0)
-    step = _whole_ns(max(0.005 * ramp, 1e-4 * cruise))
-    rounded = max(limits.acceleration_time, step)  # a moving average limits the jerk
-    times = np.arange(0.0, 2.0 * ramp + cruise + rounded + 2.0 * step, step)
-
-    def path(t: Floats) -> Floats:
-        """Integrate the trapezoid of velocities twice; at its corners the acceleration jumps."""
-        corners = ((0.0, 1.0), (ramp, -1.0), (ramp + cruise, -1.0), (2.0 * ramp + cruise, 1.0))
-        cubes = (sign * np.maximum(t - corner, 0.0) ** 3 for corner, sign in corners)
-        return np.asarray(speed / (6.0 * ramp) * sum(cubes))
-
-    return Pulses.of((path(times) - path(times - rounded)) / rounded, step).within(limits)
-
-
-def first_stroke(engine: Engine) -> Pulses:
-    """Return the motion of an engine until its plate first comes to rest, or a recorded one."""
-    motion = motion_of(engine)
-    if isinstance(motion, SampledMotion):
-        end = motion.end_time
-    else:
-        times = np.linspace(0.0, 1.0 / engine.frequency, 2 * _STROKE_PULSES + 1)[1:]
-        end = float(times[(motion.velocity(times) <= 0.0).argmax()])
-    step = _whole_ns(end / _STROKE_PULSES)
-    return Pulses.of(motion.position(step * np.arange(_STROKE_PULSES + 1)), step)
-
-
 def _whole_ns(time: float) -> float:
     """Round a time up to whole nanoseconds, as messages have; others would add to the jerk [s]."""
     return 1e-9 * math.ceil(1e9 * time)
 
 
-def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
+def _follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
     """
     Simulate a throw to its end with a motion, scaled down as far as the loads require.
 
@@ -389,10 +334,10 @@ def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
     return None
 
 
-def linear_layer(layer: Layer) -> Layer:
+def _linear_layer(layer: Layer) -> Layer:
     """Return the linear layer of the same modulus at rest."""
     if isinstance(layer, Stack):
-        return Stack(sheets=tuple(linear_layer(sheet) for sheet in layer.sheets))
+        return Stack(sheets=tuple(_linear_layer(sheet) for sheet in layer.sheets))
     return replace(layer, stress_strain_law='linear')
 
 
@@ -451,7 +396,7 @@ class _Programme:
         # are to a pulse of 1 m/s.
         pulse = replace(rig.engine, motion=Pulses(self._step, np.ones(1)).motion())
         gravity = 1e3 / self._step
-        heavy = replace(rig, engine=pulse, layer=linear_layer(rig.layer), gravity=gravity)
+        heavy = replace(rig, engine=pulse, layer=_linear_layer(rig.layer), gravity=gravity)
         stepper = make_stepper(heavy, model=model, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
         strains, layer = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
