@@ -149,12 +149,10 @@ class System:
         )
 
 
-def missing(states: processes.RecordedStates, twins: int = 1) -> int:
-    """Count missing sequence numbers, which restart at 1 with each twin, after a long pause."""
-    pauses = np.argsort(np.diff(states.stamps))[::-1][: twins - 1]
-    runs = np.split(states.numbers, np.sort(pauses) + 1)
-    assert all((np.diff(run) > 0).all() for run in runs)
-    return sum(int(run[-1]) for run in runs) - states.numbers.size
+def missing(states: processes.RecordedStates) -> int:
+    """Count missing sequence numbers of a twin, which begin at 1."""
+    assert (np.diff(states.numbers) > 0).all()
+    return int(states.numbers[-1]) - states.numbers.size
 
 
 def _size(path: Path) -> int:

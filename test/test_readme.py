@@ -11,7 +11,7 @@ import shlex
 import numpy as np
 import pytest
 from soft_throw_ros import __main__ as umbrella
-from soft_throw_ros.commands import design, free_layers, identify, plan, throw, track
+from soft_throw_ros.commands import design, free_layers, identify, throw, track
 from soft_throw_ros.configuration.layers import library
 
 ROOT = Path(__file__).parents[1]
@@ -62,7 +62,7 @@ def test_design_results_agree_with_the_page(capsys, args):
 
 def test_example_of_throw_prints_a_result(capsys):
     (example,) = re.findall(r'soft-throw throw (--thickness [^#]+) #', PAGES['README.md'])
-    assert throw.main([*shlex.split(example), '--model', 'closed_form']) == 0
+    assert throw.main(shlex.split(example)) == 0
     assert 'energy transfer alpha' in capsys.readouterr().out
 
 
@@ -114,7 +114,7 @@ def test_pictures_of_the_page_are_current_and_small(tmp_path, capsys):
 
 
 def test_options_of_the_page_are_those_of_the_command(capsys):
-    for command in (track, identify, free_layers, plan):
+    for command in (track, identify, free_layers):
         with pytest.raises(SystemExit):
             command.main(['--help'])
     known = capsys.readouterr().out

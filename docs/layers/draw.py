@@ -65,7 +65,7 @@ class Best(NamedTuple):
 
 def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float, float]:
     """Return energy transfer, peak strain and ejection speed [m/s] of the default rig."""
-    throw = throw_many(Rig(layer=layer), model='cells', loads=True, cells=cells)
+    throw = throw_many(Rig(layer=layer), loads=True, cells=cells)
     return float(throw.energy_transfer), float(throw.peak_strain), float(throw.ejection_speed)
 
 
@@ -183,7 +183,7 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
         levels = [sheet.impedance for sheet in best.layer.sheets]
         name = ('one sheet', 'two sheets', 'three sheets')[count - 1]
         left.stairs(levels, edges, color=colour, lw=2.0, baseline=None, label=name)
-        throw = simulate(Rig(layer=best.layer), model='cells', cells=_CELLS, until=times[-1])
+        throw = simulate(Rig(layer=best.layer), cells=_CELLS, until=times[-1])
         trajectory = throw.trajectory(times)
         right.plot(1e3 * times, trajectory.projectile_velocity, color=colour)
         release = throw.first_release

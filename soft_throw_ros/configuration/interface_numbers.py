@@ -35,8 +35,6 @@ _RELEASE = {
 }
 """Meaning and unit of the numbers of a release."""
 
-OTHER_MODELS = ('spring_mass', 'travelling_wave', 'cells_elastic', 'cells_glued')
-"""Models that predict the same throw, except the model of the twin, in the order of results."""
 
 THROW_NUMBERS = (
     Number('throw', 'Number of the throw, from 1'),
@@ -66,11 +64,6 @@ THROW_NUMBERS = (
     ),
     Number('uncertainty.stuck_fraction', 'Fraction of throws without release within the '
            'uncertainties', is_repeatable=False),
-    *(
-        Number(f'{model}.{name}', f'{meaning}, by the model {model}', unit, is_repeatable=False)
-        for model in OTHER_MODELS
-        for name, (meaning, unit) in _RELEASE.items()
-    ),
     Number('last_ejection_time', 'Time from the start of the throw to the last release before the '
            'projectile falls back', 's', 'final'),
     Number('last_ejection_speed', 'Speed at this release', 'm/s', 'final'),

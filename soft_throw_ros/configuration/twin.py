@@ -31,7 +31,7 @@ from soft_throw_ros.configuration.table import (
     Table,
     Value,
 )
-from soft_throw_ros.core.models import LOSSES, MODELS, STRESS_STRAIN_LAWS
+from soft_throw_ros.core.material import LOSSES, STRESS_STRAIN_LAWS
 from soft_throw_ros.core.rig import Engine, Layer, LINEAR_STRAIN, Projectile, Rig, Stack
 
 _INSTALLED = library()
@@ -170,16 +170,9 @@ _ENTRIES = (
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
         unit='kg', low=1e-5, high=1.0),
     row('projectile.length', _RIG.projectile.length,
-        'Length L_r of the projectile, for the model `cells_elastic`',
+        'Length L_r of the projectile, for pictures and for tracks of its centre',
         unit='m', low=1e-4, high=0.5),
-    row('projectile.youngs_modulus', _RIG.projectile.youngs_modulus,
-        'Modulus E_r of the projectile, for the model `cells_elastic`',
-        unit='Pa', low=1e6, high=1e12),
     row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
-    row('model', 'travelling_wave',
-        'Model of layer and projectile; cells replace the travelling wave for internal loss, '
-        'large strain or a stack',
-        choices=tuple(MODELS)),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
         unit='s', low=0.05, high=3600.0, or_zero=True),
     row('throw.max_events', 20,
@@ -425,9 +418,7 @@ TWIN = Table(
 )
 """The parameters of the twin."""
 
-RIG_PARAMETERS = tuple(
-    entry.name for entry in TWIN.entries if entry.is_of_rig and entry.name != 'model'
-)
+RIG_PARAMETERS = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig)
 """Parameters that describe a rig, and require a new one when they change."""
 
 

@@ -94,8 +94,6 @@ RESULTS: Mapping[str, QuantityLabel] = {
 """Results at every point of a landscape, by the names of its arrays."""
 
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
-"""Axes that are functions of each other."""
-
 _WITH_RATIOS = ('engine.damping_ratio', 'engine.amplitude', 'gravity', 'layer.loss_tangent')
 """Parameters that may be an axis beside a ratio."""
 
@@ -266,9 +264,9 @@ def compute_landscape(
 
     Notes
     -----
-    First releases are exact to 1e-9 where neither loss nor strong gravity needs steps, and to
-    1e-4 elsewhere. Last releases are followed in steps. A projectile that chatters on the layer
-    is beyond any model: neighbouring points may then differ at random.
+    First releases are exact to 1e-9 from a lossless layer, and to 1e-4 from others. Last releases
+    are followed in steps. Where a projectile chatters on the layer, neighbouring points may differ
+    at random.
 
     Examples
     --------
@@ -302,8 +300,8 @@ def compute_landscape(
     cases = np.stack([np.broadcast_to(item, shape).ravel() for item in changes.values()])
     threads = None if executor is None else 1
     compute = functools.partial(_compute, rig, release, threads, tuple(changes))
-    needs_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
-    is_fast = rig.engine.motion is None and not needs_cells
+    has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
+    is_fast = rig.engine.motion is None and not has_cells
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
     results = []

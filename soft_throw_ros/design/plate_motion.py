@@ -54,7 +54,7 @@ import scipy  # its parts are imported where they are first used, which takes 0.
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
-from soft_throw_ros.core.rig import Engine, Layer, model_for, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
 from soft_throw_ros.core.throws import Cancelled, check_cancelled, SEARCH_CELLS
@@ -317,11 +317,10 @@ def _follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
         None if the projectile is not thrown, or meets the layer again before it comes down.
 
     """
-    model = model_for(rig, 'travelling_wave')
     for _ in range(_SCALINGS):
         try:
             engine = replace(rig.engine, motion=pulses.motion_and_back())
-            throw = simulate(replace(rig, engine=engine), model=model)
+            throw = simulate(replace(rig, engine=engine))
         except (ValueError, EventLimitError, ThrowUnfinishedError):
             return None
         excess = max(
@@ -390,14 +389,13 @@ class _Programme:
         step = max(rig.crossing_time / per_crossing, longest / max_pulses)
         self._step = _whole_ns(step)
         self._count = math.ceil(longest / self._step) + 1
-        model = model_for(rig, 'travelling_wave')
-        cells = None if model == 'travelling_wave' or is_fine else SEARCH_CELLS
         # A heavy weight keeps the projectile on the layer and changes nothing else. The responses
         # are to a pulse of 1 m/s.
         pulse = replace(rig.engine, motion=Pulses(self._step, np.ones(1)).motion())
         gravity = 1e3 / self._step
         heavy = replace(rig, engine=pulse, layer=_linear_layer(rig.layer), gravity=gravity)
-        stepper = make_stepper(heavy, model=model, cells=cells, field_points=_HEIGHTS)
+        cells = SEARCH_CELLS if heavy.layer.needs_cells and not is_fine else None
+        stepper = make_stepper(heavy, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
         strains, layer = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
         for n, time in enumerate((self._step / _FINER * np.arange(len(states))).tolist()):

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 import functools
 import os
 from pathlib import Path
@@ -17,7 +17,7 @@ from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
-from soft_throw_ros.core.rig import model_for, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
@@ -25,7 +25,6 @@ from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.atomic_file import atomic_file
-from soft_throw_ros.twin.other_models import predict_by_other_models
 
 _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
 """Attributes of an answer that `recommended.*` shows."""
@@ -134,26 +133,7 @@ def recommend_for(
 
 def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
     """Return the uncertainty of a rig's throw, as values of a status."""
-    if settings['model'] not in _RELEASED:
-        return {}
     return _uncertainty_values(rig, Uncertainties.from_settings(settings))
-
-
-def other_models_values(rig: Rig, settings: Settings) -> dict[str, float]:
-    """Return the first release as other models predict it, as values of a status."""
-    if rig.engine.motion is not None:
-        return {}  # the other models support the motions of the engine only
-    predictions = predict_by_other_models(rig, model_for(rig, settings['model']))
-    return {
-        f'{model}.{name}': value
-        for model, release in predictions.items()
-        if release is not None
-        for name, value in asdict(release).items()
-    }
-
-
-_RELEASED = ('travelling_wave', 'cells', 'cells_elastic')
-"""Models whose first release is that of waves in the layer, within 1e-5."""
 
 
 @functools.lru_cache(maxsize=4)

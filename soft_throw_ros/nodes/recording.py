@@ -29,7 +29,7 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.child_process import RestartedProcess
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.storage.cdr import decode, MessageError
-from soft_throw_ros.storage.message import LOSSES, Message, MISSED_BEFORE_JOIN
+from soft_throw_ros.storage.message import Message
 from soft_throw_ros.twin import journal
 
 DRAIN_TIME = 0.01
@@ -187,9 +187,9 @@ class Recording:
         self.subscriptions.close()
         if self.writer is not None:
             losses = self.losses()
-            self._note(self.writer, LOSSES, {'total': sum(losses.values()), **losses})
+            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
             if missed := self.missed_before_join():
-                self._note(self.writer, MISSED_BEFORE_JOIN, missed)
+                self._note(self.writer, 'published before recording', missed)
             if refused := self.subscriptions.refused:
                 self._note(self.writer, 'not recorded', refused)
             self.writer.close(on_stall)

@@ -55,7 +55,7 @@ def open_with(*args):
 def test_every_parameter_of_the_rig_is_an_option():
     parser = argparse.ArgumentParser()
     add_rig_options(parser)
-    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig} - {'model'}
+    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig}
     options_of_rig = {option_of(name) for name in of_rig}
     assert len(options_of_rig) == len(of_rig)
     assert all(option in parser.format_help() for option in options_of_rig)

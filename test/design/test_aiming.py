@@ -106,5 +106,5 @@ def test_limit_is_the_peak_load_of_the_throw():
 )
 def test_aim_with_any_layer_counts_its_last_release(layer):
     rig = Rig(layer=layer)
-    throw = simulate(aim(rig, height=0.1).rig, model='cells')
+    throw = simulate(aim(rig, height=0.1).rig)
     assert rise(throw) == pytest.approx(0.1, rel=2e-3)

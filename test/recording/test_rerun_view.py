@@ -214,12 +214,9 @@ def test_texts_have_the_numbers_and_every_view_its_unit(recording) -> None:
     throw = simulate(Rig())
     assert 'Throw 2' in text
     heads, times_, _, transfers, *_ = table_of(text)
-    assert heads[:2] == ['', 'twin']
-    assert set(heads[2:]) == {'elastic', 'glued on', 'spring'}
-    spring = heads.index('spring')
+    assert heads == ['', 'twin']
     assert times_[1] == f'{1e3 * throw.ejection_time:.4g}'
     assert transfers[1] == f'{throw.energy_transfer:.4g}'
-    assert [times_[spring], transfers[spring]] == ['6.412', '3.098']  # of App. A
     assert set(recording.views) == {
         'Rig, z (mm)', 'Strain ε(y, t) in the throw', 'Energy transfer α(Lₛ, cₛ)', 'Phase',
         'Position z (mm)', 'Velocity v (m/s)', 'Compressive force F (N)', 'Energy (mJ)',
