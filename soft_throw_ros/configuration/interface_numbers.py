@@ -24,8 +24,6 @@ class Number(NamedTuple):
     unit: str = ''
     stage: str = 'release'
     """Stage of the result at which the number is published: 'release' or 'final'."""
-    is_repeatable: bool = True
-    """Whether a repeated session gives the number; the node adds the other ones."""
 
 
 _RELEASE = {
@@ -72,15 +70,14 @@ THROW_NUMBERS = (
     Number('accuracy.samples', 'Samples of the plate since the start'),
     Number('accuracy.samples_left_out', 'Outliers among these samples'),
     *(
-        Number(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit,
-               is_repeatable=False)
+        Number(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit)
         for name, (meaning, unit) in _RELEASE.items()
         for end, side in (('low', 'lower'), ('high', 'upper'))
     ),
     Number('uncertainty.stuck_fraction', 'Fraction of throws without release within the '
-           'uncertainties', is_repeatable=False),
+           'uncertainties'),
     *(
-        Number(f'{model}.{name}', f'{meaning}, by the model {model}', unit, is_repeatable=False)
+        Number(f'{model}.{name}', f'{meaning}, by the model {model}', unit)
         for model in OTHER_MODELS
         for name, (meaning, unit) in _RELEASE.items()
     ),
