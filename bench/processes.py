@@ -55,8 +55,8 @@ class Heard(NamedTuple):
     """Receives messages for some seconds, or until a condition holds."""
     stamps: list[int]
     """Stamps of the received states. [ns]"""
-    statuses: list[tuple[str, dict[str, str]]]
-    """Name and values (as text) of every received status in `/diagnostics`."""
+    statuses: list[dict[str, str]]
+    """Values of every received status in `/diagnostics`."""
 
     def clear(self) -> None:
         """Discard the received messages."""
@@ -65,7 +65,7 @@ class Heard(NamedTuple):
 
     def values(self, *names: str) -> NDArray[np.float64]:
         """Return the named numbers, one row for every status that has all of them."""
-        complete = [values for _, values in self.statuses if values.keys() >= set(names)]
+        complete = [values for values in self.statuses if values.keys() >= set(names)]
         return np.array([[float(values[name]) for name in names] for values in complete])
 
 
@@ -94,17 +94,11 @@ def stamp_of(data: bytes) -> int:
     return int(seconds * SECOND + nanoseconds)
 
 
-def start(
-    command: Sequence[str], *, output: Any = subprocess.DEVNULL, **environment: str
-) -> Process:
+def start(command: Sequence[str], *, output: Any = subprocess.DEVNULL) -> Process:
     """Start a process that imports this package and communicates on this machine only."""
-    variables = {
-        **os.environ,
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}',
-        **environment,
-    }
-    return subprocess.Popen(command, env=variables, stdout=output, stderr=output)
+    path = f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'
+    variables = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'PYTHONPATH': path}
+    return subprocess.Popen(command, env=os.environ | variables, stdout=output, stderr=output)
 
 
 def end(process: Process) -> int:
@@ -117,9 +111,9 @@ def end(process: Process) -> int:
 
 
 @contextlib.contextmanager
-def running(*commands: tuple[str, ...], **environment: str) -> Iterator[list[Process]]:
+def running(*commands: tuple[str, ...]) -> Iterator[list[Process]]:
     """Run processes, and interrupt them in reverse order at the end."""
-    processes = [start(command, **environment) for command in commands]
+    processes = [start(command) for command in commands]
     try:
         yield processes
         for process in reversed(processes):
@@ -150,13 +144,12 @@ def subscriber(states: str = STATES) -> Iterator[Heard]:
         while time.monotonic() < deadline and not done():
             executor.spin_once(timeout_sec=0.1)
         if seconds >= TIMEOUT and not done():
-            raise TimeoutError(f'no message on {states} within {seconds:g} s')
+            sys.exit(f'no message on {states} within {seconds:g} s')
 
     heard = Heard(node, wait, [], [])
 
     def on_diagnostics(message: DiagnosticArray) -> None:
-        for status in message.status:
-            heard.statuses.append((status.name, {p.key: p.value for p in status.values}))
+        heard.statuses += [{p.key: p.value for p in item.values} for item in message.status]
 
     def on_states(data: bytes) -> None:
         heard.stamps.append(stamp_of(data))
@@ -209,11 +202,7 @@ def recorded_statuses(bag: Path) -> list[tuple[int, str, dict[str, str]]]:
     from mcap_ros2.decoder import DecoderFactory
 
     return [
-        (
-            decoded.message.publish_time,
-            status.name,
-            {pair.key: pair.value for pair in status.values},
-        )
+        (decoded.message.publish_time, status.name, {p.key: p.value for p in status.values})
         for reader in _readers(bag, decoder_factories=[DecoderFactory()])
         for decoded in reader.iter_decoded_messages(topics=['/diagnostics'])
         for status in decoded.decoded_message.status

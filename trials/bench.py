@@ -27,11 +27,8 @@ RATES = 3000.0, 8000.0
 MODES = 3.0, 7.0
 """Range of the frequency of a second mode, over that of the plate. [-]"""
 
-MASS_ERROR = 0.01
-"""Relative standard error of masses, the default of the command. [-]"""
-
-LENGTH_ERROR = 1e-4
-"""Standard error of thickness and diameter, the default of the command. [m]"""
+ERRORS = {'mass': 0.01, 'thickness': 1e-4, 'diameter': 1e-4}
+"""Standard errors of the command by default: relative for the mass, of lengths in metres."""
 
 _START = (14e-3, 18e-3)
 """Range of the start of a throw in its record. [s]"""
@@ -184,36 +181,30 @@ def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
     """Return the true parameters of rig and sensors, and the true first release."""
     rig, release = thrown.rig, thrown.changes[0]
     peak = Underdamped.of(rig.engine).peak_velocity
-    truth = {
+    return {
         **values_of(rig, PARAMETERS),
         'projectile.scale': faults.projectile_scale,
         'projectile.delay': faults.projectile_delay,
         'projectile.sticking': thrown.imperfections.sticking,
+        'ejection.time': release.time,
+        'ejection.speed': release.velocity,
+        'ejection.peak_plate_speed': peak,
+        'ejection.energy_transfer': (release.velocity / peak) ** 2,
     }
-    truth['ejection.time'] = release.time
-    truth['ejection.speed'] = release.velocity
-    truth['ejection.peak_plate_speed'] = peak
-    truth['ejection.energy_transfer'] = (release.velocity / peak) ** 2
-    return truth
 
 
 def measured_options(rig: Rig, random: np.random.Generator | None = None) -> tuple[str, ...]:
     """Return options with the masses and lengths of a rig; `random` adds errors of the paper."""
-    if random is not None:
-        mass, thickness, diameter = random.standard_normal(3).tolist()
-        layer = replace(
-            rig.layer,
-            thickness=rig.layer.thickness + LENGTH_ERROR * thickness,
-            diameter=rig.layer.diameter + LENGTH_ERROR * diameter,
-        )
-        projectile = replace(rig.projectile, mass=rig.projectile.mass * (1.0 + MASS_ERROR * mass))
-        rig = replace(rig, layer=layer, projectile=projectile)
     measured = {
         'thickness': rig.layer.thickness,
         'density': rig.layer.density,
         'diameter': rig.layer.diameter,
         'mass': rig.projectile.mass,
     }
+    if random is not None:
+        for name, error in ERRORS.items():
+            unit = measured[name] if name == 'mass' else 1.0
+            measured[name] += unit * error * float(random.standard_normal())
     return tuple(
         word for name, value in measured.items() for word in (f'--{name}', f'{value:.9g}')
     )

@@ -104,7 +104,7 @@ def _gain(gain: float) -> str:
         return f'{1.0 + gain:.3g} times the energy'
     if gain >= 0.0:
         return f'{100.0 * gain:.2g} % more energy'
-    return f'{-100.0 * gain:.2g} % less energy, because the present layer exceeds the limits'
+    return f'{-100.0 * gain:.2g} % less energy, because the present throw exceeds the limits'
 
 
 def _aim_summary(best: Aim, settings: Settings) -> str:
@@ -119,36 +119,15 @@ def _aim_summary(best: Aim, settings: Settings) -> str:
 
 
 def motion_summary(design: MotionDesign) -> str:
-    """Describe the gain of energy, and the changes that give it."""
-    throws = design.throws
-    if 'now' not in throws:
-        speed = throws['best'].ejection_speed
+    """Describe the gain of energy, and the way down of the plate."""
+    now, speed = design.now, design.ejection_speed
+    if now is None:
         return f'the present motion throws nothing; the designed one gives {speed:.3g} m/s'
-    now = throws['now'].kinetic_energy
-
-    def gain(name: str) -> str:
-        ratio = throws[name].kinetic_energy / now
-        if ratio < 1.0:  # the present motion exceeds a limit
-            return f'{100.0 * (1.0 - ratio):.2g} % less'
-        return f'{100.0 * (ratio - 1.0):.2g} % more' if ratio < 1.995 else f'{ratio:.3g} times the'
-
-    gains = [f'{gain("best")} energy by the best motion']
-    if 'layer' in throws:
-        layer = throws['layer']
-        gains.append(
-            f'{gain("layer").removesuffix(" more")} by a layer of {1e3 * layer.thickness:.4g} mm '
-            f'and {layer.wave_speed:.4g} m/s'
-        )
-    if 'both' in throws:
-        both = throws['both']
-        gains.append(
-            f'{gain("both").removesuffix(" more")} by both, with '
-            f'{1e3 * both.thickness:.4g} mm and {both.wave_speed:.4g} m/s'
-        )
-    text = f'with the same motor, {", ".join(gains)}'
-    if 'linear' in throws:
-        speed, linear = design.ejection_speed, throws['linear'].ejection_speed
-        text += f'; {speed:.3g} m/s from this layer, and from a linear one {linear:.3g} m/s'
+    gain = _gain(design.kinetic_energy / now.kinetic_energy - 1.0)
+    text = (
+        f'with the same motor, {gain} by the best motion (ejection speed '
+        f'{now.ejection_speed:.4g} -> {speed:.4g} m/s)'
+    )
     motion = design.motion
     lowest = int(motion.states[:, 0].argmin())
     depth, time = -motion.states[lowest, 0], motion.times[lowest]

@@ -24,8 +24,6 @@ class Number(NamedTuple):
     unit: str = ''
     stage: str = 'release'
     """Stage of the result at which the number is published: 'release' or 'final'."""
-    is_repeatable: bool = True
-    """Whether a repeated session gives the number; the node adds the other ones."""
 
 
 _RELEASE = {
@@ -57,13 +55,12 @@ THROW_NUMBERS = (
     Number('accuracy.samples', 'Samples of the plate since the start'),
     Number('accuracy.samples_left_out', 'Outliers among these samples'),
     *(
-        Number(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit,
-               is_repeatable=False)
+        Number(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit)
         for name, (meaning, unit) in _RELEASE.items()
         for end, side in (('low', 'lower'), ('high', 'upper'))
     ),
     Number('uncertainty.stuck_fraction', 'Fraction of throws without release within the '
-           'uncertainties', is_repeatable=False),
+           'uncertainties'),
     Number('last_ejection_time', 'Time from the start of the throw to the last release before the '
            'projectile falls back', 's', 'final'),
     Number('last_ejection_speed', 'Speed at this release', 'm/s', 'final'),

@@ -78,21 +78,11 @@ def best_ratios(damping_ratio: float) -> BestRatios:
     damping_ratio : float
         Damping ratio of the plate, :math:`\zeta`. [-]
 
-    Returns
-    -------
-    BestRatios
-        Ratios to 1e-5.
-
-    Raises
-    ------
-    ValueError
-        If `damping_ratio` is not in [0, 1).
-
     Notes
     -----
-    For all :math:`\zeta` from 0 to 0.99 the best of :math:`\mu` from 0.001 to 1000 and
-    :math:`\kappa` from 0.15 to 500 is at :math:`\mu` from 0.23 to 0.44 and :math:`\kappa` from
-    8.2 to 12.3; it is looked for nearby.
+    The ratios are exact to 1e-5. For all :math:`\zeta` from 0 to 0.99 the best of :math:`\mu`
+    from 0.001 to 1000 and :math:`\kappa` from 0.15 to 500 is at :math:`\mu` from 0.23 to 0.44
+    and :math:`\kappa` from 8.2 to 12.3; it is looked for nearby.
 
     Examples
     --------
@@ -234,24 +224,23 @@ def recommend(
     search = _Search(objective or peak, limits or Limits(), cancelled)
     alternatives: dict[str, _Candidate] = {}
     for name in ('thickness', 'wave_speed'):
-        (space,) = search_spaces(rig, name, search.limits, {})
-        alternative = search.best_of(space)
-        if alternative is not None:
+        for alternative in search.rank(search_spaces(rig, name, search.limits, {})):
             alternatives[name] = alternative
-    ranked: list[_Candidate] = []
-    if vary == 'library':
-        ranked = search.rank(search_spaces(rig, vary, search.limits, materials or {}))
-        best = ranked[0] if ranked else None
-    elif vary == 'both':
-        (space,) = search_spaces(rig, vary, search.limits, {})
-        best = search.best_of(space, [best.rig.layer for best in alternatives.values()])
+    if vary in ('thickness', 'wave_speed'):
+        ranked = [alternatives[vary]] if vary in alternatives else []
     else:
-        best = alternatives.get(vary)
-    if best is None:
-        raise ThrowUnresolvedError(_refusal(rig, vary, search.limits))
+        spaces = search_spaces(rig, vary, search.limits, materials or {})
+        ranked = search.rank(spaces, [item.rig.layer for item in alternatives.values()])
+    if not ranked:
+        raise ThrowUnresolvedError(
+            f'no layer{" from the library" if vary == "library" else ""} throws with {vary} '
+            f'within {search.limits}; gravity is {rig.gravity_ratio:.2g} of the largest '
+            'acceleration of the plate'
+        )
+    best = ranked[0]
     score_now = LayerScore(rig, search.objective, cancelled=cancelled)
     now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
-    by = {name: predict(best.rig) for name, best in alternatives.items()}
+    by = {name: predict(item.rig) for name, item in alternatives.items()}
     return Recommendation(
         **vars(predict(best.rig)),
         rig=best.rig,
@@ -265,6 +254,7 @@ def recommend(
         candidates=tuple(
             LibraryCandidate(item.space.name, item.rig.layer.thickness, item.score)
             for item in ranked
+            if vary == 'library'
         ),
         tolerances=_tolerances(best.rig, search.objective, cancelled),
     )
@@ -304,30 +294,6 @@ def _largest(is_tolerated: Callable[[float], bool]) -> float:
     return low
 
 
-def _refusal(rig: Rig, vary: str, limits: Limits) -> str:
-    """Describe the layers and limits without a throw."""
-    low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
-    slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
-    conditions = [
-        f'a thickness from {low:g} to {high:g} m',
-        f'a wave speed from {slow:g} to {fast:g} m/s',
-        *(
-            f'a {name} of at most {limit:g}{unit}'
-            for name, limit, unit in (
-                ('strain', limits.max_strain, ''),
-                ('acceleration', limits.max_acceleration, ' m/s2'),
-            )
-            if limit < math.inf
-        ),
-    ]
-    source = ' from the library' if vary == 'library' else ''
-    return (
-        f'no layer{source} with {", ".join(conditions)} throws: change the limits, or the rig if '
-        f'gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the plate) holds the '
-        'projectile'
-    )
-
-
 class _Candidate(NamedTuple):
     """The best layer of a space."""
 
@@ -343,16 +309,22 @@ class _Search(NamedTuple):
     limits: Limits
     cancelled: Cancelled | None
 
-    def rank(self, spaces: list[SearchSpace]) -> list[_Candidate]:
-        """Find the best layers among many spaces, each searched coarsely; the best first."""
-        optima = [(space, best) for space in spaces if (best := self._search(space)) is not None]
+    def rank(
+        self, spaces: list[SearchSpace], starts: Sequence[Layer] = ()
+    ) -> list[_Candidate]:
+        """
+        Find the best layers of some spaces, the best first; `starts` are layers to search near.
+
+        All spaces are searched coarsely, and the best of them once more.
+        """
+        optima = [
+            (space, best)
+            for space in spaces
+            if (best := self._search(space, starts)) is not None
+        ]
         optima = sorted(optima, key=lambda optimum: -optimum[1].score)[:_MAX_CANDIDATES]
         candidates = filter(None, (self._finish(space, best) for space, best in optima))
         return sorted(candidates, key=lambda candidate: -candidate.score)
-
-    def best_of(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> _Candidate | None:
-        """Find the best layer of a space; `starts` are layers near which it may be."""
-        return self._finish(space, self._search(space, starts))
 
     def _score(self, space: SearchSpace, cells: int | None = None) -> LayerScore:
         """Return the score of layers of a space."""
@@ -360,7 +332,7 @@ class _Search(NamedTuple):
             space.rig, self.objective, self.limits, cells=cells, cancelled=self.cancelled
         )
 
-    def _search(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> Optimum | None:
+    def _search(self, space: SearchSpace, starts: Sequence[Layer]) -> Optimum | None:
         """Find the best layer of a space, coarsely and with few cells if it has loss."""
         has_cells = space.rig.layer.needs_cells
         first = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]

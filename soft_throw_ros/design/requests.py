@@ -13,7 +13,7 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.aiming import Aim, aim
-from soft_throw_ros.design.motion_design import design_motion, MotionDesign, MotionVary
+from soft_throw_ros.design.motion_design import design_motion, MotionDesign
 from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
@@ -25,7 +25,7 @@ def solve_request(
     settings: Settings, *, rig: Rig | None = None, cancelled: Cancelled | None = None
 ) -> RequestResult:
     """
-    Recommend a layer, or aim, by the settings of the request.
+    Recommend a layer or a motion, or aim, by the settings of the request.
 
     Parameters
     ----------
@@ -49,7 +49,14 @@ def solve_request(
         height, speed = request['target_height'] or None, request['target_speed'] or None
         return aim(rig, height=height, speed=speed, limits=limits, cancelled=cancelled)
     if request['vary'] == 'motion':
-        return solve_motion_request(settings, rig=rig, cancelled=cancelled)
+        if request['objective'] != 'peak':
+            raise ValueError(
+                "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
+                f'{request["objective"]!r}'
+            )
+        now = vars(PlateLimits.of(rig.engine))
+        plate = PlateLimits(**{name: request[f'plate_{name}'] or now[name] for name in now})
+        return design_motion(rig, plate, limits=limits, cancelled=cancelled)
     is_from_library = request['vary'] == 'library'
     return recommend(
         rig,
@@ -59,26 +66,6 @@ def solve_request(
         materials=library(str(settings['layer.library'])).materials if is_from_library else None,
         cancelled=cancelled,
     )
-
-
-def solve_motion_request(
-    settings: Settings,
-    *,
-    vary: MotionVary = 'motion',
-    rig: Rig | None = None,
-    cancelled: Cancelled | None = None,
-) -> MotionDesign:
-    """Design the motion of the plate by the settings; errors as for `solve_request`."""
-    request = _request(settings)
-    if request['objective'] != 'peak':
-        raise ValueError(
-            "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
-            f'{request["objective"]!r}'
-        )
-    rig = rig or rig_of(settings)
-    now = vars(PlateLimits.of(rig.engine))
-    plate = PlateLimits(**{name: request[f'plate_{name}'] or now[name] for name in now})
-    return design_motion(rig, plate, vary=vary, limits=limits_of(settings), cancelled=cancelled)
 
 
 def limits_of(settings: Settings) -> Limits:

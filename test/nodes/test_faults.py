@@ -37,9 +37,7 @@ def kill(system, name):
     (pid,) = system.pids(name)
     stop(pid)  # at a time at which it holds no lock of the middleware
     os.kill(pid, signal.SIGKILL)
-    if name == 'viewer':  # which the recorder starts again
-        system.wait_for_viewer(not_pid=pid)
-    else:
+    if name != 'viewer':  # which the recorder does not start again
         assert system.running[name].wait() == -signal.SIGKILL
         system.start(name)
 
@@ -75,7 +73,6 @@ def test_stopped_processes_resume_with_correct_counts(system, stops, late, is_lo
     assert last > outcome.reported  # a twin that ends discards states without a reader
     between = (outcome.published >= first) & (outcome.published <= last)
     assert np.isin(outcome.published[between], outcome.heard).all()
-    assert outcome.viewers == 1
 
 
 def test_restart_of_other_processes_loses_nothing(system, tmp_path):
