@@ -35,13 +35,13 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[f'{NAME}*']),
     # soft_throw_ros/config is a link to config: the code reads it there however it is installed.
-    package_data={NAME: ['config/*.*', 'config/sros2/*.*']},
+    package_data={NAME: ['config/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         *(
             (f'share/{NAME}/{folder}', sorted(map(str, Path(folder).glob('*.*'))))
-            for folder in ('config', 'config/sros2', 'launch', 'rviz', 'urdf')
+            for folder in ('config', 'launch', 'rviz', 'urdf')
         ),
     ],
     entry_points={'console_scripts': scripts},

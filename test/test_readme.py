@@ -11,7 +11,7 @@ import shlex
 import numpy as np
 import pytest
 from soft_throw_ros import __main__ as umbrella
-from soft_throw_ros.commands import design, free_layers, identify, plan, throw, track
+from soft_throw_ros.commands import design, free_layers, identify, throw, track
 from soft_throw_ros.configuration.layers import library
 
 ROOT = Path(__file__).parents[1]
@@ -52,16 +52,12 @@ def test_example_of_a_layer_library_is_valid(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ('args', 'code'),
-    [
-        (['recommend', '--vary', 'thickness', '--objective', 'robust'], 0),
-        (['aim', '--target-speed', '2.5', '--vary', 'amplitude', '--max-strain', '0.1'], 1),
-    ],
+    'args',
+    ['recommend --vary thickness --objective robust', 'aim --target-height 0.15'],
 )
-def test_design_results_agree_with_the_page(capsys, args, code):
-    assert design.main(args) == code
-    result = capsys.readouterr().out.partition('; a layer of')[0].partition('\n')[0]
-    assert result in ' '.join(PAGES['docs/design.md'].split())
+def test_design_results_agree_with_the_page(capsys, args):
+    assert design.main(args.split()) == 0
+    assert capsys.readouterr().out.partition('\n')[0] in PAGES['docs/design.md']
 
 
 def test_example_of_throw_prints_a_result(capsys):
@@ -118,7 +114,7 @@ def test_pictures_of_the_page_are_current_and_small(tmp_path, capsys):
 
 
 def test_options_of_the_page_are_those_of_the_command(capsys):
-    for command in (track, identify, free_layers, plan):
+    for command in (track, identify, free_layers):
         with pytest.raises(SystemExit):
             command.main(['--help'])
     known = capsys.readouterr().out

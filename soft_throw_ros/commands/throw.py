@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Predict one throw, as a table or as JSON; or many first releases, from a CSV file.
+Predict one throw, as a table or as JSON.
 
 The options are the parameters of the twin, with the same ranges.
 """
@@ -9,41 +9,30 @@ The options are the parameters of the twin, with the same ranges.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Mapping
-import sys
+from collections.abc import Callable, Iterator, Mapping
 from typing import TypedDict
 
-import numpy as np
 from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
-    add_options,
     add_rig_options,
-    number_type,
-    option_of,
-    positive,
+    MAIN_PARAMETERS,
     read_settings,
     UNCERTAINTY_PARAMETERS,
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    print_note,
     print_result,
-    print_text,
-    report_io_errors,
     run_command,
     slow_notice,
     strain_warning,
     write_columns,
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
-from soft_throw_ros.configuration.csv_rows import read_rows
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
-from soft_throw_ros.storage.regular_file import read_regular_file
 
 ModelResult = Mapping[str, float]
 """Predictions by name, in SI units."""
@@ -68,36 +57,19 @@ def main(args: list[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        description='Predict one throw, or many first releases from a CSV file.',
+        description='Predict one throw.',
         usage='%(prog)s [OPTION ...]',
-        argument_default=argparse.SUPPRESS,
     )
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        '--json', action='store_true', help='print one object: SI units, full precision'
-    )
-    group.add_argument(
-        '--cases', metavar='FILE',
-        help='CSV with the columns mu, kappa, zeta (- for standard input); '
-        'the columns te_f and alpha are added, computed without gravity',
-    )
-    add_options(parser, ['max_strain'], title='range of a linear layer')
-    add_options(parser, UNCERTAINTY_PARAMETERS, title='uncertainties')
-    add_rig_options(parser)
+    parser.add_json_option()
+    add_rig_options(parser, MAIN_PARAMETERS)
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    options = vars(arguments)
-    if 'cases' in options:
-        for name in sorted(options.keys() - {'cases'}):
-            raise ValueError(f'argument {option_of(name)}: not allowed with argument --cases')
-        print_text(_compute_cases(options['cases']))
-    else:
-        settings = read_settings(arguments)
-        with slow_notice('throw'):
-            prediction = predict(settings)
-        print_result(prediction, _table(prediction), as_json='json' in options)
+    settings = read_settings(arguments)
+    with slow_notice('throw'):
+        prediction = predict(settings)
+    print_result(prediction, _table(prediction), as_json=arguments.json)
     return 0
 
 
@@ -228,60 +200,4 @@ def _table(prediction: Prediction) -> Iterator[str]:
         settings = prediction['parameters']
         max_strain = float(settings['max_strain'])  # type: ignore[arg-type]
         limit = rig_of(settings).layer.linear_range(max_strain)
-        yield strain_warning(limit, '--max-strain')
-
-
-_CASES: Mapping[str, Callable[[str], float]] = {
-    'mu': positive,
-    'kappa': positive,
-    'zeta': number_type('at least 0 and below 1', lambda value: 0.0 <= value < 1.0),
-}
-"""Columns of a CSV file of cases, each with the function that reads its cells."""
-
-_MAX_BYTES = 1 << 26
-"""Size of a CSV file of cases [byte]: a million rows."""
-
-
-def _compute_cases(path: str) -> str:
-    """Compute the first release for every row of a CSV file; return the results as CSV."""
-    name = 'standard input' if path == '-' else path
-    with report_io_errors(name):
-        if path == '-':
-            text = sys.stdin.read()
-        else:
-            text = read_regular_file(path, max_bytes=_MAX_BYTES).decode()
-    rows = _read_cases(text.split('\n'), name)
-    if not rows:
-        print_note('throw', f'{name} has no rows below its header')
-    mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
-    with slow_notice('throw'):
-        releases = first_releases(mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta)
-    for i in np.flatnonzero(np.isnan(releases.ejection_phase)):
-        try:
-            first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
-        except ThrowUnresolvedError as error:
-            raise ValueError(f'{name}:{list(rows)[i]}: {error}') from None
-    columns = np.array([mu, kappa, zeta, releases.ejection_phase, releases.energy_transfer])
-    lines = [[*_CASES, 'te_f', 'alpha'], *columns.T.tolist()]
-    return ''.join(','.join(map(str, line)) + '\n' for line in lines)
-
-
-def _read_cases(lines: Iterable[str], name: str) -> dict[int, list[float]]:
-    """Return the values of every row by its line number; the first row names the columns."""
-    rows = list(read_rows(lines))
-    header = rows[0][1] if rows else []
-    if any(header.count(column) != 1 for column in _CASES):
-        raise ValueError(
-            f'{name}: the first row must name the columns {", ".join(_CASES)}, '
-            f'got {",".join(header)!r}'
-        )
-    cases: dict[int, list[float]] = {}
-    for number, cells in rows[1:]:
-        named_cells = dict(zip(header, cells, strict=False))
-        cases[number] = []
-        for column, read in _CASES.items():
-            try:
-                cases[number].append(read(named_cells.get(column, '')))
-            except argparse.ArgumentTypeError as error:
-                raise ValueError(f'{name}:{number}: {column} {error}') from None
-    return cases
+        yield strain_warning(limit, 'max_strain')

@@ -95,7 +95,7 @@ RESULTS: Mapping[str, QuantityLabel] = {
 
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
 _WITH_RATIOS = ('engine.damping_ratio', 'engine.amplitude', 'gravity', 'layer.loss_tangent')
-"""Parameters that go with the ratios."""
+"""Parameters that may be an axis beside a ratio."""
 
 
 def check_axis(name: str, values: ArrayLike) -> Floats:
@@ -321,7 +321,7 @@ def compute_landscape(
 
 
 def _check_release(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> None:
-    """Refuse axes and releases that do not fit the rig."""
+    """Refuse releases and axes that do not go with a rig."""
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
     if rig.engine.motion and 'engine.damping_ratio' in axes:
@@ -361,11 +361,7 @@ def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dic
 
 
 def _compute(
-    rig: Rig,
-    release: Release,
-    threads: int | None,
-    names: Sequence[str],
-    cases: Floats,
+    rig: Rig, release: Release, threads: int | None, names: Sequence[str], cases: Floats
 ) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':

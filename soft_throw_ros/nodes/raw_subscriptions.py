@@ -18,7 +18,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import ROSClock
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.configuration.interface import find_topic, Topic
 from soft_throw_ros.nodes.conversions import profile_to_dict
@@ -66,6 +66,10 @@ class RawSubscription:
     ----------
     received : int
         Number of received messages.
+    is_latched : bool
+        Whether it is transient local, as of topics that may be published only once.
+    publishers : set of bytes
+        Identifiers of the publishers of the topic, as of the last call of `poll_losses`.
 
     Raises
     ------
@@ -77,10 +81,11 @@ class RawSubscription:
     def __init__(self, node: Node, channel: Channel, profile: QoSProfile) -> None:
         self.channel = channel
         self.received = 0
+        self.is_latched = profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+        self.publishers: set[bytes] = set()
         self._node = node
-        known = find_topic(channel.topic, channel.type)
-        is_of_node = known is not None and known.topic.name.startswith('~/')
-        self._counter = LossCounter(has_one_publisher=is_of_node)
+        self._profile = profile
+        self._counter = LossCounter()
         self._reported = 0  # losses that the middleware has reported
         self._type = load_type(channel.type)
         self._subscription = node.create_subscription(
@@ -129,13 +134,27 @@ class RawSubscription:
         self.received += len(messages)
         return messages
 
-    def poll_losses(self) -> None:
-        """Ask the middleware for the publishers of the topic and for reported losses."""
+    def poll_losses(self) -> str:
+        """
+        Ask the middleware for the publishers of the topic and for reported losses.
+
+        Return the reason if nothing comes from a new publisher, empty otherwise.
+        """
         event = take_event(self._loss_event)
         if event is not None:
             self._reported = event.total_count
         publishers = self._node.get_publishers_info_by_topic(self.channel.topic)
-        self._counter.update((bytes(item.endpoint_gid) for item in publishers), self._reported)
+        found = {bytes(item.endpoint_gid): item for item in publishers}
+        self._counter.update(found, self._reported)
+        reason = ''
+        for item in (found[gid] for gid in found.keys() - self.publishers):
+            _, text = qos_check_compatible(item.qos_profile, self._profile)
+            if item.topic_type != self.channel.type:
+                reason = f'its messages are {item.topic_type}'
+            elif 'ERROR: ' in text:
+                reason = text.replace('ERROR: ', ' ').strip() + ' start again to receive all'
+        self.publishers = set(found)
+        return reason
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -157,6 +176,11 @@ class RawSubscriptions:
     is_accepted : callable, optional
         Returns for the name and type of a requested topic whether to subscribe.
 
+    Attributes
+    ----------
+    refused : dict of str to str
+        Topics, and publishers of topics, that are not received, with the reasons.
+
     """
 
     def __init__(
@@ -166,7 +190,7 @@ class RawSubscriptions:
         *,
         is_accepted: Callable[[str, str], bool] = lambda _topic, _type: True,
     ) -> None:
-        self._refused: set[str] = set()
+        self.refused: dict[str, str] = {}
         self._is_accepted = is_accepted
         self._node = node
         self._wanted = wanted
@@ -176,21 +200,23 @@ class RawSubscriptions:
         return iter(list(self._subscriptions.values()))
 
     def discover(self) -> dict[str, str]:
-        """Subscribe to all requested topics that exist; return newly refused ones with reasons."""
+        """Subscribe to all requested topics that exist; return what is newly `refused`."""
         refused = {}
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self._refused or not is_wanted(topic, self._wanted):
+            if topic in self.refused or not is_wanted(topic, self._wanted):
                 continue
             if not any(self._is_accepted(topic, type_name) for type_name in types):
                 continue
             if topic in self._subscriptions:
-                self._subscriptions[topic].poll_losses()
+                if reason := self._subscriptions[topic].poll_losses():
+                    refused[f'{topic} of a later publisher'] = reason
             elif publishers := self._node.get_publishers_info_by_topic(topic):
                 try:
                     self._subscriptions[topic] = self._subscribe(topic, types, publishers)
                 except (ImportError, SchemaError, ValueError) as error:
                     refused[topic] = str(error)
-        self._refused |= refused.keys()
+        refused = {name: why for name, why in refused.items() if name not in self.refused}
+        self.refused |= refused
         return refused
 
     def drain(self) -> list[Message]:

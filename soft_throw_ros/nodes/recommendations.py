@@ -12,16 +12,15 @@ from pathlib import Path
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.commands.design_texts import remarks_of, summary_of
+from soft_throw_ros.commands.design_texts import summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
-from soft_throw_ros.core.rig import Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
-from soft_throw_ros.design.recommendation import Recommendation
 from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
@@ -59,9 +58,9 @@ class RecommendationState:
             return {}
         if isinstance(best, MotionDesign):
             return {motions.PARAMETER: str(_save_motion(best))}
-        changes: dict[str, float | str] = {}
         if isinstance(best, Aim):
-            changes['engine.amplitude'] = best.amplitude
+            return {'engine.amplitude': best.amplitude}
+        changes: dict[str, float | str] = {}
         if best.layer:
             changes['layer.name'] = best.layer
             known = library(self.config.settings['layer.library']).layers[best.layer]
@@ -79,11 +78,7 @@ class RecommendationState:
 
     def values(self) -> dict[str, float | str | bool]:
         """Return the values of the recommendation without its rig; empty without an answer."""
-        if self.best is None:
-            return {}
-        return {
-            'g_load': self.best.peak_acceleration / STANDARD_GRAVITY, **self.best.values()
-        }
+        return {} if self.best is None else self.best.values()
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""
@@ -99,10 +94,7 @@ class RecommendationState:
                 node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR
             )
         values = {**self.values(), **rig}
-        if isinstance(best, Recommendation):
-            values['remarks'] = remarks_of(best)
-        is_missed = isinstance(best, Aim) and not best.is_reached
-        return status_to_msg(node_name, 'recommendation', self.describe(), values, warn=is_missed)
+        return status_to_msg(node_name, 'recommendation', self.describe(), values)
 
 
 def _save_motion(best: MotionDesign) -> Path:

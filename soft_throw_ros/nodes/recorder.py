@@ -16,7 +16,7 @@ from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_T
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.recording import bag_path, has_rerun, Recording
+from soft_throw_ros.nodes.recording import bag_path, first_few, has_rerun, Recording, SILENCE_LIMIT
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.recording.rerun_viewer import has_display, listens
 from soft_throw_ros.twin.session import RequestRejected
@@ -41,6 +41,7 @@ class Recorder(RunnableNode):
         self.recording: Recording | None = None
         self.add_cleanup(self.close)
         self._arguments = arguments
+        self._code: int | None = None
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
         when = ', when recording is started again'
@@ -61,8 +62,8 @@ class Recorder(RunnableNode):
 
     @property
     def exit_code(self) -> int | None:
-        """Exit code 1 if the last recording has failed."""
-        return 1 if self._has_failed else None
+        """Exit code 1 after `close` if a recording has failed; None before."""
+        return self._code
 
     def start(self) -> None:
         """Start recording if the parameter `start` is true."""
@@ -75,9 +76,10 @@ class Recorder(RunnableNode):
         self.get_logger().info('ready')
 
     def close(self) -> None:
-        """Finish the recording under way."""
+        """Finish the recording under way, and set the exit code."""
         if self.recording is not None:
-            self._has_failed = self.end()
+            self.end()
+        self._code = 1 if self._has_failed else None
 
     def begin(self) -> None:
         """
@@ -105,6 +107,7 @@ class Recorder(RunnableNode):
         recording, self.recording = self.recording, None
         assert recording is not None
         recording.stop(on_stall=self.get_logger().warning)
+        self._has_failed |= recording.has_failed
         self._last = recording.summary()
         self._report()
         if recording.has_failed:
@@ -123,7 +126,8 @@ class Recorder(RunnableNode):
     def _on_stop(self) -> str:
         if self.recording is None:
             raise RequestRejected(f'nothing is being recorded; {self._last}')
-        self.end()
+        if self.end():
+            raise RequestRejected(self._last)
         return self._last
 
     def _on_discovery(self) -> None:
@@ -131,19 +135,20 @@ class Recorder(RunnableNode):
         if recording is not None:
             for topic, reason in recording.subscriptions.discover().items():
                 self.get_logger().warning(f'{topic} is not recorded: {reason}')
-            if recording.viewer is not None:
-                recording.viewer.check()
 
     def _on_second(self) -> None:
         """Publish the state of the recording, and log its problems."""
         recording = self.recording
-        is_new_silence = recording is not None and recording.watch_states()
+        unheard = recording.watch_publishers() if recording is not None else []
         now = self.get_clock().now().nanoseconds
         self._outgoing.send(RECORDER_TOPICS.diagnostics, now, self._statuses())
         if recording is None:
             return
-        if is_new_silence:
-            self.get_logger().error(recording.silence)
+        if unheard:
+            self.get_logger().warning(
+                f'no message on {first_few(unheard)} for {SILENCE_LIMIT} s: if there should be, '
+                'run publisher and recorder as one user (docs/ros.md), or restart the recorder'
+            )
         if silent := recording.take_silent_topics():
             self.get_logger().warning(f'nothing is published yet on {", ".join(silent)}')
         if failure := recording.take_viewer_failure():
@@ -180,18 +185,16 @@ class Recorder(RunnableNode):
             'topics': len(list(recording.subscriptions)),
         }
         message, error = self._message(), recording.error
-        losses = recording.losses()
+        losses, missing = recording.losses(), recording.missing_sources
         lost = sum(losses.values())
+        text = f'{lost} messages lost{missing}'
         statuses = [
             status('bag', error or message, values, warn=bool(error)),
-            status('losses', f'{lost} messages lost', {'lost': lost, **losses}, warn=lost > 0),
+            status('losses', text, {'lost': lost, **losses}, warn=lost > 0 or bool(missing)),
         ]
-        if silence := recording.silence:
-            statuses.append(status('reception', silence, level=DiagnosticStatus.ERROR))
         if recording.viewer is not None:
-            error = recording.viewer.failure or recording.viewer.error
-            values = {'starts': recording.viewer.starts}
-            statuses.append(status('viewer', error or 'started', values, warn=bool(error)))
+            error = recording.viewer.error
+            statuses.append(status('viewer', error or 'started', {}, warn=bool(error)))
         return statuses
 
 

@@ -26,10 +26,10 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, R
 from soft_throw_ros.nodes.topics import full_name
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.child_process import RestartedProcess
+from soft_throw_ros.recording.child_process import ChildProcess
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.storage.cdr import decode, MessageError
-from soft_throw_ros.storage.message import LOSSES, Message, MISSED_BEFORE_JOIN
+from soft_throw_ros.storage.message import Message
 from soft_throw_ros.twin import journal
 
 DRAIN_TIME = 0.01
@@ -38,12 +38,12 @@ DRAIN_TIME = 0.01
 PUBLISHER_TIMEOUT = 2.0
 """Time after which wanted topics without a publisher are logged. [s]"""
 
-SILENCE_LIMIT = 30
-"""
-Time without states after which a recorder reports twins that are present. [s]
+SILENCE_LIMIT = 5
+"""Time without messages after which topics are reported although they have publishers. [s]"""
 
-A killed twin counts as present for another 20 s.
-"""
+_PARTICIPANT = slice(12)  # part of the identifier of a publisher that names its process, in DDS
+
+_MAX_NAMES = 2  # in a sentence
 
 
 class Recording:
@@ -56,10 +56,10 @@ class Recording:
         Subscriptions to the recorded topics.
     writer : WriterThread or None
         Thread that writes the bag; None if nothing is written.
-    viewer : RestartedProcess or None
+    viewer : ChildProcess or None
         Process that shows the topics; None if nothing is shown.
-    silence : str
-        Report on twins that are present while no states arrive; empty otherwise.
+    unheard_topics : list of str
+        Topics of processes that are present, but have sent nothing for `SILENCE_LIMIT`.
 
     """
 
@@ -70,12 +70,12 @@ class Recording:
         self._are_silent_topics_reported = False
         self._is_viewer_failure_reported = False
         self._node = recorder
-        self._states_received = 0  # by the last call of `watch_states`
-        self.silence = ''
-        self._silent_seconds = 0
+        self.unheard_topics: list[str] = []
+        self._silences: dict[bytes, tuple[int, int]] = {}  # received messages and silent seconds
+        self._reported: set[str] = set()
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
         self.writer: WriterThread | None = None
-        self.viewer: RestartedProcess | None = None
+        self.viewer: ChildProcess | None = None
         self._settings = settings
         self._began = time.monotonic()
         self._twins: dict[str, object] = {}
@@ -84,7 +84,7 @@ class Recording:
             text = files.render(settings, table=RECORDER, title='How this was recorded.')
             self._attach(self.writer, 'recorder.yaml', text)
         if settings['rerun.sink'] != 'none' and has_rerun(settings):
-            self.viewer = RestartedProcess(self._viewer_command(recorder, arguments))
+            self.viewer = ChildProcess(self._viewer_command(recorder, arguments))
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
         self._thread.start()
@@ -105,18 +105,30 @@ class Recording:
         """Number of received messages."""
         return sum(item.received for item in self.subscriptions)
 
-    def watch_states(self) -> bool:
-        """Update `silence`; call this once a second. Return whether a silence begins."""
-        received = sum(item.received for item in self._states)
-        is_present = any(self._node.count_publishers(item.channel.topic) for item in self._states)
-        is_silent = is_present and received == self._states_received
-        self._silent_seconds = self._silent_seconds + 1 if is_silent else 0
-        self._states_received = received
-        self.silence = '' if self._silent_seconds < SILENCE_LIMIT else (
-            f'no states received for {self._silent_seconds} s, although their publishers are '
-            'present: if `ros2 topic hz` shows states, restart this recorder'
-        )
-        return self._silent_seconds == SILENCE_LIMIT
+    def watch_publishers(self) -> list[str]:
+        """
+        Update `unheard_topics`; call this once a second. Return each of them once.
+
+        A process is silent if nothing comes on any of its topics. Latched topics do not count,
+        since they may be published only once, nor do topics of several processes, since ROS 2
+        Jazzy does not tell whose messages come.
+        """
+        items_by_process: dict[bytes, list[RawSubscription]] = {}
+        for item in self.subscriptions:
+            processes = {publisher[_PARTICIPANT] for publisher in item.publishers}
+            if len(processes) == 1 and not item.is_latched:
+                items_by_process.setdefault(processes.pop(), []).append(item)
+        self.unheard_topics = []
+        for process, items in items_by_process.items():
+            received = sum(item.received for item in items)
+            before, seconds = self._silences.get(process, (received, 0))
+            seconds = seconds + 1 if received == before else 0
+            self._silences[process] = received, seconds
+            if seconds >= SILENCE_LIMIT:
+                self.unheard_topics += [item.channel.topic for item in items]
+        new = [topic for topic in self.unheard_topics if topic not in self._reported]
+        self._reported.update(new)
+        return new
 
     def take_silent_topics(self) -> list[str]:
         """Return, once, the wanted topics without a publisher after `PUBLISHER_TIMEOUT`."""
@@ -127,12 +139,12 @@ class Recording:
         return [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
 
     def take_viewer_failure(self) -> str:
-        """Return, once, the reason why the viewer is given up; empty otherwise."""
-        reason = self.viewer.failure if self.viewer is not None else ''
+        """Return, once, the reason why the viewer does not run; empty otherwise."""
+        reason = self.viewer.error if self.viewer is not None else ''
         if not reason or self._is_viewer_failure_reported:
             return ''
         self._is_viewer_failure_reported = True
-        return f'the viewer is not started any more: {reason}; recording goes on without it'
+        return f'the viewer does not run: {reason}; recording goes on without it'
 
     def losses(self) -> dict[str, int]:
         """Return the number of lost messages by topic: published, but not in the bag."""
@@ -175,9 +187,11 @@ class Recording:
         self.subscriptions.close()
         if self.writer is not None:
             losses = self.losses()
-            self._note(self.writer, LOSSES, {'total': sum(losses.values()), **losses})
+            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
             if missed := self.missed_before_join():
-                self._note(self.writer, MISSED_BEFORE_JOIN, missed)
+                self._note(self.writer, 'published before recording', missed)
+            if refused := self.subscriptions.refused:
+                self._note(self.writer, 'not recorded', refused)
             self.writer.close(on_stall)
         if self.viewer is not None:
             self.viewer.close()
@@ -187,12 +201,13 @@ class Recording:
         seconds = time.monotonic() - self._began
         losses = self.losses()
         text = f'{self.received} messages in {seconds:.1f} s, {sum(losses.values())} lost'
-        text += ''.join(f', {count} of {topic}' for topic, count in losses.items())
+        if losses:
+            text += f', {_largest(losses)}'
         if self.bag is not None:
             text += f', in {self.bag}'
         if missed := self.missed_before_join():
-            text += f'; joined late, after {sum(missed.values())} messages'
-            text += ''.join(f', {count} of {topic}' for topic, count in missed.items())
+            text += f'; joined late, after {sum(missed.values())} messages, {_largest(missed)}'
+        text += self.missing_sources
         if self.error:
             text += f'; the end is missing: {self.error}'
             if self.saved and self.bag is not None:
@@ -200,13 +215,11 @@ class Recording:
         return text
 
     @property
-    def _states(self) -> list[RawSubscription]:
-        """Subscriptions to states, which a twin publishes with every tick."""
-        known = (
-            (item, find_topic(item.channel.topic, item.channel.type))
-            for item in self.subscriptions
-        )
-        return [item for item, row in known if row and row.topic == TWIN_TOPICS.joint_states]
+    def missing_sources(self) -> str:
+        """Clauses on topics and publishers of which nothing is recorded; mostly empty."""
+        refused, unheard = list(self.subscriptions.refused), self.unheard_topics
+        text = f'; not recorded: {first_few(refused)}' if refused else ''
+        return text + (f'; nothing comes on {first_few(unheard)}' if unheard else '')
 
     def _open_bag(self) -> BagWriter:
         settings = self._settings
@@ -289,6 +302,17 @@ class Recording:
             *(word for name in names for word in ('-r', name)),
             *(word for rule in rules for word in ('-p', rule)),
         ]
+
+
+def _largest(counts: dict[str, int]) -> str:
+    """Return the largest counts by topic as text."""
+    return first_few([f'{count} of {topic}' for topic, count in Counter(counts).most_common()])
+
+
+def first_few(names: Sequence[str]) -> str:
+    """Return the first names of a list, and the number of the others."""
+    others = len(names) - _MAX_NAMES
+    return ', '.join(names[:_MAX_NAMES]) + (f' and {others} more' if others > 0 else '')
 
 
 def has_rerun(settings: Settings) -> bool:

@@ -22,7 +22,7 @@ _MANY = 8  # number of joints from which on arrays are faster than single values
 
 
 def load_type(name: str) -> Any:
-    """Import the class of a type, such as `std_msgs/msg/String`; ImportError if there is none."""
+    """Import the class of a type that `find_schema` knows; ImportError if there is none."""
     package, _, type_name = name.rpartition('/')
     try:
         return getattr(import_module(package.replace('/', '.')), type_name)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `throw`."""
 
-import csv
 from pathlib import Path
 import re
 import subprocess
@@ -12,7 +11,6 @@ import pytest
 from soft_throw_ros.commands import throw
 from soft_throw_ros.configuration.layers import default_file, library
 from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
@@ -40,7 +38,7 @@ def test_json_has_the_throw_and_the_spring_to_the_last_digit(command):
 
 
 def test_spring_is_the_limit_of_a_heavy_projectile_on_a_harmonic_plate(command):
-    rig = ('--mass', 1.0, '--wave-speed', 150, '--amplitude', 0.02, '--gravity', 0, '--motion',
+    rig = ('--mass', 1.0, '--wave-speed', 150, '--amplitude', 0.02, '-p', 'gravity:=0', '--motion',
            'harmonic')
     printed = command.json(*rig)
     names = ('ejection_time', 'ejection_phase', 'ejection_speed', 'energy_transfer')
@@ -49,7 +47,7 @@ def test_spring_is_the_limit_of_a_heavy_projectile_on_a_harmonic_plate(command):
 
 
 def test_internal_loss_shows_its_heat(command):
-    throw_ = command.json('--loss-tangent', 0.05)['throw']
+    throw_ = command.json('-p', 'layer.loss_tangent:=0.05')['throw']
     parts = throw_['layer_energy'] + throw_['projectile_energy'] + throw_['heat']
     assert parts == pytest.approx(throw_['plate_work'], rel=1e-3)
     assert throw_['heat'] > 0.0
@@ -69,7 +67,7 @@ def test_table_has_the_columns_of_the_json(command):
 
 
 def test_uncertainty_of_the_rig_is_shown(command):
-    options = ['--uncertain-thickness', 1e-3, '--uncertain-mass', 0]
+    options = ['-p', 'uncertainty.thickness:=1e-3', '-p', 'uncertainty.mass:=0']
     printed = command.json(*options)
     expected = prediction_uncertainty(Rig(), Uncertainties(thickness=1e-3, mass=0.0))
     assert printed['uncertainty'] == expected.values()
@@ -94,14 +92,10 @@ def test_options_replace_values_of_the_file(command, write):
         (('--thickness', 'soft'), "argument --thickness: .* got 'soft'"),
         (('--layer', 'jelly'), "argument --layer: .* got 'jelly'"),
         (('--motion', 'measured'), "argument --motion: .*'measured'"),
-        (('--max-strain', '0'), 'max_strain must be .* got 0'),
+        (('-p', 'max_strain:=0'), 'argument -p: max_strain must be .* got 0'),
         (('--layer', 'gelatin_2.0mm', '--thickness', '0.01'), 'is 0.002, got 0.01'),
         (('--thicknes', '0.01'), '--thicknes 0.01'),
         (('--config', 'no_such.yaml'), 'no_such.yaml: '),
-        (('--cases', 'no_such.csv'), 'no_such.csv: '),
-        (('--cases', '/dev/zero'), '/dev/zero: is not a regular file'),
-        (('--cases', 'a.csv', '--json'), 'argument --json: '),
-        (('--cases', 'a.csv', '--mass', '1'), 'argument --mass: '),
     ],
 )
 def test_refused_arguments_are_quoted(command, args, message):
@@ -113,62 +107,16 @@ def test_bad_file_is_named_with_its_line(command, write):
     assert command.refused('--config', path).startswith(f'{path}:3: gravity must be')
 
 
-def test_cases_get_a_release_row_for_row(command, write):
-    cases = [(0.2342, 8.242, 0.0), (0.63, 7.3, 0.064), (30.0, 0.5, 0.3)]
-    path = write(
-        # another order, another column, spaces, an empty line, the mark of a spreadsheet
-        '\ufeffname; kappa;zeta;mu\r\n'
-        + ''.join(f'a, b;{kappa};{zeta} ;{mu}\r\n' for mu, kappa, zeta in cases)
-        + '\r\n'
-    )
-    rows = list(csv.DictReader(command.run('--cases', path).splitlines()))
-    assert [tuple(float(row[name]) for name in ('mu', 'kappa', 'zeta')) for row in rows] == cases
-    for row, (mu, kappa, zeta) in zip(rows, cases, strict=True):
-        exact = first_release(mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta)
-        assert float(row['te_f']) == pytest.approx(exact.ejection_phase, abs=1e-12)
-        assert float(row['alpha']) == pytest.approx(exact.energy_transfer, rel=1e-12)
-
-
-def test_no_cases_give_no_rows_and_a_hint(command, write):
-    path = write('mu,kappa,zeta\n')
-    assert command.run('--cases', path) == 'mu,kappa,zeta,te_f,alpha\n'
-    assert f'{path} has no rows' in command.err
-
-
-@pytest.mark.parametrize(
-    ('text', 'message'),
-    [
-        ('mu,kappa,zeta\n1,2,0\n\n1,soft,0\n', r":4: kappa must be .* got 'soft'"),
-        ('mu,kappa,zeta\n0,2,0\n', r":2: mu must be .* got '0'"),
-        ('mu,kappa,zeta\n1,inf,0\n', r":2: kappa must be .* got 'inf'"),
-        ('mu,kappa,zeta\n1,2,nan\n', r":2: zeta must be .* got 'nan'"),
-        ('mu,kappa,zeta\n1,2,1\n', r":2: zeta must be .* got '1'"),
-        ('mu,kappa,zeta\n1,2\n', r":2: zeta must be .* got ''"),
-        ('mu,kappa\n1,2\n', r": .* mu, kappa, zeta, got 'mu,kappa'$"),
-        ('', r": .* mu, kappa, zeta, got ''"),
-        (b'mu,kappa,zeta\n1,\xff,0\n', r': .*UTF-8'),
-        # far beyond the resolvable range: a named error and no wrong number
-        ('mu,kappa,zeta\n1,2,0\n1e6,1e5,0\n1e7,1e5,0\n', r':3: .* 1e\+06'),
-    ],
-)
-def test_bad_case_is_named_with_file_line_and_value(command, write, text, message):
-    path = write(text)
-    assert re.match(re.escape(str(path)) + message, command.refused('--cases', path))
-
-
 def test_closed_output_pipe_gives_no_traceback():
     """A pipe is closed before anything is read, as `| head` may do."""
     with subprocess.Popen(
-        [sys.executable, '-m', 'soft_throw_ros', 'throw', '--cases', '-'],
+        [sys.executable, '-m', 'soft_throw_ros', 'throw', '--json'],
         cwd=ROOT,
-        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
         process.stdout.close()
-        process.stdin.write('mu,kappa,zeta\n' + '1,2,0\n' * 5000)
-        process.stdin.close()
         errors = process.stderr.read()
         assert process.wait(timeout=100) == 0
     assert 'rror' not in errors

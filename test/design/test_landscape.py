@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from reference.cases import exact_release
 from soft_throw_ros.core.closed_form import first_release
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.design.landscape import compute_landscape
 
+MOTION = SampledMotion(np.array([0.0, 0.01]), np.array([[0.0, 0.0, 0.0], [1e-3, 1.0, 0.0]]))
 HARMONIC = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
 PARAMETERS = {
     'layer.thickness': (2e-3, 0.03),
@@ -187,3 +189,15 @@ def test_projectile_that_is_held_is_nan():
 def test_refused_requests_are_quoted(axes, options, message):
     with pytest.raises(ValueError, match=message):
         compute_landscape(Rig(), axes, **options)
+
+
+@pytest.mark.parametrize(
+    ('rig', 'axes', 'release', 'message'),
+    [
+        (Rig(layer=Stack(sheets=(Layer(), Layer()))), {'gravity': [0.0]}, 'last', 'layer.stack'),
+        (Rig(engine=Engine(motion=MOTION)), {'engine.damping_ratio': [0.1]}, 'first', 'by a file'),
+    ],
+)
+def test_axes_and_releases_that_a_rig_does_not_have_are_refused(rig, axes, release, message):
+    with pytest.raises(ValueError, match=message):
+        compute_landscape(rig, {**axes, 'layer.thickness': [0.01]}, release=release)

@@ -183,6 +183,8 @@ def test_topic_of_two_types_is_refused_and_reported_once(
     ros, start, talker, listener, subscribe
 ) -> None:
     talker.create_publisher(String, '/talk', 1)
+    early = subscribe('/talk')
+    ros.spin_until(lambda: not early.discover() and bool(list(early)), 'the first type')
     start(sys.executable, '-c', OTHER_TYPE)
     ros.spin_until(
         lambda: dict(listener.get_topic_names_and_types()).get('/talk', [''])[1:],
@@ -193,6 +195,8 @@ def test_topic_of_two_types_is_refused_and_reported_once(
     assert refused.keys() == {'/talk'}
     assert 'several types' in refused['/talk']
     assert subscriptions.discover() == {}
+    early.discover()
+    assert ['Float64MultiArray' in reason for reason in early.refused.values()] == [True]
 
 
 def test_no_message_is_read_before_the_clock_starts(ros, talker, subscribe) -> None:

@@ -9,23 +9,23 @@ import json
 from pathlib import Path
 import shutil
 import socket
+import subprocess
 import sys
 from typing import Any
 
 from bags import attachments, saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
-from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration import ParameterError, RECORDER
-from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes import recording
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder, viewer_hint
-from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.recording import child_process, writer_thread
+from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.storage.bag_reader import BagReader
 from std_msgs.msg import String
 
@@ -131,22 +131,41 @@ def test_losses_are_in_diagnostics_and_bag(
     assert notes['losses'] == {'total': '2', '/talk': '2'}
 
 
-@pytest.mark.slow
-def test_silence_of_twins_that_are_present_is_reported(
-    ros, recorder, talker, listen_to, monkeypatch
+QUIET = """
+import sys
+import rclpy
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node('quiet')
+publisher = node.create_publisher(String, '/talk/quiet', 1)
+once = node.create_publisher(String, '/talk/once', rclpy.qos.QoSProfile(depth=1, durability=1))
+while not publisher.get_subscription_count():
+    pass
+for _ in range(int(sys.argv[1])):
+    publisher.publish(String())
+sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize('count', ['0', '1'])
+def test_process_that_is_present_and_sends_nothing_is_reported_once(
+    ros, recorder, start, listen_to, monkeypatch, count
 ) -> None:
     monkeypatch.setattr(recording, 'SILENCE_LIMIT', 1)
-    topic = TWIN_TOPICS.joint_states.at('/twin')
-    node = recorder(name='bag', topics='[/twin]')
+    node = recorder(name='bag')
     listener = listen_to(node)
+    log = listener.log()
     listener.listen(RECORDER_TOPICS.diagnostics)
-    publisher = talker.create_publisher(JointState, topic.name, qos_profile(topic))
-    ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
-    publisher.publish(JointState())
-    reported = listener.status(RECORDER_TOPICS.diagnostics, 'reception', lambda _: True)
-    assert reported.level == DiagnosticStatus.ERROR
-    talker.destroy_publisher(publisher)
-    ros.spin_until(lambda: not node.recording.silence, 'no publisher')
+    process = start(sys.executable, '-c', QUIET, count, stdin=subprocess.PIPE)
+    warning = listener.status(
+        RECORDER_TOPICS.diagnostics, 'losses', lambda item: item.level == DiagnosticStatus.WARN
+    )
+    assert warning.message.endswith(' /talk/quiet')
+    listener.hear(RECORDER_TOPICS.diagnostics, len(listener.heard['/diagnostics']) + 2)
+    assert sum('/talk/quiet' in line for line in log) == 1
+    process.close()
+    ros.spin_until(lambda: not node.recording.unheard_topics, 'the end of the process')
+    node.close()
 
 
 def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, tmp_path) -> None:
@@ -215,23 +234,71 @@ def test_recorder_records_the_twin_in_its_own_namespace(ros, recorder, tmp_path)
     assert "name: 'bag'" in files['recorder.yaml']
 
 
-def test_deleted_bag_is_reported_and_not_counted_as_recorded(
+def test_deleted_bag_is_a_failure_and_not_counted_as_recorded(
     ros, recorder, talker, listen_to, tmp_path
 ) -> None:
     node = recorder(name='bag')
     listener = listen_to(node)
     listener.listen(RECORDER_TOPICS.diagnostics)
-    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
-    ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 3, 'the messages in the bag')
+    topics = [f'/talk/a{number}' for number in range(12)]
+    for topic in topics:
+        say(ros, node, talker.create_publisher(String, topic, 100), ['a'])
+    ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 12, 'the messages in the bag')
     shutil.rmtree(tmp_path / 'bag')
     status = listener.status(
         RECORDER_TOPICS.diagnostics, 'bag', lambda item: item.level == DiagnosticStatus.WARN
     )
     assert 'deleted' in status.message
     recording = node.recording
+    response = listener.trigger(RECORDER_SERVICES.stop)
+    assert not response.success
+    assert '12 lost' in response.message
+    assert 'deleted' in response.message
+    assert response.message.count('/talk/') <= 3  # not all topics
+    assert recording.losses() == dict.fromkeys(topics, 1)
+    assert node.exit_code is None  # it can record again
+    assert listener.trigger(RECORDER_SERVICES.start).success
+    assert listener.trigger(RECORDER_SERVICES.stop).success
     node.close()
     assert node.exit_code == 1
-    assert recording.losses() == {'/talk': 3}
+
+
+BEST_EFFORT = QoSProfile(depth=9, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATER = '/talk of a later publisher'
+LATCHED = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')  # rclpy's own
+@pytest.mark.parametrize(
+    ('first', 'second'), [(LATCHED, QoSProfile(depth=9)), (LATCHED, BEST_EFFORT), (9, BEST_EFFORT)]
+)
+def test_later_publisher_of_another_quality_of_service_is_reported_as_missing(
+    ros, recorder, talker, listen_to, first, second
+) -> None:
+    node = recorder()
+    listener = listen_to(node)
+    log = listener.log()
+    publisher = talker.create_publisher(String, '/talk', first)
+    say(ros, node, publisher, ['a'])
+    bag = node.recording.bag
+    later = talker.create_publisher(String, '/talk', second)
+    ros.spin_until(lambda: any(LATER in line for line in log), 'the warning')
+    later.publish(String(data='b'))
+    say(ros, node, publisher, ['c'])
+    response = listener.trigger(RECORDER_SERVICES.stop)
+    assert response.success
+    assert LATER in response.message
+    assert texts(bag) == ['a', 'c']
+    with BagReader(bag) as reader:
+        notes = {item.name: item.metadata for item in reader.metadata}
+    assert LATER in notes['not recorded']
+    assert listener.trigger(RECORDER_SERVICES.start).success
+    bag = node.recording.bag
+    for one in (publisher, later):
+        say(ros, node, one, ['d'])
+    node.close()
+    assert texts(bag)[-2:] == ['d', 'd']
+    assert sum(LATER in line for line in log) == 2  # the warning and the count
 
 
 def test_topic_without_publisher_is_reported(ros, recorder, talker, tmp_path, capfd) -> None:
@@ -308,17 +375,16 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
 
 
-def test_abandoned_viewer_is_reported_once(
-    ros, recorder, talker, tmp_path, monkeypatch, capfd
+def test_viewer_that_ends_is_reported_once(
+    ros, recorder, talker, tmp_path, capfd
 ) -> None:
-    monkeypatch.setattr(child_process, 'RESTART_TIME', 0.0)
     node = recorder(name='bag', rerun__sink='viewer', rerun__python='/bin/false')
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
-    ros.spin_until(lambda: bool(node.recording.viewer.failure), 'the failures')
+    ros.spin_until(lambda: bool(node.recording.viewer.error), 'the end of the viewer')
     for _ in range(3):
         node._on_second()
     lines = capfd.readouterr().err.splitlines()
-    (line,) = (line for line in lines if 'not started any more' in line)
+    (line,) = (line for line in lines if 'the viewer does not run' in line)
     assert 'exit code 1' in line
     node.close()
     assert texts(tmp_path / 'bag') == ['a']

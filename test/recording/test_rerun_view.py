@@ -239,20 +239,6 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
     assert recording.views.count('Position z (mm)') == 2
 
 
-def test_layout_is_not_sent_again_for_a_small_correction_of_the_rig(tmp_path) -> None:
-    """Each new layout takes memory and reverts the changes that a user made by hand."""
-    sent = []
-    for thicknesses in ((), (0.0176, 0.0160, 0.0168), (0.03,)):
-        twin = TwinMessages(throw__period=0.1).go(150)
-        for number, thickness in enumerate(thicknesses):
-            twin.change(layer__thickness=thickness, engine__frequency=63.2 + number)
-            twin.go(150)
-        scene = Scene('test', is_live=True)
-        path = tmp_path / f'{len(sent)}.rrd'
-        sent.append(record(path, scene, twin.messages, batch=10).views.count('Position z (mm)'))
-    assert sent[1] == sent[0] < sent[2]
-
-
 def test_late_viewer_gets_the_present_state_only(twin, tmp_path) -> None:
     scene = Scene('test', is_live=True)
     before = record(tmp_path / 'first.rrd', scene, twin.messages, batch=100)
