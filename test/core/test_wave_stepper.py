@@ -101,9 +101,23 @@ def errors_of_events(rig, history):
     return errors
 
 
-def test_five_events_of_most_random_rigs_are_exact_to_1e_3():
+def error_of_loads(rig, history):
+    """Return the largest relative error of the loads at both ends, and of the plate's work."""
+    end = history.events[0].time * (1.0 - 1e-9)
+    times = np.linspace(0.0, end, 4001)
+    on_plate, on_projectile = history.plate_force(times), history.contact_force(times)
+    exact = (
+        abs(on_plate).max(), (on_projectile / rig.projectile.mass - rig.gravity).max(),
+        trapezoid(-on_plate * history.motion.velocity(times), times),
+    )
+    model = released(WaveStepper(rig))
+    computed = model.loads.plate_force, model.loads.acceleration, model.plate_work
+    return np.abs(np.array(computed) / exact - 1.0).max()
+
+
+def test_five_events_and_loads_of_most_random_rigs_are_exact_to_1e_3():
     random = np.random.default_rng(11)
-    worst = []
+    errors = []
     for _ in range(40):
         mu, kappa = np.exp(random.uniform(np.log([0.05, 0.7]), np.log([20.0, 60.0])))
         rig = make_rig(mu, kappa, random.uniform(0.0, 0.2), random.uniform(0.0, 0.3))
@@ -111,9 +125,10 @@ def test_five_events_of_most_random_rigs_are_exact_to_1e_3():
             history = follow(rig, max_events=5, until=6.0 / FREQUENCY)
         except RuntimeError:  # the exact solution takes too long
             continue
-        worst.append(max(errors_of_events(rig, history), default=0.0))
-    assert len(worst) > 35
-    assert np.quantile(worst, 0.95) < 1e-3
+        if history.events:  # not under too much gravity
+            errors.append((max(errors_of_events(rig, history)), error_of_loads(rig, history)))
+    assert len(errors) > 30
+    assert (np.quantile(errors, 0.95, axis=0) < 1e-3).all()
 
 
 @pytest.mark.parametrize(('ratios', 'promised'), [((0.2342, 8.242), 3.6), ((3.0333, 2.5), 1.8)])
@@ -193,12 +208,12 @@ def energy(model):
     return waves + 0.5 * mass * model.state[PROJECTILE_VELOCITY] ** 2 + weight * height
 
 
-def test_work_of_the_plate_is_energy_of_layer_and_projectile_to_1e_6():
-    model = WaveStepper(Rig(), steps=4096, field_points=4097)
+def test_work_of_the_plate_is_energy_of_layer_and_projectile_to_1e_3():
+    model = WaveStepper(Rig(), field_points=257)
     for time in (0.0035, 0.005, 0.006, 0.00764):
         model.advance_to(time)
         assert model.plate_work == model.stored_energy()
-        assert model.plate_work == pytest.approx(energy(model), rel=1e-6)
+        assert model.plate_work == pytest.approx(energy(model), rel=1e-3)
 
 
 @pytest.mark.parametrize('ratios', [(3.453, 1.6, 0.7, 0.05), (0.634, 7.35, 0.5, 0.02)])
