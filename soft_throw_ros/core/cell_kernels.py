@@ -53,7 +53,14 @@ from soft_throw_ros.core import stepper
 from soft_throw_ros.core.cell_grid import POINT, ROUNDING
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
-from soft_throw_ros.core.plate_kernels import motion_at, PLATE, write_underdamped
+from soft_throw_ros.core.plate_kernels import (
+    BLOCK,
+    DAMPED,
+    motion_at,
+    PLATE,
+    start_block,
+    write_underdamped,
+)
 
 _FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed [-]."""
@@ -143,6 +150,7 @@ RECORD = np.dtype(
         ('last_stiff', 'i8'),
         # the plate
         *PLATE,
+        ('slope', 'f8'),  # growth over turn [-]
         ('plate_acceleration', 'f8'),  # [m/s2]
         # the state of the grid
         ('time', 'f8'),  # [s]
@@ -373,6 +381,7 @@ def prepare(
             s.edge_cells[end, 1] = edge + (1 - 2 * end)
             s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
+    s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     cut(s, nodes, bodies)
     _prepare_links(s, nodes, omega)
     _prepare_contact(s, nodes)
@@ -439,6 +448,18 @@ def _link_tension(nodes, j, parity, case, rate):
     viscous = nodes[ROW.viscosity + case, j] * opening  # eta u_ty, added to Eq. (2)
     implicit = nodes[ROW.implicit_stiffness, j] * change * rate
     return nodes[ROW.tension + parity, j] + viscous + implicit
+
+
+@inlined
+def _underdamped_motion(s, path):
+    """Rotate the phasor of an underdamped plate, evaluated anew for every block."""
+    k = s.index & (BLOCK - 1)
+    if k == 0:
+        start_block(s, s.index)
+    real = s.cosine * path[0, k] - s.sine * path[1, k]
+    imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
+    height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
+    return height, s.factor * imaginary, s.factor * (s.turn * real + s.growth * imaginary)
 
 
 @inlined
@@ -548,7 +569,10 @@ def _march(s, nodes, path, events, goal):
         s.event_time = math.inf
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
         s.work_before = s.work
-        height, speed, acceleration = motion_at(s, path, s.index * step)
+        if s.plate_kind == DAMPED:
+            height, speed, acceleration = _underdamped_motion(s, path)
+        else:
+            height, speed, acceleration = motion_at(s, path, s.index * step)
         _move_first_node(s, nodes, height, speed, acceleration)
         gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
         lands = not s.contact and gap < 0.0
@@ -740,6 +764,7 @@ def reset(core: Any, nodes: Any) -> None:
     s = core[0]
     nodes[:STATE_ROWS] = 0.0
     nodes[ROW.peak_strain] = nodes[ROW.static_strain]
+    s.cosine = 1.0
     weight = s.mass * s.gravity
     s.force = s.on_projectile_now = weight
     s.known_forces = 1
