@@ -110,7 +110,7 @@ def test_description_of_a_fit_is_read_or_refused(tmp_path: Path, text: str) -> N
 @pytest.fixture(scope='module')
 def videos() -> dict[str, bytes]:
     """Return a small video and pictures, by file extension."""
-    for module in ('av', 'skimage'):
+    for module in ('av', 'trackpy'):
         pytest.importorskip(module, reason='comes with the extra [video]')
     from imageio import v3 as imageio
 
