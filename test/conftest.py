@@ -21,8 +21,6 @@ hypothesis.settings.register_profile(
     derandomize=True,
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
-# Random examples for `make fuzz`; a failure prints how to repeat it.
-hypothesis.settings.register_profile('random', deadline=None, print_blob=True)
 hypothesis.settings.load_profile('repeatable')
 
 # Child processes receive these signals even if the tests run under nohup.

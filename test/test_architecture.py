@@ -19,10 +19,7 @@ ALLOWED_IN_CORE = {
 }
 
 # Imports of core/processors.py, the only module of core that asks the operating system.
-PROCESSORS = {
-    '__future__', 'collections.abc', 'contextlib', 'contextvars', 'functools', 'math', 'os',
-    'pathlib',
-}
+PROCESSORS = {'__future__', 'collections.abc', 'contextlib', 'contextvars', 'os'}
 
 
 def test_import_contracts_hold():

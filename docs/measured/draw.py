@@ -52,7 +52,10 @@ PIXEL = 1e-4
 """Size of a pixel on the rig. [m]"""
 
 CAMERA = ('--rate', '5000', '--scale', '0.012', '120')
-OPTIONS = ('--one-camera', '--thickness', '0.007', '--mass', '0.0012')
+OPTIONS = (
+    *('--one-camera', '--thickness', '0.007', '--mass', '0.0012'),
+    *('--diameter', '0.012', '--density', '1000'),
+)
 SHAPE = (300, 64)
 """Rows and columns of the video. [px]"""
 

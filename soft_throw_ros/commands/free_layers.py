@@ -14,8 +14,10 @@ from soft_throw_ros.commands.options import (
     not_negative,
     parameter_type,
     read_settings,
+    stated_parameters,
 )
 from soft_throw_ros.commands.output import CommandParser, report_io_errors, run_command
+from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG
 from soft_throw_ros.identification.ringing import fit_period, fit_wave_speed
 
 _SIGNIFICANCE = 1e-4  # probability of a disagreement by chance, below which a warning says so
@@ -65,9 +67,11 @@ def _run(arguments: argparse.Namespace) -> int:
         'the periods are not proportional to the thicknesses (probability '
         f'{speed.probability:.1g}): is it one material?'
     )
+    known = stated_parameters(arguments) | {'layer.wave_speed'}
     IdentificationReport(
         sources=tuple(paths),
         result={'layer.wave_speed': speed.value},
+        assumed=tuple(name for name in DEFAULT_IS_ANOTHER_RIG if name not in known),
         lines=tuple(lines),
         data={'layers': [{'thickness': size, 'period': period} for size, period in layers]},
         warnings=(warning,) * (speed.probability < _SIGNIFICANCE),

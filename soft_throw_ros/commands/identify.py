@@ -32,6 +32,7 @@ from soft_throw_ros.commands.options import (
     add_rig_options,
     option_of,
     read_settings,
+    stated_parameters,
 )
 from soft_throw_ros.commands.output import CommandParser, print_note, run_command
 from soft_throw_ros.configuration import rig_of, Settings
@@ -45,6 +46,7 @@ from soft_throw_ros.identification.fit_description import (
     PARAMETERS,
     parse_treatments,
     TREATMENTS,
+    values_of,
 )
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
@@ -173,19 +175,30 @@ def _identify(
     has_projectile = any(throw.projectile is not None for throw in throws)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': FIXED})
+    description = description.assume(
+        stated_parameters(arguments), [throw.name for throw in throws]
+    )
     rig = rig_of(settings)
     result = fit_rig(throws, rig, description, on_progress=_show_progress)
     remarks = tuple(remark_lines(result))
     lines = [*budget_lines(result), '', *remarks, *layer_lines(result.layers)]
     lines += fit_lines(result.fit)
+    warnings = warning_lines(result.fit)
     ejection = answer = None
     if has_projectile:
-        ejection = ejection_of(result)
+        try:
+            ejection = ejection_of(result)
+            lines += ejection_lines(ejection)
+        except FitError as error:
+            warnings.append(f'no release is predicted: {error}')
+            lines += ['', warnings[-1]]
         answer = answer_of(result, ejection)
-        lines += ejection_lines(ejection)
     relevant = PARAMETERS if has_projectile else ENGINE
     law = result.rig.layer.stress_strain_law
-    values = {name: value for name, value in result.estimates().items() if name in relevant}
+    values = {
+        name: value for name, value in result.estimates().items()
+        if name in relevant and name not in description.assumed
+    }
     if arguments.figure:
         summary = [
             f'{name.rpartition(".")[2].replace("_", " ")} {with_unit(value, unit_of(name))}'
@@ -195,9 +208,10 @@ def _identify(
     return IdentificationReport(
         sources=tuple(throw.name for throw in throws),
         result=values,
-        held={name: value for name, value in result.held_values().items() if name in relevant},
+        held=values_of(result.model.rigs[0], [name for name in relevant if name not in values]),
+        assumed=description.assumed,
         chosen={'layer.stress_strain_law': law} if law != rig.layer.stress_strain_law else {},
-        answer=tuple(answer_lines(answer, result, ejection)) if answer and ejection else (),
+        answer=tuple(answer_lines(answer, result, ejection)) if answer else (),
         lines=tuple(lines),
         data={
             'answer': answer and vars(answer),
@@ -221,7 +235,7 @@ def _identify(
             'ejection': ejection_data(ejection),
         },
         notes=tuple(notes),
-        warnings=tuple(warning_lines(result.fit)),
+        warnings=tuple(warnings),
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import math
 from pathlib import Path
 
-from soft_throw_ros.commands.options import new_file
+from soft_throw_ros.commands.options import new_file, option_of
 from soft_throw_ros.commands.output import (
     CommandParser,
     print_note,
@@ -18,6 +18,8 @@ from soft_throw_ros.commands.output import (
     written_file,
 )
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
+from soft_throw_ros.configuration.layers import CUSTOM
+from soft_throw_ros.configuration.twin_config import BOUND_PER_DEVIATION
 from soft_throw_ros.identification.ejection import Answer, Ejection, GOOD_ENOUGH
 from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.fit_warnings import (
@@ -28,6 +30,7 @@ from soft_throw_ros.identification.fit_warnings import (
     FitWarning,
     InseparablePair,
     Mismatch,
+    NotConverged,
 )
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.model_choice import LayerModel
@@ -60,7 +63,9 @@ class IdentificationReport:
     result: Mapping[str, Estimate]
     """Fitted parameters of the twin."""
     held: Mapping[str, float] = field(default_factory=dict)
-    """Parameters that the fit assumed as known."""
+    """Parameters that the fit held."""
+    assumed: tuple[str, ...] = ()
+    """Parameters with default values, because nobody stated them."""
     chosen: Mapping[str, str] = field(default_factory=dict)
     """Chosen models that differ from the request."""
     answer: tuple[str, ...] = ()
@@ -77,14 +82,15 @@ class IdentificationReport:
     def table(self) -> Iterator[str]:
         """Yield the lines of the report."""
         width = max(map(len, PARAMETERS))
-        if self.answer:
-            yield from (*self.answer, '')
+        assumed = [f'{name} ({option_of(name)})' for name in self.assumed if name in self.held]
+        head = [f'assumed, because nobody stated them: {", ".join(assumed)}'] if assumed else []
+        if head or self.answer:
+            yield from (*head, *self.answer, '')
         for name, text in self._estimates():
             yield f'{name:{width}}  {text}'
         for name, value in self.held.items():
-            unit, factor = _handy_unit(unit_of(name))
-            text = f'{factor * value:.6g} {unit}'.rstrip()
-            yield f'{name:{width}}  {text}, taken as known'
+            source = 'assumed' if name in self.assumed else 'taken as known'
+            yield f'{name:{width}}  {_in_handy_unit(name, value)}, {source}'
         for name, model in self.chosen.items():
             yield f'{name:{width}}  {model}'
         yield from ('', *self.lines)
@@ -98,6 +104,7 @@ class IdentificationReport:
             'sources': self.sources,
             'found': result,
             'held': self.held,
+            'assumed': self.assumed,
             'chosen': self.chosen,
             **self.data,
             'notes': self.notes,
@@ -109,10 +116,18 @@ class IdentificationReport:
             yield name, with_unit(value, unit_of(name))
 
     def put_into(self, settings: Settings) -> Settings:
-        """Return settings of the twin with the fitted parameters; may raise ParameterError."""
-        request: dict[str, Value] = {
-            name: float(f'{value.value:.8g}') for name, value in self.result.items()
-        }
+        """Return settings with the values and errors of the fit; may raise ParameterError."""
+        known = {name: Estimate(value, 0.0) for name, value in self.held.items()
+                 if name not in self.assumed}
+        request: dict[str, Value] = {}
+        for name, (value, error) in {**known, **self.result}.items():
+            if not math.isclose(value, settings[name]):  # any request would end a stack
+                request[name] = float(f'{value:.8g}')
+            bound = TWIN.by_name.get(f'uncertainty.{name.rpartition(".")[2]}')
+            if bound is not None:
+                scale = value if name == 'projectile.mass' else 1.0  # its error is relative
+                largest = BOUND_PER_DEVIATION * error / scale
+                request[bound.name] = float(f'{min(largest, bound.high):.3g}')
         request |= self.chosen
         try:
             return {**settings, **TWIN.change(settings, request)}
@@ -141,14 +156,20 @@ class IdentificationReport:
             if entry.name in settings
             and (entry.is_of_rig or settings[entry.name] != entry.default)
         }
+        if any(name.startswith('layer.') for name in self.assumed):
+            kept['layer.name'] = CUSTOM  # a name would state the whole layer
         names = [Path(source).name for source in self.sources]
         if len(names) > _MAX_NAMES:
             names = [names[0], '...', names[-1]]
         title = [f'Identified from {", ".join(names)}:']
         title += [f'{name} {text}' for name, text in self._estimates()]
+        title += [
+            f'{name} {_in_handy_unit(name, settings[name])}, assumed' for name in self.assumed
+        ]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
         with written_file(path) as unfinished:
-            unfinished.write_text(files.render(kept, title='\n'.join(title)), 'utf-8')
+            text = files.render(kept, title='\n'.join(title), assumed=self.assumed)
+            unfinished.write_text(text, 'utf-8')
 
 
 def add_report_options(parser: CommandParser) -> None:
@@ -170,6 +191,12 @@ def unit_of(name: str) -> str:
 def _handy_unit(unit: str) -> tuple[str, float]:
     """Return the unit of tables for an SI unit, and the factor from SI."""
     return _UNITS_IN_TABLES.get(unit, (unit, 1.0))
+
+
+def _in_handy_unit(name: str, value: float) -> str:
+    """Write a value of a parameter without an error."""
+    unit, factor = _handy_unit(unit_of(name))
+    return f'{factor * value:.6g} {unit}'.rstrip()
 
 
 def with_unit(value: Estimate, unit: str) -> str:
@@ -199,7 +226,7 @@ def warning_text(warning: FitWarning) -> str:
             )
         case Contradiction(name, deviation, prior):
             return (
-                f'{name} is found {deviation:.1f} errors from its known value {prior}: a '
+                f'{name} is found {deviation:.1f} errors from the expected {prior}: a '
                 'given value may be wrong'
             )
         case Mismatch(ratio, track, start, end):
@@ -215,6 +242,8 @@ def warning_text(warning: FitWarning) -> str:
                 f'{autocorrelation:.2f}): errors are up to '
                 f'{math.sqrt(max(inflation, 1.0)):.2g} times larger'
             )
+        case NotConverged():
+            return 'the solver stopped at its limit before it converged: the values may be wrong'
 
 
 def remark_lines(result: RigFit) -> Iterator[str]:
@@ -260,7 +289,9 @@ def _budget_line(name: str, error: float, unit: str, budget: Mapping[str, float]
     return f'error of {name}: {factor * error:.2g} {shown}'.rstrip() + f', by {listed}'
 
 
-def answer_lines(answer: Answer, result: RigFit, ejection: Ejection) -> Iterator[str]:
+def answer_lines(
+    answer: Answer, result: RigFit, ejection: Ejection | None
+) -> Iterator[str]:
     """Yield the wave speeds and the verdict."""
     speed, at_rest = answer.effective_wave_speed, answer.rest_wave_speed
     amplitude = 1e3 * result.rig.engine.amplitude
@@ -275,12 +306,19 @@ def answer_lines(answer: Answer, result: RigFit, ejection: Ejection) -> Iterator
             'to narrow it'
         )
     yield f'{"wave speed at rest":{_NAME_WIDTH}} {with_unit(at_rest, "m/s")}{reason}'
+    if ejection is None or answer.energy_transfer_error is None:
+        yield f'{"energy transfer":{_NAME_WIDTH}} none, because no release is predicted, see below'
+        return
     verdict = (
         'good enough to choose a layer' if answer.is_good_enough
         else 'not good enough to choose a layer'
     )
     if result.fit.is_mismatch:
         verdict += ', because the model leaves out something'
+    elif assumed := result.model.description.assumed:
+        verdict += f', because nobody stated {", ".join(assumed)}'
+    elif not result.fit.is_converged:
+        verdict += ', because the solver stopped at its limit'
     elif ejection.alternatives:
         verdict += '; another number of echoes is possible, see below'
     elif not answer.is_good_enough:

@@ -48,20 +48,14 @@ def _parameters_page() -> Iterator[str]:
         'A number may also be given as text, because tools that read YAML 1.1 treat `5e-06` as '
         'text. A request\nto set a result is accepted without effect, so that `ros2 param load` '
         'accepts the output of\n`ros2 param dump`. The values in one request must not contradict '
-        'each other; every single\nchange within its range is accepted.\n'
+        'each other; every single\nchange within its range is accepted, if the rig can be '
+        'computed in time and a controller can\nplay a commanded motion.\n'
     )
     for table in _TABLES:
         yield f'## {table.node}\n'
         yield from _markdown(
             ('parameter', 'default', 'must be', 'meaning'), map(_row, table.entries)
         )
-        if table.deprecated:
-            former = ', '.join(f'`{old}` (`{new}`)' for old, new in table.deprecated.items())
-            yield f'Former names, accepted with a warning in this release: {former}.\n'
-        for entry in table.entries:
-            if entry.deprecated:
-                former = ', '.join(f'`{old}` (`{new}`)' for old, new in entry.deprecated.items())
-                yield f'Former values of `{entry.name}`, likewise: {former}.\n'
 
 
 def _row(entry: Entry) -> tuple[str, ...]:

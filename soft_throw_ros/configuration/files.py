@@ -9,13 +9,12 @@ of each, file and line or argument, for error messages and for the order of requ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
 import math
 from pathlib import Path
 import re
-import sys
 import textwrap
 from typing import Any, NamedTuple
 
@@ -43,18 +42,12 @@ class Source(NamedTuple):
     in_file: bool = True
 
 
-def print_warning(text: str) -> None:
-    """Print a warning to stderr."""
-    print(f'warning: {text}', file=sys.stderr)
-
-
 def read(
     path: str | Path,
     *,
     node: str = '/twin',
     table: Table = TWIN,
     is_required: bool = True,
-    warn: Callable[[str], object] = print_warning,
 ) -> dict[str, Value]:
     """
     Read complete settings for a node from a ROS parameter file.
@@ -72,8 +65,6 @@ def read(
         Parameters of the node.
     is_required : bool
         Whether the file must have parameters of the node.
-    warn : callable
-        Called with a sentence for each deprecated name.
 
     Raises
     ------
@@ -88,15 +79,11 @@ def read(
         nodes = ', '.join(sorted({item.node for item in everything})) or 'no parameters'
         raise ParameterError(f'{path}: nothing for node {node}; it has {nodes}')
     values = {name: item.value for name, item in sources.items() if not is_foreign(name)}
-    return start(values, sources, table, warn=warn)
+    return start(values, sources, table)
 
 
 def start(
-    values: Settings,
-    sources: dict[str, Source],
-    table: Table = TWIN,
-    *,
-    warn: Callable[[str], object] = print_warning,
+    values: Settings, sources: dict[str, Source], table: Table = TWIN
 ) -> dict[str, Value]:
     """
     Return the settings at the start from the values of files and arguments.
@@ -111,8 +98,8 @@ def start(
         Values that replace the defaults.
     sources : dict of str to Source
         Sources of the values, as far as they are known.
-    table, warn
-        Parameters of the node; called with a sentence for each deprecated name.
+    table : Table
+        Parameters of the node.
 
     Raises
     ------
@@ -127,20 +114,12 @@ def start(
         is_result = name in table.by_name and table.by_name[name].is_result
         if is_argument or not is_result:  # `ros2 param dump` writes results to files
             requests.setdefault(source.order if source else 0, {})[name] = value
-    locations = {}  # of values that have a known one, also by their present names
-    for name, source in sources.items():
-        locations[name] = locations[table.deprecated.get(name, name)] = f'{source.where}: '
     settings = table.defaults()
     try:
         for _, request in sorted(requests.items()):
-            for name, value in request.items():
-                texts: list[str] = []
-                table.without_deprecated({name: value}, texts.append)
-                for text in texts:
-                    warn(locations.get(name, '') + text)
-            settings.update(table.change(settings, table.without_deprecated(request)))
+            settings.update(table.change(settings, request))
     except ParameterError as error:
-        where = next((locations[name] for name in error.names if name in locations), '')
+        where = next((f'{sources[name].where}: ' for name in error.names if name in sources), '')
         raise ParameterError(f'{where}{error}', *error.names) from None
     return settings
 
@@ -191,8 +170,18 @@ def _matches(pattern: str, node: str) -> bool:
     return re.fullmatch(regex, node) is not None
 
 
-def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
-    """Return the text of a ROS parameter file with comments from the table."""
+def render(
+    settings: Settings,
+    *,
+    table: Table = TWIN,
+    title: str = '',
+    assumed: Collection[str] = (),
+) -> str:
+    """
+    Return the text of a ROS parameter file with comments from the table.
+
+    Assumed parameters are comments as well, so that no reader takes their values as stated.
+    """
     lines = [f'# {line}'.rstrip() for line in title.splitlines()]
     lines += [f'/**/{table.node}:', f'  {_KEY}:']
     group = ''
@@ -207,7 +196,8 @@ def render(settings: Settings, *, table: Table = TWIN, title: str = '') -> str:
             lines += textwrap.wrap(
                 comment, 99, initial_indent=indent, subsequent_indent=f'{indent}# '
             )
-            lines.append(f'{indent}{tail}: {_text(settings[entry.name])}')
+            text = f'{tail}: {_text(settings[entry.name])}'
+            lines.append(indent + (f'# {text}  # assumed' if entry.name in assumed else text))
     return '\n'.join(lines) + '\n'
 
 

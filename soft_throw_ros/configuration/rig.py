@@ -61,7 +61,6 @@ RIG = Table(
         row('wear.wave_speed', 0.95, 'Wave speed of the aged layer relative to the new one',
             low=0.1, high=2.0),
     ),
-    deprecated={'layer.elasticity': 'layer.stress_strain_law'},
     resolve=resolve_stack,
 )
 """The parameters of the rig; parameters shared with the twin have the same meaning."""
@@ -77,8 +76,8 @@ CALIBRATOR = Table(
             'layer',
             kind='the name of a node, or empty', pattern=f'|{NAME}'),
         row('throws', 3,
-            'Number of throws in a row beyond `measured.residual_threshold` of the twin after '
-            'which the rig is identified from them', low=1, high=100),
+            'Number of throws in a row that are beyond `measured.residual_threshold` of the twin, '
+            'or too noisy for it, after which the rig is identified from them', low=1, high=100),
         row('motion_after', 0,
             'Number of throws in a row within `measured.residual_threshold` after which the twin '
             'commands the best motion of the plate, and the gain is measured; 0 for never',

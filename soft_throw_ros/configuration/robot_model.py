@@ -40,8 +40,7 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
         If the file cannot be read or has a refused value; the message has file and line.
 
     """
-    # The twin itself logs the warnings.
-    settings: Settings = files.read(path, node=node, is_required=False, warn=lambda _text: None)
+    settings: Settings = files.read(path, node=node, is_required=False)
     diameter = settings['layer.diameter']
     slice_thickness = settings['layer.thickness'] / _SLICES_PER_LAYER
     robot = ET.fromstring(urdf)  # noqa: S314 the file of this package

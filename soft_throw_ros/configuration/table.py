@@ -88,8 +88,6 @@ class Entry:
     """Largest number of items of a list."""
     examples: tuple[str, ...] = ()
     """Some of the allowed texts, for the description of the parameter."""
-    deprecated: Mapping[str, str] = field(default_factory=dict)
-    """Former names of choices and their present names; they are accepted for one release."""
 
     @property
     def group(self) -> str:
@@ -104,7 +102,7 @@ class Entry:
     @property
     def is_of_rig(self) -> bool:
         """Whether a change waits for the next throw, because it ends the wave in the layer."""
-        return self.group in ('engine', 'layer', 'projectile', 'gravity', 'model')
+        return self.group in ('engine', 'layer', 'projectile', 'gravity')
 
     @property
     def rule(self) -> str:
@@ -172,8 +170,6 @@ class Table:
     """The parameters in the order of the documentation."""
     hints: Mapping[str, str] = field(default_factory=dict)
     """Advice on names that are no parameters but might be expected."""
-    deprecated: Mapping[str, str] = field(default_factory=dict)
-    """Former names of parameters and their present names; they are accepted for one release."""
     resolve: Rule = lambda _settings, changes: changes
     """Replaces references to a file by its contents, so that settings are self-contained."""
     rules: tuple[Rule, ...] = ()
@@ -202,47 +198,6 @@ class Table:
     def defaults(self) -> dict[str, Value]:
         """Return the settings to begin with."""
         return {entry.name: entry.default for entry in self.entries if not entry.is_result}
-
-    def without_deprecated(
-        self, request: Settings, warn: Callable[[str], object] = lambda _text: None
-    ) -> dict[str, Any]:
-        """
-        Return a request with present names of parameters and choices in place of former ones.
-
-        Parameters
-        ----------
-        request : mapping of str to value
-            Values by name, not checked.
-        warn : callable
-            Called with a sentence for each deprecated name.
-
-        Raises
-        ------
-        ParameterError
-            If the request has both names of a parameter.
-
-        """
-        current: dict[str, Any] = {}
-        for name, value in request.items():
-            new_name = self.deprecated.get(name, name)
-            if new_name != name:
-                if new_name in request:
-                    raise ParameterError(
-                        f'{name} is the former name of {new_name}; leave one of the two out',
-                        name,
-                        new_name,
-                    )
-                warn(f'{name} is deprecated, and refused from the next release on: '
-                     f'use {new_name}')
-            entry = self.by_name.get(new_name)
-            if entry is not None and isinstance(value, str) and value in entry.deprecated:
-                choice = entry.deprecated[value]
-                warn(f'{new_name} {value!r} is deprecated, and refused from the next release on: '
-                     f'use {choice!r}')
-                current[new_name] = choice
-            else:
-                current[new_name] = value
-        return current
 
     def check_value(self, name: str, value: object) -> Value:
         """

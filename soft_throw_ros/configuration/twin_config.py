@@ -15,10 +15,10 @@ from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import rig_of, RIG_PARAMETERS
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import model_for, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.message import SECOND
 
-_BOUND_PER_DEVIATION = math.sqrt(3.0)
+BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
 
 
@@ -30,6 +30,7 @@ class MeasurementConfig:
     latency_ns: int  # time to wait for samples out of order [ns]
     position_noise: float  # standard deviation of the heights of the plate [m]
     velocity_noise: float  # standard deviation of its velocities [m/s]
+    stamp_error: float  # standard deviation of the stamps [s]
     start_speed: float  # upward speed at which a throw has begun [m/s]
     residual_threshold: float  # rms of the projectile beyond which the model is wrong [m]
     plate: Underdamped  # expected motion in a throw
@@ -50,7 +51,6 @@ class TwinConfig:
 
     settings: Settings  # complete, the source of all other fields
     rig: Rig
-    model: str  # the set one, or its fallback for the rig
     motion: str  # kind of the plate's motion: a name of `configuration.twin.MOTIONS`
     measurement: MeasurementConfig  # for a measured plate
     state_rate: float  # steps per second of the clock [Hz]
@@ -96,32 +96,32 @@ class TwinConfig:
         rig = rig_of(settings, motion_of) if rig is None else rig
         motion = settings['engine.motion']
         plate = Underdamped.of(rig.engine)
-        is_commanded = (
-            settings['engine.command'] and motion == 'file' and settings['time_scale'] == 1.0
-        )
+        period, lead = settings['throw.period'], settings['engine.command_lead']
+        if period:
+            lead = min(lead, 0.25 * period)
         return cls(
             settings=settings,
             rig=rig,
-            model=model_for(rig, settings['model']),
             motion=motion,
             measurement=MeasurementConfig(
                 smoothing_window_ns=round(settings['measured.smoothing_window'] * SECOND),
                 latency_ns=round(settings['measured.latency'] * SECOND),
                 position_noise=settings['measured.position_noise'],
                 velocity_noise=settings['measured.velocity_noise'],
+                stamp_error=settings['measured.stamp_error'],
                 # relative to the plate's
                 start_speed=settings['measured.start'] * plate.peak_velocity,
                 residual_threshold=settings['measured.residual_threshold'],
                 plate=plate,
-                frequency_error=settings['uncertainty.frequency'] / _BOUND_PER_DEVIATION,
-                damping_error=settings['uncertainty.damping_ratio'] / _BOUND_PER_DEVIATION,
+                frequency_error=settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
+                damping_error=settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
                 prediction_error=settings['measured.prediction_error'],
             ),
             state_rate=settings['rate.state'],
             field_rate=settings['rate.field'],
             time_scale=1.0 if motion == 'measured' else settings['time_scale'],
-            command_lead=settings['engine.command_lead'] if is_commanded else None,
-            throw_period=settings['throw.period'],
+            command_lead=lead if settings['engine.command'] else None,
+            throw_period=period,
             max_events=settings['throw.max_events'],
             max_strain=rig.layer.linear_range(settings['max_strain']),
         )

@@ -98,7 +98,11 @@ def ejection_of(result: RigFit) -> Ejection:
     """
     releases = result.releases(_DRAWS)
     if np.isnan(releases.time[0]):
-        raise FitError('the projectile of the rig that was fitted does not leave the layer')
+        share = 100.0 * float(np.isfinite(releases.time).mean())
+        raise FitError(
+            'the projectile of the fitted rig does not leave the layer '
+            f'({share:.2g} % of the rigs within the errors throw it)'
+        )
     is_released = ~np.isnan(releases.time)
     echoes = releases.echoes - releases.echoes[0]
     is_near = is_released & (echoes == 0)
@@ -144,33 +148,43 @@ class Answer:
     """Wave speed of the layer at rest. [m/s]"""
     limited_by: str | None
     """Main source of the error of the wave speed at rest, as in `Fit.budget`; None if several."""
-    energy_transfer_error: float
-    """Error of the energy transfer over its value. [-]"""
+    energy_transfer_error: float | None
+    """Error of the energy transfer over its value; None without a release. [-]"""
     is_good_enough: bool
     """
     Whether the fit is good enough to choose a layer.
 
     The energy transfer is known to `GOOD_ENOUGH`, also if the projectile leaves after another
-    number of echoes, and the model explains the tracks.
+    number of echoes, the model explains the tracks, the solver has converged, and nothing is
+    assumed.
     """
 
 
-def answer_of(result: RigFit, ejection: Ejection) -> Answer | None:
-    """Return the answer of a fit; None if it does not determine the wave speed."""
+def answer_of(result: RigFit, ejection: Ejection | None) -> Answer | None:
+    """
+    Return the answer of a fit; None if it does not determine the wave speed.
+
+    Without an ejection no release is predicted.
+    """
     name = next((n for n in result.fit.names if n.partition('[')[0] == 'layer.wave_speed'), None)
     if name is None:
         return None
     squares = {source: part**2 for source, part in result.fit.budget(name).items()}
     main = max(squares, key=squares.__getitem__)
-    alpha = ejection.energy_transfer
-    limit = GOOD_ENOUGH * alpha.value
-    others = [item.energy_transfer.value for item in ejection.alternatives]
+    error, is_known = None, False
+    if ejection is not None:
+        alpha = ejection.energy_transfer
+        error = alpha.error / alpha.value
+        others = [item.energy_transfer.value for item in ejection.alternatives]
+        off = max((abs(other - alpha.value) / alpha.value for other in others), default=0.0)
+        is_known = max(error, off) <= GOOD_ENOUGH
     return Answer(
         effective_wave_speed=result.effective_wave_speed(),
         rest_wave_speed=result.rest_wave_speed(),
         limited_by=main if squares[main] > _MAIN_SHARE * sum(squares.values()) else None,
-        energy_transfer_error=alpha.error / alpha.value,
-        is_good_enough=alpha.error <= limit
-        and all(abs(other - alpha.value) <= limit for other in others)
-        and not result.fit.is_mismatch,
+        energy_transfer_error=error,
+        is_good_enough=is_known
+        and not result.fit.is_mismatch
+        and result.fit.is_converged
+        and not result.model.description.assumed,
     )

@@ -8,7 +8,7 @@ Command line, YAML file and Python share them.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -30,6 +30,9 @@ ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
 LAYER = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
+
+DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.loss_tangent')
+"""Parameters whose defaults belong to another rig; the default of the loss is none."""
 
 NUISANCE_PARAMETERS = {
     'layer.stiffening': 0.0,
@@ -207,6 +210,8 @@ class FitDescription:
 
     Throws with the same treatment or part share its value.
     """
+    assumed: tuple[str, ...] = ()
+    """Parameters that are held at the values of another rig, because nobody stated them."""
 
     def __post_init__(self) -> None:
         for name in (*self.parameters, *(n for item in self.throws.values() for n in item[0])):
@@ -273,6 +278,14 @@ class FitDescription:
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
         return replace(self, parameters={**self.parameters, **changes})
+
+    def assume(self, stated: Collection[str], throws: Iterable[str]) -> FitDescription:
+        """Hold the parameters that some throw needs and that nobody stated, see `assumed`."""
+        used = [(name, self.treatment(name, throw)) for throw in throws
+                for name in DEFAULT_IS_ANOTHER_RIG if name not in stated]
+        assumed = {name: FIXED for name, treatment in used
+                   if treatment.value is None and treatment.role is not ParameterRole.FREE}
+        return replace(self.change(assumed), assumed=tuple(assumed))
 
     def treatment(self, name: str, throw: str | None = None) -> Treatment:
         """Return the treatment of a parameter; of a throw, if its name is given."""

@@ -77,8 +77,12 @@ class CorrelatedResiduals(NamedTuple):
     """Variance of a mean over that of white noise. [-]"""
 
 
+class NotConverged(NamedTuple):
+    """A solver that stopped at its limit of evaluations."""
+
+
 FitWarning: TypeAlias = (
-    Ambiguity | InseparablePair | Contradiction | Mismatch | CorrelatedResiduals
+    Ambiguity | InseparablePair | Contradiction | Mismatch | CorrelatedResiduals | NotConverged
 )
 
 
@@ -89,6 +93,7 @@ def fit_warnings(fit: Fit) -> list[FitWarning]:
         *_inseparable_pairs(fit),
         *_contradictions(fit),
         *_residual_warnings(fit),
+        *([] if fit.is_converged else [NotConverged()]),
     ]
 
 

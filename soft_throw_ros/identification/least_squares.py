@@ -191,6 +191,8 @@ class Fit:
     """Priors of some parameters, by their indices."""
     alternatives: tuple[Alternative, ...] = ()
     """Other minima that are hardly worse; the covariance spans them."""
+    is_converged: bool = True
+    """Whether the solver ended before its limit of evaluations."""
     unseen: Mapping[str, Floats] = field(default_factory=dict)
     """Shifts of the values by unseen effects, shape (k, n), which the covariance includes."""
 
@@ -449,6 +451,7 @@ class _LeastSquares:
             np.array(list(model.known.values()), dtype=np.float64).reshape(-1, 2).T
         )
         self._kept: Flags = np.ones(self._position.size, bool)
+        self._is_converged = False  # of the last run of the solver
 
     def solve(self, start: Floats, *, loss: str = 'linear') -> Floats:
         """Return the best values."""
@@ -480,6 +483,7 @@ class _LeastSquares:
             raise FitError(
                 'the numbers of the fit overflow; check the heights of the tracks'
             ) from None
+        self._is_converged = solution.status > 0  # 0 is the limit of evaluations
         return np.asarray(solution.x)
 
     def begin(self, start: Floats) -> Floats:
@@ -568,6 +572,7 @@ class _LeastSquares:
             noise=self._noise,
             kept=self._kept,
             known=dict(self._model.known),
+            is_converged=self._is_converged,
         )
         scale = max(math.sqrt(fit.variance_scale), 1e-150)
         sizes = [residual.values.size for residual in residuals]

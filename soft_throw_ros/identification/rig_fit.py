@@ -154,10 +154,6 @@ class RigFit:
         """Return the standard error of a weighted sum of the fitted values."""
         return math.sqrt(float(weights @ self.fit.covariance @ weights))
 
-    def held_values(self) -> dict[str, float]:
-        """Return the parameters of the rig that were held."""
-        return values_of(self.rig, [name for name in PARAMETERS if name not in self.model.layout])
-
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
         return self.fit[self.fit.names[self.model.layout.indices[START][throw]]]

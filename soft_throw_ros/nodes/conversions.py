@@ -24,7 +24,7 @@ from rclpy.qos import (
 )
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
-from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings, TWIN
+from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings
 from soft_throw_ros.configuration.interface import FRAME, JOINTS
 from soft_throw_ros.configuration.motions import trajectory_points
 from soft_throw_ros.configuration.table import number_of
@@ -176,7 +176,6 @@ def msg_to_throw_result(msg: DiagnosticStatus) -> ThrowResult:
 def values_to_rig(values: Settings) -> Rig:
     """Return the rig whose numbers are among `values`, each under its parameter's name."""
     named = {name: value for name, value in values.items() if '.' in name or name == 'gravity'}
-    named = TWIN.without_deprecated(named)
     return rig_of({'engine.motion': 'underdamped', 'layer.library': '', **named})
 
 

@@ -88,9 +88,7 @@ class NodeParameters:
         overrides = parameter_overrides(node)
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
         sources = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
-        self.settings: Settings = files.start(
-            values, sources, table, warn=node.get_logger().warning
-        )
+        self.settings: Settings = files.start(values, sources, table)
         self.checked: Any = None
         self.checked = self._candidate = self._check_complete(self.settings)
         for entry in table.entries:
@@ -150,7 +148,6 @@ class NodeParameters:
                 )
             else:
                 request[name] = value
-        request = self._table.without_deprecated(request, self._node.get_logger().warning)
         changes = self._table.change(self.settings, request)
         if changes:
             self._candidate = self._check_complete({**self.settings, **changes})

@@ -8,8 +8,10 @@ A node as a process: from its arguments to its exit code.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+import os
 import signal
 import sys
 import threading
@@ -28,8 +30,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
-from soft_throw_ros.nodes.exit_deadline import cancel_exit, exit_after
-from soft_throw_ros.nodes.help_texts import help_text
 from soft_throw_ros.nodes.transport import describe_discovery, use_transport_profile
 from std_srvs.srv import Trigger
 
@@ -44,6 +44,8 @@ STOP_TIMEOUT = 0.3
 
 REFUSAL_LOG_PERIOD = 1.0
 """Shortest time between two log lines about requests that raise exceptions [s]."""
+
+_MORE = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
 
 
 class RunnableNode(Node):
@@ -155,8 +157,7 @@ def run(
     args : sequence of str or None
         ROS arguments, or `--help`; the arguments of the process if None.
     usage : str
-        Usage line, printed for `--help` and for unknown arguments; by default that of ROS
-        arguments.
+        Usage, printed for `--help` and for unknown arguments; by default that of ROS arguments.
 
     Returns
     -------
@@ -165,12 +166,11 @@ def run(
         if it has come to an end by itself.
 
     """
-    usage = usage or (
-        f'usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
-    )
+    usage = usage or f'{name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
-        print(help_text(name, usage))
+        title = (sys.modules[make.__module__].__doc__ or '').strip().partition('\n')[0]
+        argparse.ArgumentParser(usage=usage, description=title, epilog=_MORE).print_help()
         return 0
     is_stopping = threading.Event()
 
@@ -198,6 +198,14 @@ def run(
     return code
 
 
+def exit_after(seconds: float, code: int) -> threading.Timer:
+    """End the process after a time [s] unless the timer that is returned is cancelled."""
+    watchdog = threading.Timer(seconds, os._exit, (code,))
+    watchdog.daemon = True
+    watchdog.start()
+    return watchdog
+
+
 def _on_signals(handler: Callable[[int, object], object] | signal.Handlers) -> None:
     """
     Handle the signals that ask a process to end.
@@ -223,7 +231,7 @@ def _init(name: str, arguments: Sequence[str], usage: str) -> None:
     finally:
         set_logger_level('rcl', LoggingSeverity.UNSET)
     if unknown:
-        raise ParameterError(f'no such argument: {" ".join(unknown)}; {usage}')
+        raise ParameterError(f'no such argument: {" ".join(unknown)}; usage: {usage}')
 
 
 def _watch_threads() -> list[threading.ExceptHookArgs]:
@@ -269,11 +277,11 @@ def _shut_down(node: RunnableNode | None, code: int) -> int:
     if node is not None:
         node.close()
         code = code or node.exit_code or 0
-    deadline = exit_after(EXIT_TIME, code)
+    watchdog = exit_after(EXIT_TIME, code)
     # The destruction of publishers makes threads fail that still run; this is no error.
     threading.excepthook = lambda _death: None
     if node is not None:
         node.destroy_node()
     rclpy.try_shutdown()
-    cancel_exit(deadline)
+    watchdog.cancel()
     return code

@@ -6,9 +6,6 @@ from __future__ import annotations
 
 from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
 
-_EXPLAINED_SHARE = 0.5
-"""Smallest share of a residual that identifies its cause. [-]"""
-
 
 def throw_text(result: ThrowResult) -> str:
     """Return the release of a throw with warnings, or the reason why the throw is invalid."""
@@ -45,12 +42,7 @@ def comparison_text(result: ThrowResult) -> str:
     rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
     if comparison.is_within_threshold:
         return f'the projectile followed the model within {rms:.3g} um rms'
-    causes = _causes_text(
-        result.disturbances,
-        samples=comparison.samples,
-        speed=result.first.ejection_speed if result.first else result.peak_plate_speed,
-        residual=comparison.position_rms,
-    )
+    causes = _causes_text(result.disturbances, comparison.samples)
     return (
         f'the projectile deviated from the model by {rms:.3g} um rms, more than '
         f'measured.residual_threshold {threshold:.3g} um: '
@@ -69,33 +61,16 @@ def _invalid_text(result: ThrowResult) -> str:
     """Return why the plate could not be followed."""
     text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
     if result.ended_by == 'noise':
-        text = (
-            'the plate samples are too noisy; increase measured.smoothing_window or the '
-            'sample rate, or stamp the samples more precisely'
-        )
-    causes = _causes_text(
-        result.disturbances, samples=0, speed=result.peak_plate_speed, residual=0.0
-    )
+        text = 'the plate samples are too noisy: increase measured.smoothing_window or the rate'
+    causes = _causes_text(result.disturbances, 0)
     return f'throw {result.throw} is invalid: {text}' + (f'; {causes}' if causes else '')
 
 
-def _causes_text(
-    disturbances: Disturbances | None, *, samples: int, speed: float, residual: float
-) -> str:
-    """
-    Return the disturbances that explain a residual, if any.
-
-    The arguments are the number of samples in the throw, and the speed [m/s] and the rms
-    residual [m] of the body.
-    """
+def _causes_text(disturbances: Disturbances | None, samples: int) -> str:
+    """Return the disturbances of a throw with a number of samples, if any."""
     if disturbances is None:
         return ''
     causes = []
-    if disturbances.stamp_error * abs(speed) > _EXPLAINED_SHARE * residual:
-        causes.append(
-            f'stamps jitter by {1e6 * disturbances.stamp_error:.3g} us (stamp samples when they '
-            'are measured)'
-        )
     if disturbances.samples_missing > MOST_LEFT_OUT * samples:
         causes.append(
             f'{disturbances.samples_missing} samples are missing or came too late (see '

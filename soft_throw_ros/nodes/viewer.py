@@ -18,9 +18,8 @@ from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import VIEWER_TOPICS
 from soft_throw_ros.configuration.recorder import VIEWER
 from soft_throw_ros.nodes.conversions import status_to_msg
-from soft_throw_ros.nodes.exit_deadline import exit_after
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import EXIT_TIME, run, RunnableNode
+from soft_throw_ros.nodes.process import exit_after, EXIT_TIME, run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name, Publishers
 

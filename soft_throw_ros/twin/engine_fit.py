@@ -14,11 +14,7 @@ equations only, linearised at their last solution. So the cost of a step does no
 duration of the throw.
 
 A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t` and a
-velocity by :math:`\ddot z \sigma_t`. If the residuals grow with the speed, and are as uneven as
-noise, :math:`\sigma_t` is estimated by the method of Paule and Mandel for the variance between
-laboratories [2]_: the weighted sum of squares has its expected value, less a standard deviation,
-so that few samples overestimate :math:`\sigma_t`. Its upper bound is twice the scatter of the
-stamps about an even rate.
+velocity by :math:`\ddot z \sigma_t`, which adds to the noise.
 
 A sample is an outlier if its residual exceeds six standard errors of sample and prediction
 together; outliers are ignored. The fit fails after three outliers in a row, or if a test rejects
@@ -32,8 +28,6 @@ References
 ----------
 .. [1] B. M. Bell and F. W. Cathey, "The iterated Kalman filter update as a Gauss-Newton method",
    IEEE Trans. Automat. Contr. 38 (1993) 294.
-.. [2] R. C. Paule and J. Mandel, "Consensus values and weighting factors", J. Res. Natl. Bur.
-   Stand. 87 (1982) 377.
 
 """
 
@@ -49,7 +43,7 @@ from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, subroutine
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import MOST_SCATTER, Onset
+from soft_throw_ros.twin.plate_estimator import Onset
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -74,17 +68,10 @@ _RECENT_SAMPLES = 8
 """Newest samples, which have a test of their own for their sum of squares. [-]"""
 _REJECTION_QUANTILE = 3.9
 """Standard normal quantile of 1 / 20000. [-]"""
-_SUSPICION, _EARLY_SUSPICION = 1.645, 3.09
-"""
-Standard normal quantiles of 1 / 20, and of 1 / 1000 with fewer than `_FEWEST_FOR_NOISE` moving
-samples, beyond which stamps are taken to be wrong. [-]
-"""
 _FEWEST_FOR_NOISE = 12
 """Fewest samples that distinguish noise from another motion. [-]"""
 _MIN_DURBIN_WATSON = 1.0
 """Least ratio of Durbin and Watson of noise; it is 2 for white noise, 0 for a motion. [-]"""
-_STAMP_ERRORS = np.linspace(0.0, 1.0, 101)
-"""Errors of stamps that are compared, over the largest possible one. [-]"""
 _MOST_STEPS = 8
 """Gauss-Newton steps of one update. [-]"""
 _CONVERGED = 1e-2
@@ -117,7 +104,6 @@ class _Model(NamedTuple):
     height_noise: float  # standard deviation of heights [m]
     speed_noise: float  # of speeds [m/s]
     stamp_error: float  # of stamps [s]
-    most_stamp_error: float  # largest possible one [s]
 
 
 @kernel
@@ -133,7 +119,8 @@ def _add_up(
     """
     Add samples to the normal equations about the unknowns `x`; write their residuals.
 
-    Samples are rows of time, height and speed; residuals are columns, see `_Residuals`.
+    Samples are rows of time, height and speed. Residuals are columns: those of the heights over
+    their standard errors, and whether they are outliers.
     """
     amplitude = model.amplitude * (1.0 + x[AMPLITUDE])
     omega, zeta = model.omega * (1.0 + x[FREQUENCY]), model.zeta + x[DAMPING]
@@ -160,12 +147,9 @@ def _add_up(
         for i in range(5):
             for j in range(5):
                 leverage += by_height[i] * covariance[i, j] * by_height[j]
-        noise = model.height_noise**2
-        variance = noise + (speed * model.stamp_error) ** 2
-        largest = noise + (speed * model.most_stamp_error) ** 2 + leverage
-        is_outlier = error * error > OUTLIER_SIGMAS * OUTLIER_SIGMAS * largest
-        residuals[0, n], residuals[1, n] = error, error / math.sqrt(variance)
-        residuals[2, n], residuals[3, n], residuals[4, n] = speed, leverage, is_outlier
+        variance = model.height_noise**2 + (speed * model.stamp_error) ** 2
+        is_outlier = error * error > OUTLIER_SIGMAS * OUTLIER_SIGMAS * (variance + leverage)
+        residuals[0, n], residuals[1, n] = error / math.sqrt(variance), is_outlier
         if is_outlier:
             continue
         _add(normal, right, by_height, error, variance)
@@ -251,22 +235,6 @@ def _is_noise(residuals: Floats) -> bool:
     return bool(steps @ steps >= _MIN_DURBIN_WATSON * (residuals @ residuals))
 
 
-class _Residuals(NamedTuple):
-    """Residuals of the heights of samples, each of shape (n,)."""
-
-    error: Floats  # [m]
-    normalised: Floats  # over their standard errors [-]
-    speed: Floats  # of the plate [m/s]
-    leverage: Floats  # variance of the fitted height [m2]
-    is_outlier: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, table: Floats) -> _Residuals:
-        """Make them of the columns that `_add_up` writes, shape (5, n)."""
-        error, normalised, speed, leverage, is_outlier = table
-        return cls(error, normalised, speed, leverage, is_outlier > 0.0)
-
-
 class _Solution:
     """
     The unknowns of a fit, with the normal equations of the prior and of condensed samples.
@@ -283,9 +251,9 @@ class _Solution:
         self._information = np.diag(1.0 / self.prior_variances)
         self._pull = self._information @ self.x
 
-    def solve(self, samples: Floats, model: _Model) -> tuple[_Residuals, bool]:
+    def solve(self, samples: Floats, model: _Model) -> tuple[Floats, bool]:
         """Find the best unknowns with samples; return residuals, and whether there is a best."""
-        table = np.empty((5, len(samples)))
+        residuals = np.empty((2, len(samples)))
         is_solved = _solve(
             samples,
             model,
@@ -294,17 +262,17 @@ class _Solution:
             self._scales,
             self.x,
             self.covariance,
-            table,
+            residuals,
         )
-        return _Residuals.of(table), is_solved
+        return residuals, is_solved
 
-    def condense(self, samples: Floats, model: _Model) -> _Residuals:
+    def condense(self, samples: Floats, model: _Model) -> Floats:
         """Add samples to the normal equations, linearised at the present unknowns."""
-        normal, right, table = np.zeros((5, 5)), np.zeros(5), np.empty((5, len(samples)))
-        _add_up(samples, model, self.x, self.covariance, normal, right, table)
+        normal, right, residuals = np.zeros((5, 5)), np.zeros(5), np.empty((2, len(samples)))
+        _add_up(samples, model, self.x, self.covariance, normal, right, residuals)
         self._information += normal
         self._pull += right + normal @ self.x
-        return _Residuals.of(table)
+        return residuals
 
 
 @dataclass(frozen=True)
@@ -315,7 +283,6 @@ class EngineEstimate:
     plate: Underdamped  # motion of the plate from the start on
     unknowns: Floats  # the solution, see `AMPLITUDE`, shape (5,)
     covariance: Floats  # of the unknowns, shape (5, 5)
-    stamp_error: float = 0.0  # standard deviation of the stamps [s]
 
     def states(self, after: float, complete_ns: float) -> tuple[Floats, Floats]:
         """Return the states until a time, see `plate_source.SmoothedSamples.states`."""
@@ -334,8 +301,7 @@ class EngineFit:
     config : MeasurementConfig
         Parameters of the measurement, with the motion of the engine.
     onset : Onset
-        Height before the throw, a guess of the start within a millisecond, and the errors of the
-        stamps in earlier throws.
+        Height before the throw, and a guess of the start within a millisecond.
 
     """
 
@@ -346,19 +312,17 @@ class EngineFit:
         # time from which samples are not in the fit yet [ns]
         self.next_ns = onset.onset_ns - config.smoothing_window_ns
         self._origin_ns = onset.onset_ns
-        self._known_stamp_error = onset.stamp_error  # by earlier throws [s]
         self._model = _Model(
             amplitude=plate.amplitude,
             omega=2.0 * math.pi * plate.frequency,
             zeta=plate.damping_ratio,
             height_noise=rest.noise,
             speed_noise=rest.noise / config.position_noise * config.velocity_noise,
-            stamp_error=onset.stamp_error,
-            most_stamp_error=max(MOST_SCATTER * onset.stamp_scatter, onset.stamp_error),
+            stamp_error=config.stamp_error,
         )
         self._engine = plate
         self._samples = np.empty((0, 3))  # times [s], heights [m] and velocities [m/s]
-        self._residuals = _Residuals.of(np.empty((5, 0)))
+        self._is_outlier = np.empty(0)  # of the samples kept
         self._condensed_outliers = 0
         errors = [
             _AMPLITUDE_ERROR,
@@ -370,14 +334,9 @@ class EngineFit:
         self._solution = _Solution(np.array([0.0, 0.0, 0.0, 0.0, rest.plate]), np.array(errors))
 
     @property
-    def stamp_error(self) -> float:
-        """Standard deviation of the stamps by the last fit [s]."""
-        return self._model.stamp_error
-
-    @property
     def outliers(self) -> int:
         """Number of outliers."""
-        return self._condensed_outliers + int(self._residuals.is_outlier.sum())
+        return self._condensed_outliers + int(self._is_outlier.sum())
 
     def update(self, rows: Rows) -> EngineEstimate | None:
         """Add later samples; return None if there are too few samples, or the fit fails."""
@@ -405,7 +364,6 @@ class EngineFit:
             plate=plate,
             unknowns=self._solution.x.copy(),
             covariance=self._solution.covariance.copy(),
-            stamp_error=self.stamp_error,
         )
         return self.estimate
 
@@ -416,22 +374,12 @@ class EngineFit:
     def _condense(self) -> None:
         """Keep the newest samples, and move the older ones into the normal equations."""
         old, self._samples = self._samples[:-_KEPT], self._samples[-_KEPT:]
-        residuals = self._solution.condense(old, self._model)
-        self._condensed_outliers += int(residuals.is_outlier.sum())
+        _, is_outlier = self._solution.condense(old, self._model)
+        self._condensed_outliers += int(is_outlier.sum())
 
     def _fit_and_judge(self) -> None:
-        """Fit all, with the errors of stamps and the noise that the residuals show."""
+        """Fit all, with the noise that the residuals show."""
         used = self._fit()
-        if not used.size:
-            return
-        if self._moved() >= _FEWEST_FOR_NOISE:
-            self._known_stamp_error = 0.0  # the samples of this throw suffice
-        if self._model.most_stamp_error > 0.0:
-            before = self.stamp_error
-            error = max(self._estimate_stamp_error(), self._known_stamp_error)
-            self._model = self._model._replace(stamp_error=error)
-            if self.stamp_error != before:
-                used = self._fit()
         if self.has_failed and used.size >= _FEWEST_FOR_NOISE:
             # once more with the present noise, if it is larger than at rest
             larger = max(np.square(used).mean(), np.square(used[-_RECENT_SAMPLES:]).mean())
@@ -446,13 +394,12 @@ class EngineFit:
     def _fit(self) -> Floats:
         """Fit, test whether the plate moves as the engine should, and return the residuals."""
         solution = self._solution
-        self._residuals, is_solved = solution.solve(self._samples, self._model)
-        residuals = self._residuals
+        (residuals, self._is_outlier), is_solved = solution.solve(self._samples, self._model)
         if not is_solved:
             self.has_failed = True
             return np.empty(0)
-        used = residuals.normalised[~residuals.is_outlier]
-        most_in_a_row = np.convolve(residuals.is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
+        used: Floats = residuals[self._is_outlier == 0.0]
+        most_in_a_row = np.convolve(self._is_outlier, np.ones(MAX_OUTLIERS_IN_A_ROW)).max()
         known = slice(FREQUENCY, DAMPING + 1)
         changes, prior = solution.x[known] ** 2, solution.prior_variances[known]
         reduction = prior - solution.covariance.diagonal()[known]
@@ -466,30 +413,10 @@ class EngineFit:
         )
         return used
 
-    def _estimate_stamp_error(self) -> float:
-        """Estimate the standard error of stamps by residuals that grow with the speed [s]."""
-        residuals = self._residuals
-        is_used = (residuals.speed != 0.0) & ~residuals.is_outlier
-        error, _, speed, leverage, _ = (column[is_used] for column in residuals)
-        if error.size < FEWEST:
-            return self.stamp_error
-        levels = self._model.most_stamp_error * _STAMP_ERRORS
-        variance = self._model.height_noise**2 + np.square(np.outer(levels, speed))
-        total = (error**2 / variance).sum(axis=1)
-        expected = (1.0 - leverage / variance).clip(0.0).sum(axis=1).clip(1.0)
-        suspicion = _SUSPICION if error.size >= _FEWEST_FOR_NOISE else _EARLY_SUSPICION
-        if total[0] <= largest_by_chance(float(expected[0]), suspicion):
-            return 0.0
-        if not _is_noise(error / np.sqrt(variance[-1])):
-            return self.stamp_error
-        explains = total <= expected - np.sqrt(2.0 * expected)
-        explains[-1] = True
-        return float(levels[explains.argmax()])
-
 
 def warm_up() -> None:
     """Compile or load the kernels."""
-    x, matrix, model = np.zeros(5), np.eye(5), _Model(*np.full(7, 0.1).tolist())
-    samples, residuals = np.zeros((1, 3)), np.empty((5, 1))
+    x, matrix, model = np.zeros(5), np.eye(5), _Model(*np.full(6, 0.1).tolist())
+    samples, residuals = np.zeros((1, 3)), np.empty((2, 1))
     _add_up(samples, model, x, matrix, matrix, x, residuals)
     _solve(samples, model, matrix, x, matrix, x, matrix, residuals)

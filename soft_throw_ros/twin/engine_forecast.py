@@ -89,13 +89,8 @@ class EngineForecaster:
         return None if release is None else cls(release[0], gradient, stepper)
 
     def errors(self, estimate: EngineEstimate) -> ReleaseErrors:
-        """
-        Return the standard errors of a release.
-
-        Scattered stamps may all be late by about their scatter, which the samples do not show.
-        """
+        """Return the standard errors of a release."""
         variances = (self._gradient @ estimate.covariance * self._gradient).sum(axis=1)
-        variances[0] += estimate.stamp_error**2
         return ReleaseErrors(*np.sqrt(variances).tolist())
 
     def change(self, earlier: EngineEstimate, later: EngineEstimate) -> ReleaseErrors:

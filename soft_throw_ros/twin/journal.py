@@ -124,12 +124,11 @@ def decode(line: str) -> Entry:
 
 
 def checked_settings(entry: Entry, key: str) -> Settings:
-    """Return settings of an entry by present names; JournalError if missing or refused."""
+    """Return settings of an entry; JournalError if missing or refused."""
     settings = entry.get(key)
     if not isinstance(settings, Mapping):
         raise JournalError(f'an entry lacks {key}: {quote(dict(entry))}')
     try:
-        settings = TWIN.without_deprecated(settings)
         return {name: TWIN.check_value(name, value) for name, value in settings.items()}
     except ParameterError as error:
         raise JournalError(str(error)) from error
@@ -223,8 +222,7 @@ def encode_onset(onset: Onset) -> Entry:
         'noise': rest.noise,
         'rest_error': rest.error,
         'trusts_engine': onset.engine_is_nominal,
-        'stamp_scatter': onset.stamp_scatter,
-        'stamp_error': onset.stamp_error,
+        'clock_offset_ns': onset.clock_offset_ns,
         **encode_samples([(0, onset.samples)]),
     }
 
@@ -245,8 +243,7 @@ def decode_onset(values: Entry) -> Onset:
                 sample for _, batch in decode_samples({**values, 'step': 0}) for sample in batch
             ),
             engine_is_nominal=bool(values['trusts_engine']),
-            stamp_scatter=float(values.get('stamp_scatter', 0.0)),
-            stamp_error=float(values.get('stamp_error', 0.0)),
+            clock_offset_ns=index(values.get('clock_offset_ns', 0)),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise JournalError(

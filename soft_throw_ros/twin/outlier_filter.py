@@ -56,18 +56,16 @@ class OutlierFilter:
     outliers unless the next position confirms them: then a position is accepted if it is near the
     line from the last accepted position to the next, with an acceleration a few times as large.
     The last of `MAX_OUTLIERS_IN_A_ROW` outliers is accepted, because the zero of the sensor has
-    moved. A wrong stamp displaces a body by its speed times the error, which counts as noise.
+    moved. A wrong stamp displaces a body by its speed times the error, which counts as noise; the
+    `stamp_error` is the standard deviation of stamps [s].
     """
 
-    def __init__(self, acceleration: float, noise: float) -> None:
+    def __init__(self, acceleration: float, noise: float, stamp_error: float) -> None:
         self._memory = np.zeros(2, _MEMORY)
         self._memory['acceleration'] = acceleration
         self._memory['noise'] = noise
+        self._memory['stamp_error'] = stamp_error
         self._memory['median_deviation'] = MEDIAN_DEVIATION
-
-    def set_stamp_error(self, error: float) -> None:
-        """Set the standard deviation of stamps [s]."""
-        self._memory['stamp_error'] = error
 
     def find(self, times: Floats, positions: Floats) -> NDArray[np.bool_]:
         """
@@ -167,4 +165,4 @@ def _deviation(
 
 def warm_up() -> None:
     """Compile the kernels, or load them from the cache on disk."""
-    OutlierFilter(1.0, 1.0).find(np.arange(4.0), np.zeros((4, 2)))
+    OutlierFilter(1.0, 1.0, 0.0).find(np.arange(4.0), np.zeros((4, 2)))

@@ -20,13 +20,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.smoothing import AHEAD, BEHIND, FEWEST, fit_cubics
-from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION, OutlierFilter
+from soft_throw_ros.twin.outlier_filter import OutlierFilter
 from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer, seconds_since
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -56,17 +56,8 @@ REST_WINDOWS = 8
 STATES_PER_WINDOW = 8
 """Times in a smoothing window at which the plate is estimated. [-]"""
 
-MOST_SCATTER = 2.0
-"""Largest error of a stamp over the scatter of stamps about an even rate. [-]"""
-
 _KEPT_WINDOWS = 16
 """Length of the stored record in smoothing windows: the rest, the start and a reserve. [-]"""
-
-_SCATTER_SAMPLES = 64
-"""Newest samples, which give the scatter of stamps. [-]"""
-
-_SCATTER_UPDATE = 16
-"""Complete samples from one estimate of the scatter to the next. [-]"""
 
 _LONGEST_STEP = 1000
 """Times that one call smooths at most, to bound its cost; earlier times are skipped. [-]"""
@@ -120,8 +111,7 @@ class Onset:
     rest: RestBaseline
     samples: tuple[Sample, ...]  # sorted, from a window before the start on
     engine_is_nominal: bool = True  # whether the last motion was that of the engine
-    stamp_scatter: float = 0.0  # standard deviation of stamps about an even rate [s]
-    stamp_error: float = 0.0  # standard deviation of stamps in the last throw [s]
+    clock_offset_ns: int = 0  # what was added to the stamps of the samples [ns]
 
 
 NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))
@@ -141,12 +131,6 @@ def least_rate(config: MeasurementConfig, crossing_time: float) -> tuple[float, 
     }
     span = max(rates, key=rates.__getitem__)
     return rates[span], span
-
-
-def scatter(values: NDArray[Any]) -> float:
-    """Return the standard deviation of values about an even or slowly changing rate, robustly."""
-    deviation = float(np.median(np.abs(np.diff(values, 2)))) / MEDIAN_DEVIATION
-    return deviation / math.sqrt(6.0)  # second differences have six times the variance
 
 
 class PlateEstimator:
@@ -185,11 +169,9 @@ class PlateEstimator:
         self._smoothed_ns = -math.inf  # end of the last window
         plate = config.plate
         acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
-        # Standard deviation of the stamps about an even rate; 0 while there are too few samples.
-        # Wrong stamps scatter, and so do right ones of a sensor with an uneven rate. [s]
-        self.stamp_scatter = 0.0
-        self._unscattered = 0  # complete samples since the last estimate of the scatter
-        self._outlier_filter = OutlierFilter(acceleration, config.position_noise)
+        self._outlier_filter = OutlierFilter(
+            acceleration, config.position_noise, config.stamp_error
+        )
 
     def samples(self, begin_ns: float, end_ns: float = math.inf) -> Rows:
         """Return the stored samples from one time to before another."""
@@ -225,16 +207,6 @@ class PlateEstimator:
         if len(intervals) < FEWEST:
             return 0
         return int((np.rint(intervals / np.median(intervals)) - 1.0).clip(0.0).sum())
-
-    def _update_stamp_scatter(self) -> None:
-        """Estimate the scatter of stamps about an even rate after some new samples."""
-        last = self._samples.index(self.complete_ns + 1)
-        if self._unscattered < _SCATTER_UPDATE or last < _SCATTER_UPDATE:
-            return
-        self._unscattered = 0
-        stamps = self._samples.rows['stamp_ns'][max(last - _SCATTER_SAMPLES, 0):last]
-        self.stamp_scatter = scatter(stamps) / SECOND
-        self._outlier_filter.set_stamp_error(MOST_SCATTER * self.stamp_scatter)
 
     def add_samples(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
         """Add samples in their order of arrival, count refused ones, and return the added ones."""
@@ -282,8 +254,6 @@ class PlateEstimator:
         count = len(is_outlier)
         if count < len(new):  # the last sample waits for the next one
             self.complete_ns = int(new['stamp_ns'][-1]) - 1
-        self._unscattered += count
-        self._update_stamp_scatter()
         outliers = int(is_outlier.any(axis=1).sum())
         if outliers:
             self.outliers += outliers

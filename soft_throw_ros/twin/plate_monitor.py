@@ -106,9 +106,8 @@ class PlateMonitor:
         import scipy.optimize  # noqa: F401
 
         self._checks = checks
-        # of the last throw: whether its motion was that of the engine, and of its stamps [s]
+        # whether the motion of the last throw was that of the engine
         self.engine_is_nominal = onset is None or onset.engine_is_nominal
-        self.stamp_error = 0.0 if onset is None else onset.stamp_error
         self.estimator = PlateEstimator(
             config,
             origin_ns=None if onset is None else onset.onset_ns,
@@ -141,16 +140,14 @@ class PlateMonitor:
         onset = self._detect(motion)
         if onset is None and self._jump.begun < math.inf and self.engine_is_nominal:
             begun_ns = self._to_ns(self._jump.begun)
-            onset = find_engine_start(self.estimator, begun_ns, self.stamp_error)
+            onset = find_engine_start(self.estimator, begun_ns)
         if onset is None:
             return motion, None
         self._jump.cancel()
         if self._has_swapped(onset):
             self._checks.report(SwappedBodies())
             return motion, None
-        return motion, replace(
-            onset, engine_is_nominal=self.engine_is_nominal, stamp_error=self.stamp_error
-        )
+        return motion, replace(onset, engine_is_nominal=self.engine_is_nominal)
 
     def _has_swapped(self, onset: Onset) -> bool:
         """Return whether the projectile has risen before the plate, which no wave can cause."""
@@ -240,13 +237,10 @@ def _onset(estimator: PlateEstimator, onset_ns: int, rest: RestBaseline) -> Onse
         onset_ns=onset_ns,
         rest=rest,
         samples=tuple(to_samples(estimator.samples(begin_ns))),
-        stamp_scatter=estimator.stamp_scatter,
     )
 
 
-def find_engine_start(
-    estimator: PlateEstimator, begun_ns: int, stamp_error: float
-) -> Onset | None:
+def find_engine_start(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     """
     Find the start of a plate that was fast at `begun_ns`, if it moves like the engine so far.
 
@@ -265,8 +259,6 @@ def find_engine_start(
         onset_ns=begun_ns - round(config.start_speed / acceleration * SECOND),
         rest=rest,
         samples=(),
-        stamp_scatter=estimator.stamp_scatter,
-        stamp_error=stamp_error,
     )
     estimate = EngineFit(config, guess).update(samples)
     if estimate is None:

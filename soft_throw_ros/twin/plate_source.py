@@ -54,8 +54,6 @@ are right with 0.03; noise releases the projectile too early in 3 with 0.045, an
 """
 _SIGNIFICANT_CHANGE = 0.1
 """Change of a release that starts a new simulation of the throw, in standard errors. [-]"""
-_FEWEST_RESIDUALS = 8.0
-"""Degrees of freedom that an estimate of the error of stamps needs. [-]"""
 _SIGNIFICANT = 2.6
 """Standard normal quantile beyond which residuals are larger than noise. [-]"""
 
@@ -112,15 +110,13 @@ class SmoothedSamples:
         self._motions.clear()
         return np.concatenate(times), np.concatenate(states)
 
-    def velocity_error(self, stamp_error: float) -> float:
+    def velocity_error(self) -> float:
         """
         Return the standard error of the smoothed velocity [m/s], infinite if nothing is known.
 
-        The `stamp_error` is the known standard deviation of the stamps [s]. Residuals that are
-        larger than noise explains make the error larger, by one standard deviation more than they
+        Errors of the stamps make the error larger, as at the peak speed of the plate. So do
+        residuals that are larger than noise explains, by one standard deviation more than they
         are, so that few samples overestimate it. Windows that overlap share their residuals.
-        Wrong stamps make the error larger, too; while residuals are few, the whole scatter of the
-        stamps counts as their error.
         """
         if not self._errors:
             return math.inf
@@ -130,9 +126,7 @@ class SmoothedSamples:
         ratio, excess = squares / max(freedom, 1.0), 1.0
         if ratio > largest_by_chance(independent, _SIGNIFICANT) / independent:
             excess = ratio * (1.0 + math.sqrt(2.0 / independent))
-        if freedom < _FEWEST_RESIDUALS:
-            stamp_error = max(stamp_error, self._onset.stamp_scatter)
-        displacement = config.plate.peak_velocity * stamp_error / config.position_noise
+        displacement = config.plate.peak_velocity * config.stamp_error / config.position_noise
         excess = max(excess, 1.0 + displacement**2)
         return float(np.median(self._errors)) * math.sqrt(excess)
 
@@ -171,7 +165,7 @@ def first_states(
     slopes = np.concatenate((since * position, ratio * (position + since * velocity)[measured]))
     values = np.concatenate((heights, ratio * speeds[measured]))
     # differences from the engine are the smallest possible ones if there are too few samples
-    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes)
+    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes, rcond=None)
     count = round(BEHIND * STATES_PER_WINDOW)
     times = state_spacing_ns(config) / SECOND * np.arange(count, dtype=np.float64)
     z, v, a = plate_states(plate, times).T
@@ -250,15 +244,10 @@ class MeasuredPlate:
         return self.fit.has_failed or self.estimator.complete_ns > self._fit_end_ns
 
     @property
-    def stamp_error(self) -> float:
-        """Estimated standard deviation of the stamps, 0 without an estimate [s]."""
-        return self.onset.stamp_error if self.fit.has_failed else self.fit.stamp_error
-
-    @property
     def is_noisy(self) -> bool:
         """Whether the noise of the smoothed plate may release a projectile too early."""
-        error = self.smoothed.velocity_error(self.stamp_error)
-        return error > _NOISY * self.estimator.config.plate.peak_velocity
+        peak_speed = self.estimator.config.plate.peak_velocity
+        return self.smoothed.velocity_error() > _NOISY * peak_speed
 
     def add(self, motion: PlateStates) -> None:
         """Add the motion since the last call, and fit the engine to the new samples."""
@@ -288,7 +277,7 @@ class MeasuredPlate:
     ) -> ReleaseErrors:
         """Return the errors of a release at a time, by an estimate or by the smoothed plate."""
         if simulated is None or self.fit.estimate is None:
-            speed = self.smoothed.velocity_error(self.stamp_error) / peak_speed
+            speed = self.smoothed.velocity_error() / peak_speed
             return ReleaseErrors(_TIME * speed * time, _SPEED * speed, _TRANSFER * speed)
         changes = self.forecaster.change(simulated, self.fit.estimate)
         errors = self.forecaster.errors(self.fit.estimate)

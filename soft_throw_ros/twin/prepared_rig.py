@@ -46,6 +46,9 @@ Share of a step that the stepper of a measured throw and its forks may take, in 
 RETURN_TIME = 0.1
 """Duration of the return to rest, unless the period of the throws is too short. [s]"""
 
+_REST = 1e-7
+"""Largest height, velocity and acceleration of a commanded plate at rest. [m], [m/s], [m/s2]"""
+
 _LONGEST_CONTACT = 4
 """Oscillation cycles in contact after which the projectile counts as never leaving. [-]"""
 
@@ -69,7 +72,7 @@ class PreparedRig:
 
     config: TwinConfig  # the configuration of this rig
     encoded_motion: Mapping[str, str]  # of a file, for the journal, by the path of the file
-    stepper: Stepper  # the rig by its model, at rest
+    stepper: Stepper  # the rig at rest
     rest: State  # where plate and projectile are at rest
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
@@ -119,16 +122,6 @@ class PreparedRig:
     def settling_time(self) -> float:
         """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
         return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
-
-    @property
-    def lookahead(self) -> float:
-        """Time from the horizon of the plate to that of the projectile: a wave's crossing [s]."""
-        return 0.0 if self.config.model == 'spring_mass' else self.rig.crossing_time
-
-    @property
-    def release_lookahead(self) -> float:
-        """Return the lookahead of the release, zero if the layer is thrown along [s]."""
-        return 0.0 if self.config.model == 'cells_glued' else self.lookahead
 
     @property
     def catch_up(self) -> float:
@@ -187,10 +180,7 @@ def stepper_of(config: TwinConfig) -> Stepper:
 
     """
     return make_stepper(
-        config.rig,
-        is_measured=config.is_measured,
-        model=config.model,
-        field_points=FIELD_POINTS,
+        config.rig, is_measured=config.is_measured, field_points=FIELD_POINTS
     )
 
 
@@ -219,15 +209,18 @@ def check_settings(settings: Settings, before: TwinConfig | None = None) -> Twin
     Raises
     ------
     ValueError
-        If the rig cannot be stepped in real time, with the number and the remedy.
+        If the rig cannot be stepped in real time, with the number and the remedy, or a controller
+        cannot play the motion that is to be commanded.
 
     """
     config = TwinConfig.from_settings(settings) if before is None else before.change(settings)
+    if config.command_lead is not None:
+        _require_playable(config, config.command_lead)
     crossing = config.rig.crossing_time
-    if config.model == 'travelling_wave':
-        cost = STEP_COST * steps_per_crossing(config.rig) / crossing
+    if config.rig.layer.needs_cells:
+        cost = UPDATE_COST * cells_per_layer(config.rig) ** 2 / crossing
     else:
-        cost = UPDATE_COST * cells_per_layer(config.rig, config.model) ** 2 / crossing
+        cost = STEP_COST * steps_per_crossing(config.rig) / crossing
     window, frequency = config.measurement.smoothing_window, config.rig.engine.frequency
     if config.is_measured and window * frequency > LONGEST_WINDOW:
         raise ValueError(
@@ -247,6 +240,35 @@ def check_settings(settings: Settings, before: TwinConfig | None = None) -> Twin
         feasible = (MOST_SHARE / cost - 1.0) / ahead
         raise ValueError(f'{message}; feasible: rate.state of {0.999 * feasible:.4g} Hz or less')
     return config
+
+
+def _require_playable(config: TwinConfig, lead: float) -> None:
+    """
+    Raise ValueError unless a controller can play the motion of the plate before each throw.
+
+    A joint_trajectory_controller joins the held state to the first point by a quintic over the
+    lead, rejects a last velocity, and drops the rest of a motion when the next one arrives.
+    """
+    path, motion, period = config.motion_file, config.rig.engine.motion, config.throw_period
+    if motion is None or config.time_scale != 1.0:
+        raise ValueError(
+            "engine.command needs engine.motion 'file' and time_scale 1, "
+            f'got {config.motion!r} and {config.time_scale:g}'
+        )
+    for name, state in (('first', motion.states[0]), ('last', motion.states[-1])):
+        if np.abs(state).max() > _REST:
+            height, velocity, acceleration = state
+            raise ValueError(
+                'engine.command needs a motion that begins and ends at rest at the same height, '
+                f'as those of `soft-throw design motion`; in {path} the {name} height is '
+                f'{height:g} m, velocity {velocity:g} m/s, acceleration {acceleration:g} m/s2'
+            )
+    if period and motion.end_time > period - lead:
+        raise ValueError(
+            f'engine.command needs a motion of at most {period - lead:g} s, which is '
+            f'throw.period {period:g} s minus engine.command_lead {lead:g} s; '
+            f'{path} lasts {motion.end_time:g} s'
+        )
 
 
 def _throw_field(stepper: Stepper) -> ThrowField:

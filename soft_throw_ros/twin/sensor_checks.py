@@ -8,13 +8,10 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.plate_estimator import (
-    least_rate,
-    PlateEstimator,
-    SampledSpan,
-    scatter,
-)
+from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION
+from soft_throw_ros.twin.plate_estimator import least_rate, PlateEstimator, SampledSpan
 
 MAX_NOISE = 1.5
 """Noise of the samples over `measured.position_noise`, above which it is reported. [-]"""
@@ -133,7 +130,7 @@ class SensorChecks:
         heights = estimator.samples(-math.inf)['plate']
         if heights.size < _FEWEST_SAMPLES:
             return
-        noise, expected = scatter(heights), estimator.config.position_noise
+        noise, expected = _scatter(heights), estimator.config.position_noise
         if noise > MAX_NOISE * expected and np.ptp(heights) < _NOISE_RANGE * noise:
             self.report(HighNoise(noise, expected))
 
@@ -144,3 +141,9 @@ class SensorChecks:
             self.report(WrongUnit(rise, amplitude))
         if self._fall > _FALL * config.plate.peak_velocity:
             self.report(WrongDirection(self._fall))
+
+
+def _scatter(heights: NDArray[np.float64]) -> float:
+    """Return the standard deviation of heights about a slow motion, robustly [m]."""
+    deviation = float(np.median(np.abs(np.diff(heights, 2)))) / MEDIAN_DEVIATION
+    return deviation / math.sqrt(6.0)  # second differences have six times the variance

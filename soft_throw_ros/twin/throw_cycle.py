@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import TypeAlias
 
@@ -131,6 +131,7 @@ class ThrowCycle:
     def __init__(self, staged: StagedSettings, writer: JournalWriter, *, step: int) -> None:
         self.throws = 0  # number of started throws
         self.schedule = TickSchedule(step=step, time_ns=0, rate=staged.config.state_rate)
+        self.clock_offset_ns = 0  # of the samples, see `Session.measure` [ns]
         self.sample_counts = SampleCounts()
         self.sensor_checks = SensorChecks()
         self.monitor: PlateMonitor | None = None
@@ -159,10 +160,18 @@ class ThrowCycle:
     def _lead_ticks(self) -> int:
         """Steps from the command of a motion to its start; 0 without a command."""
         config = self._staged.config
-        ticks = round((config.command_lead or 0.0) * config.state_rate)
-        if not config.throw_period:
-            return ticks
-        return min(ticks, self._prepared.period_ticks(config.throw_period) // 4)
+        return round((config.command_lead or 0.0) * config.state_rate)
+
+    def _commanded_end(self, step: int) -> float:
+        """Return the step at which a controller has played the commanded motion, if any."""
+        config, rig_state = self._staged.config, self._rig_state
+        motion = self._prepared.rig.engine.motion
+        if isinstance(rig_state, Returning):
+            return rig_state.end
+        start = rig_state.start_step if isinstance(rig_state, AtRest) else self._period_start
+        if config.command_lead is None or motion is None or start is None:
+            return step
+        return start + motion.end_time * config.state_rate
 
     def resume(self, step: int, entry: journal.Entry) -> None:
         """Start the throw of an entry of a journal at its step."""
@@ -320,7 +329,6 @@ class ThrowCycle:
         outputs = throw.advance(tick, motion)
         if self.monitor is not None and isinstance(throw, MeasuredThrow):
             self.monitor.engine_is_nominal = throw.engine_is_nominal
-            self.monitor.stamp_error = throw.stamp_error
         self._state = outputs.state
         self._rare_outputs.phases += tuple(
             (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events
@@ -353,11 +361,17 @@ class ThrowCycle:
         self._put_back(step)
 
     def _put_back(self, step: int, *, is_requested: bool = False) -> None:
-        """Begin the return to rest, with the settings that were pending in effect."""
+        """
+        Begin the return to rest, with the settings that were pending in effect.
+
+        It ends no sooner than a commanded motion, which the next command would replace.
+        """
+        commanded = (self._commanded_end(step) - step) / self._staged.config.state_rate
         self._commit(step)
         config, ticks = self._staged.config, 0
         if not config.is_measured:
             ticks = self._prepared.return_ticks(config.throw_period)
+            ticks = max(ticks, math.ceil(commanded * config.state_rate))
         self._start_monitoring()
         self._field_start = step
         returning = Returning(
@@ -425,6 +439,8 @@ class ThrowCycle:
         onset = rig_state.onset if isinstance(rig_state, AtRest) else None
         if onset is None:
             motion, onset = monitor.advance(now_ns)
+            if onset is not None:
+                onset = replace(onset, clock_offset_ns=self.clock_offset_ns)
             crossing_time = self._prepared.rig.crossing_time
             if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
                 onset = None

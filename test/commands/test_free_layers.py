@@ -3,6 +3,7 @@
 """The command `free_layers`."""
 
 from pathlib import Path
+import re
 
 import numpy as np
 import pytest
@@ -44,6 +45,8 @@ def test_free_layers_give_the_wave_speed(command, write, tmp_path):
     assert periods == pytest.approx([2.0 * t / 7.8 for t in thicknesses], rel=5e-3)
     settings = files.read(tmp_path / 'rig.yaml')
     assert settings['layer.wave_speed'] == pytest.approx(speed, rel=1e-4)
+    assert settings['uncertainty.wave_speed'] == pytest.approx(3.0**0.5 * error, rel=1e-2)
+    assert 'mass: 0.0012' not in re.sub('#.*', '', (tmp_path / 'rig.yaml').read_text())
     rows = [line.split() for line in command.run(*args).splitlines() if ' mm: ' in line]
     assert [float(row[3]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)
 

@@ -3,6 +3,7 @@
 """The command `identify`."""
 
 import contextlib
+from dataclasses import replace
 import io
 import itertools
 import json
@@ -16,9 +17,10 @@ import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.commands import identify, throw
 from soft_throw_ros.commands.identify_report import ejection_data, ejection_lines
-from soft_throw_ros.configuration import files, rig_of
+from soft_throw_ros.commands.options import option_of, UNCERTAINTY_PARAMETERS
+from soft_throw_ros.configuration import files, rig_of, TWIN
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.forward import ThrowSimulator
@@ -28,7 +30,8 @@ from soft_throw_ros.storage.message import Message
 
 SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 COMMAND = (identify.main,)
-OF_SAMPLE = (SAMPLE, '--unit', 'mm', '--thickness', 12e-3)
+MEASURED = ('--mass', 1.206e-3, '--thickness', 12e-3, '--diameter', 12e-3, '--density', 1000.0)
+OF_SAMPLE = (SAMPLE, '--unit', 'mm', *MEASURED)
 RIG = Rig(
     engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
     layer=Layer(thickness=12e-3, wave_speed=6.9),
@@ -58,6 +61,7 @@ def test_sample_gives_its_rig(sample_result):
     assert value(result, 'layer.thickness') == pytest.approx((12e-3, 1e-4), rel=0.05)
     assert result['held']['layer.density'] == 1000.0
     assert result['warnings'] == []
+    assert result['assumed'] == []
     index = result['fit']['names'].index('layer.wave_speed')
     covariance = np.array(result['fit']['covariance'])
     assert np.sqrt(covariance[index, index]) == value(result, 'layer.wave_speed')[1]
@@ -76,10 +80,10 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     pytest.importorskip('matplotlib')
     root = SAMPLE.parents[2]
     text = (root / 'README.md').read_text(encoding='utf-8')
-    (call,) = re.findall(r"make identify ARGS='(.*synthetic_throw.*)'", text)
+    (call,) = re.findall(r'make identify ARGS="([^"]*synthetic_throw[^"]*)"', text)
     monkeypatch.chdir(root)
     path = tmp_path / 'my_rig.yaml'
-    args = call.replace('my_rig.yaml', str(path)).split()
+    args = call.replace('\\\n', '').replace('my_rig.yaml', str(path)).split()
     answer, table, *_ = command.run(*args, '--figure', tmp_path / 'a.png').split('\n\n')
     printed = table.splitlines()[:7]
     assert (tmp_path / 'a.png').read_bytes().startswith(b'\x89PNG')
@@ -97,28 +101,83 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     for name in result['found']:
         assert settings[name] == pytest.approx(value(result, name)[0], rel=1e-6)
     assert settings['layer.name'] == 'custom'
+    uncertain = {name: math.sqrt(3.0) * value(result, name)[1] for name in result['found']}
+    uncertain['projectile.mass'] /= settings['projectile.mass']
+    for name in UNCERTAINTY_PARAMETERS:  # bounds of equally likely values with the same deviation
+        (bound,) = (b for n, b in uncertain.items() if n.endswith(name.partition('.')[2]))
+        assert settings[name] == pytest.approx(bound, rel=1e-2)
     # Parameters that do not describe the rig are left out of the file
     assert not re.search(r'^\s*rate', path.read_text(), re.MULTILINE)
     for line in printed:  # with their standard errors
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
-    predicted = throw.predict(settings, ['travelling_wave'])['models']['travelling_wave']
+    predicted = throw.predict(settings)['throw']
     assert predicted['energy_transfer'] == pytest.approx(
         result['ejection']['energy_transfer']['value'], rel=1e-4
     )
 
 
+def csv_of(rig, time, noise):
+    """Return tracks of a rig as text [m]."""
+    heights = np.stack([
+        Underdamped.of(rig.engine).position(time - 0.0153),
+        ThrowSimulator().follow(rig, time - 0.0153).position,
+    ])
+    heights += noise * np.random.default_rng(2).normal(size=heights.shape)
+    rows = [','.join(map(str, row)) for row in np.column_stack([time, *heights]).tolist()]
+    return '\n'.join(['t,plate,projectile', *rows])
+
+
+ASSUMED = ('layer.density', 'layer.diameter', 'projectile.mass')
+
+
+def test_what_nobody_stated_is_assumed_also_from_the_written_file(command, tmp_path):
+    args, output = (SAMPLE, '--unit', 'mm', '--one-camera'), tmp_path / 'rig.yaml'
+    first, _, _, verdict, *table = command.run(
+        *args, '--thickness', 12e-3, '--output', output
+    ).splitlines()
+    text = output.read_text()
+    assert first.startswith('assumed')
+    assert 'not good enough' in verdict
+    for name in ASSUMED:
+        assert f'{name} ({option_of(name)})' in first
+        assert name in verdict
+        (row,) = (line for line in table if line.startswith(name))
+        assert row.endswith('assumed')
+        assert '+-' not in row
+        assert re.search(rf'^# {name} [^+]*, assumed$', text, re.MULTILINE)
+        assert re.search(rf'^ +# {name.partition(".")[2]}: .* # assumed$', text, re.MULTILINE)
+        assert files.read(output)[name] == TWIN.defaults()[name]
+    assert files.read(output)['uncertainty.mass'] == TWIN.defaults()['uncertainty.mass']
+    again = command.json(*args, '--config', output)
+    assert again['assumed'] == list(ASSUMED)
+    assert not again['answer']['is_good_enough']
+    assert not set(ASSUMED) & again['found'].keys()
+
+
+def test_fit_of_a_rig_that_does_not_throw_is_shown_and_written(command, write, tmp_path):
+    engine = replace(RIG.engine, amplitude=0.5e-3)
+    heavy = replace(RIG, engine=engine, projectile=Projectile(mass=0.05))
+    path, output = write(csv_of(heavy, np.arange(0.0, 0.11, 5e-4), 5e-6)), tmp_path / 'rig.yaml'
+    args = (path, '--one-camera', *MEASURED, '--mass', 0.05)
+    printed = command.run(*args, '--output', output, '--figure', tmp_path / 'a.png')
+    reason = 'does not leave the layer'
+    for text in (printed, command.err, output.read_text()):
+        assert reason in text
+    assert 'good enough' not in printed
+    result = command.json(*args)
+    speed, error = value(result, 'layer.wave_speed')
+    assert speed == pytest.approx(6.9, abs=4.0 * error)
+    assert files.read(output)['layer.wave_speed'] == pytest.approx(speed)
+    assert result['ejection'] is None
+    assert any(reason in warning for warning in result['warnings'])
+    assert not result['answer']['is_good_enough']
+
+
 def test_large_strain_is_printed_and_written(command, write, tmp_path):
     engine = Engine(frequency=58.0, damping_ratio=0.05, amplitude=5e-3)
     rig = Rig(engine=engine, layer=Layer(stress_strain_law='neo_hookean'))
-    time = np.arange(0.0, 0.042, 2e-4)  # a longer flight would only cost time
-    heights = np.stack([
-        Underdamped.of(engine).position(time - 0.0153),
-        ThrowSimulator().follow(rig, time - 0.0153).position,
-    ])
-    heights += 2e-5 * np.random.default_rng(2).normal(size=heights.shape)
-    rows = [','.join(map(str, row)) for row in np.column_stack([time, *heights]).tolist()]
-    path = write('\n'.join(['t,plate,projectile', *rows]))
-    output = tmp_path / 'rig.yaml'
+    # a longer flight would only cost time
+    path, output = write(csv_of(rig, np.arange(0.0, 0.042, 2e-4), 2e-5)), tmp_path / 'rig.yaml'
     printed = command.run(path, '--output', output)
     assert re.search(r'^layer.stress_strain_law +neo_hookean$', printed, re.MULTILINE)
     assert rig_of(files.read(output)).layer.stress_strain_law == 'neo_hookean'
@@ -162,9 +221,11 @@ def test_outliers_of_3_mm_are_listed_and_excluded(command, write, sample_result)
 
 def test_options_and_file_describe_the_same_fit(command, write):
     path = write('parameters: {projectile.mass: 0.0012 +- 1 %}\nheights: own', 'fit.yaml')
-    by_file = command.json(*OF_SAMPLE, '--fit-file', path)
-    by_option = command.json(*OF_SAMPLE, '--mass', '0.0012+-1%')
+    args = (SAMPLE, '--unit', 'mm', *MEASURED[2:])
+    by_file = command.json(*args, '--fit-file', path)
+    by_option = command.json(*args, '--mass', '0.0012+-1%')
     assert by_file == by_option
+    assert by_file['assumed'] == []
     mass, error = value(by_file, 'projectile.mass')
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
@@ -180,6 +241,7 @@ def test_plate_alone_gives_the_engine(command, write, tmp_path):
     assert value(result, 'engine.frequency')[0] == pytest.approx(58.0, rel=5e-3)
     assert result['ejection'] is None
     assert files.read(output)['engine.frequency'] == pytest.approx(58.0, rel=5e-3)
+    assert command.json(path, '--unit', 'mm', '--config', output)['assumed'] == result['assumed']
 
 
 def joint_states(topic, times, heights, bodies=('plate', 'projectile')):
@@ -319,7 +381,7 @@ def test_wrong_unit_without_a_header_is_noticed(command, write):
 
 
 def test_distant_samples_are_excluded_with_a_note(command, tmp_path):
-    # found by make fuzz: a cut joins the time of a row at rest and the height of another row
+    # A cut joins the time of a row at rest and the height of another row
     text = (SAMPLE.parent / 'reference_tracks.csv').read_text(encoding='utf-8')
     path = tmp_path / 'throw.csv'
     path.write_text(text[:231] + text[2854:4692], encoding='utf-8')

@@ -10,6 +10,7 @@ from soft_throw_ros.identification.fit_warnings import (
     CorrelatedResiduals,
     InseparablePair,
     Mismatch,
+    NotConverged,
 )
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.model_choice import AddedTerm
@@ -28,6 +29,7 @@ from soft_throw_ros.identification.rig_fit import RigFit
         (Mismatch(2.04, 'plate', 0.0123, 0.0456), ('2 times', 'plate', '0.0123 s', '0.0456 s')),
         (CorrelatedResiduals('plate', 0, 0.7, 4.0), ('of plate are', '0.70', '2 times')),
         (CorrelatedResiduals('plate', 2, 0.7, 0.5), ('plate and 2 more', '0.70', '1 times')),
+        (NotConverged(), ('limit',)),
     ],
 )
 def test_warning_has_its_names_and_numbers(warning, values):

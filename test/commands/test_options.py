@@ -5,19 +5,21 @@
 import argparse
 import os
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
 import time
 
 import pytest
-from soft_throw_ros.commands import design, options, output
+from soft_throw_ros.commands import design, options, output, throw
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
     open_executor,
     option_of,
     read_settings,
+    stated_parameters,
     WorkersLostError,
 )
 from soft_throw_ros.configuration import TWIN
@@ -53,11 +55,55 @@ def open_with(*args):
 def test_every_parameter_of_the_rig_is_an_option():
     parser = argparse.ArgumentParser()
     add_rig_options(parser)
-    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig} - {'model'}
+    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig}
     options_of_rig = {option_of(name) for name in of_rig}
     assert len(options_of_rig) == len(of_rig)
     assert all(option in parser.format_help() for option in options_of_rig)
     assert read_settings(parser.parse_args([])) == TWIN.defaults()
+
+
+@pytest.mark.parametrize('task', [*design.TASKS, None])
+def test_commands_of_a_rig_have_few_options(capsys, task):
+    main, words = (design.main, [task]) if task else (throw.main, [])
+    with pytest.raises(SystemExit):
+        main([*words, '--help'])
+    shown = re.findall(r'^  (-\S+)', capsys.readouterr().out, re.MULTILINE)
+    assert {'--config', '-p', '--thickness'} <= set(shown)
+    assert len(shown) <= 16
+
+
+def test_named_parameter_is_set_like_an_option():
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser, ['layer.thickness'])
+    words = ['--thickness=0.01', '-p', 'layer.density:=1.1e3', '-p',
+             'recommendation.frequencies:=[50, 7e1]', '-p', 'layer.thickness:=0.012']
+    settings = read_settings(parser.parse_args(words))
+    assert settings['layer.thickness'] == 0.012
+    assert settings['layer.density'] == 1100.0
+    assert settings['recommendation.frequencies'] == (50.0, 70.0)
+
+
+LAYER = set(TWIN.names_in('layer'))
+
+
+@pytest.mark.parametrize(
+    ('words', 'text', 'stated'),
+    [
+        ((), '', set()),
+        (('--mass', '0.002'), '', {'projectile.mass'}),
+        (('--layer', 'gelatin_16.8mm'), '', LAYER),
+        (('--stack', '8e-3 7 1000'), '', LAYER),
+        (('--layer', 'custom'), '', {'layer.name'}),
+        ((), 'layer: {name: gelatin_16.8mm}', LAYER),
+        (('--gravity', '0'), 'projectile: {mass: 0.002}', {'projectile.mass', 'gravity'}),
+    ],
+)
+def test_options_and_file_state_parameters(write, words, text, stated):
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser)
+    if text:
+        words += ('--config', str(write(f'twin: {{ros__parameters: {{{text}}}}}')))
+    assert stated_parameters(parser.parse_args(words)) == stated
 
 
 def test_design_without_a_known_task_names_all_tasks_in_one_line(command):

@@ -4,6 +4,7 @@ from pathlib import Path
 import re
 from typing import Any
 
+from damage import accepted, few, texts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
@@ -124,6 +125,8 @@ def test_written_file_is_read_back_by_us_and_by_yaml(tmp_path_factory: Any, data
     everybody = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']
     assert everybody['engine']['amplitude'] == amplitude  # and not its text
     assert everybody['layer']['thickness'] == thickness
+    path.write_text(files.render(settings, assumed=['layer.thickness']), 'utf-8')
+    assert files.read(path)['layer.thickness'] == TWIN.defaults()['layer.thickness']
 
 
 TEXTS = (
@@ -172,20 +175,22 @@ def test_arguments_outside_ros_args_are_ignored() -> None:
     assert start(['-p', 'x:=1', '--ros-args', '-r', 'a:=b', '--', '-p', 'y:=1']) == TWIN.defaults()
 
 
-def test_former_names_in_files_and_arguments_are_accepted_with_their_position(
-    write, capsys
+CONFIG = [path.read_text('utf-8') for path in layers.default_file().parent.glob('[!l]*.yaml')]
+FOAM = (
+    'foam: {description: x, source: y, density: {value: 100, range: [90, 110]}, '
+    'youngs_modulus: 2e4, loss_tangent: 0.1, thicknesses: [0.01, 0.02]}'
+)
+
+
+@few
+@given(data=st.data(), encoding=st.sampled_from(['utf-8', 'utf-8', 'utf-16', 'latin-1']))
+@pytest.mark.parametrize(('read', 'valid'), [(files.read, CONFIG), (layers.library, [FOAM])])
+def test_damaged_yaml_is_read_or_refused_with_its_name(
+    tmp_path: Path, read: Any, valid: list[str], data: Any, encoding: str
 ) -> None:
-    path = write(
-        'twin:\n  ros__parameters:\n    measured: {window: 3e-3}\n    model: finite_difference\n'
-    )
-    settings = files.read(path)
-    assert settings['measured.smoothing_window'] == 3e-3
-    assert settings['model'] == 'cells'
-    window, model = capsys.readouterr().err.splitlines()
-    assert window.startswith(f'warning: {path}:3: measured.window ')
-    assert model.startswith(f'warning: {path}:4: model ')
-    arguments = ['--ros-args', '--params-file', str(path), '-p', 'measured.smoothing_window:=4e-3']
-    assert start(arguments)['measured.smoothing_window'] == 4e-3
-    assert 'measured.window' in capsys.readouterr().err
-    with pytest.raises(ParameterError, match=r'^-p measured\.wait:=-1: measured\.latency must be'):
-        start(['--ros-args', '-p', 'measured.wait:=-1'])
+    path = tmp_path / 'file.yaml'
+    path.write_bytes(data.draw(texts(*valid)).encode(encoding, 'replace'))
+    result = accepted(lambda: read(path), str(path))
+    if read is files.read and result is not None:
+        assert result.keys() == TWIN.defaults().keys()
+        assert all(TWIN.check_value(name, value) == value for name, value in result.items())

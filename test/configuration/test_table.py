@@ -4,7 +4,8 @@ import math
 import re
 from typing import Any
 
-from hypothesis import given
+from damage import accepted, WORDS
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import ParameterError, RECORDER, TWIN
@@ -57,7 +58,7 @@ def test_numbers_beyond_either_end_are_refused_with_the_value() -> None:
         ('layer.thicknes', 0.01, ['did you mean layer.thickness?']),
         ('thickness', 0.01, ['did you mean layer.thickness?']),
         ('layer.youngs_modulus', 6e4, ['set layer.wave_speed']),
-        ('model', 'magic', ["'spring_mass'", "'magic'"]),
+        ('layer.loss', 'magic', ["'constant'", "'magic'"]),
         ('throw.period', 0.01, ['or 0', '0.01']),
         ('throw.max_events', 2.0, ['whole number', '2.0']),
         ('recommendation.masses', [0.01] * 17, ['at most 16 numbers', '0.01']),
@@ -85,15 +86,25 @@ def test_recorder_takes_topics_and_namespaces_and_nothing_else() -> None:
             RECORDER.check_value('topics', ['twin', name])
 
 
-def test_both_names_of_a_parameter_in_one_request_are_refused() -> None:
-    with pytest.raises(ParameterError, match=r'measured\.wait .* measured\.latency'):
-        TWIN.without_deprecated({'measured.wait': 0.0, 'measured.latency': 0.0})
+VALUES = (
+    st.floats() | st.integers() | st.booleans() | st.none() | st.sampled_from(WORDS) | st.text()
+    | st.lists(st.floats() | st.integers() | st.text(max_size=3), max_size=4)
+    | st.sampled_from([10**400, b'x', {}, [[]], ()])
+)
 
 
-def test_every_former_name_stands_for_a_parameter_or_choice_that_exists() -> None:
-    for table in TABLES:
-        assert set(table.deprecated.values()) <= table.by_name.keys()
-        assert not table.deprecated.keys() & table.by_name.keys()
-        for entry in table.entries:
-            assert set(entry.deprecated.values()) <= set(entry.choices)
-            assert not set(entry.deprecated) & set(entry.choices)
+@settings(max_examples=300)
+@given(data=st.data(), table=st.sampled_from(TABLES))
+def test_any_values_become_valid_settings_or_are_refused_by_name_or_value(
+    data: Any, table: Any
+) -> None:
+    names = st.sampled_from([entry.name for entry in table.entries]) | st.text(max_size=8)
+    values = st.sampled_from([-1.0, 0.0, 1e-3, 1.0, 1e3]) | VALUES
+    request = data.draw(st.dictionaries(names, values, min_size=1, max_size=2))
+    changes = accepted(lambda: table.change(table.defaults(), request))
+    for name, value in (changes or {}).items():
+        entry = table.by_name[name]
+        assert type(value) is type(entry.default)
+        for item in value if isinstance(value, tuple) else (value,):
+            if isinstance(item, (int, float)):
+                assert entry.low <= item <= entry.high or (entry.or_zero and item == 0)

@@ -150,8 +150,12 @@ def test_verdict_needs_a_small_error_without_jump_and_mismatch(fits):
     assert answer_of(found, release_of(other=4.01)).is_good_enough
     assert not answer_of(found, release_of(error=4.1 * GOOD_ENOUGH)).is_good_enough
     assert not answer_of(found, release_of(other=3.5)).is_good_enough
-    poor = replace(found, fit=replace(found.fit, chi2=4.0 * found.fit.chi2))
-    assert not answer_of(poor, release_of()).is_good_enough
+    for changes in ({'chi2': 4.0 * found.fit.chi2}, {'is_converged': False}):
+        poor = replace(found, fit=replace(found.fit, **changes))
+        assert not answer_of(poor, release_of()).is_good_enough
+    assumed = replace(found.model.description, assumed=('projectile.mass',))
+    unstated = replace(found, model=replace(found.model, description=assumed))
+    assert not answer_of(unstated, release_of()).is_good_enough
 
 
 def test_known_wave_speed_needs_no_answer(fits):

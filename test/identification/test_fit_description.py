@@ -50,6 +50,33 @@ def test_measured_quantities_have_the_errors_of_the_paper():
     assert description.known('projectile.mass', RIG, '') == Estimate(1e-3, pytest.approx(1e-5))
 
 
+@pytest.mark.parametrize(
+    ('text', 'stated', 'by_throw', 'is_assumed'),
+    [
+        (None, (), {}, True),
+        ('held', (), {}, True),
+        ('+- 1 %', (), {}, True),
+        ('free', (), {}, False),
+        ('0.002 +- 1 %', (), {}, False),
+        (None, ('projectile.mass',), {}, False),
+        (None, (), {'heavy.csv': '0.002'}, True),
+        (None, (), {'heavy.csv': '0.002', 'light.csv': '0.001'}, False),
+    ],
+)
+def test_value_that_nobody_stated_is_assumed_and_held(text, stated, by_throw, is_assumed):
+    def treatments(text):
+        return parse_treatments({'projectile.mass': text} if text else {})
+
+    throws = {name: ThrowConditions(treatments(item), {}) for name, item in by_throw.items()}
+    description = FitDescription(treatments(text), throws=throws)
+    result = description.assume(stated, ['heavy.csv', 'light.csv'])
+    assert ('projectile.mass' in result.assumed) is is_assumed
+    assert 'layer.loss_tangent' not in result.assumed
+    assert 'layer.wave_speed' not in result.assumed
+    if is_assumed:
+        assert result.treatment('projectile.mass') == FIXED
+
+
 def test_throws_share_equal_descriptions():
     description = FitDescription(
         throws={

@@ -13,6 +13,7 @@ from soft_throw_ros.identification.fit_warnings import (
     CorrelatedResiduals,
     fit_warnings,
     Mismatch,
+    NotConverged,
 )
 from soft_throw_ros.identification.least_squares import (
     Alternative,
@@ -156,6 +157,14 @@ def test_other_minimum_is_spanned_and_reported():
     assert 1.96 * spanned['rate'].error > 0.095
     assert spanned['size'] == fit['size']
     assert fit_warnings(spanned) == [('rate', spanned.alternatives[0].values[1], 4.0)]
+
+
+def test_solver_that_stops_at_its_limit_is_reported():
+    data = [('decay', track())]
+    for limit, warnings in ((1, [()]), (100, [])):
+        fit = fit_tracks(MODEL, np.array([1.0, 1.0]), data, max_evaluations=limit)
+        assert fit.is_converged is (limit > 1)
+        assert [item for item in fit_warnings(fit) if isinstance(item, NotConverged)] == warnings
 
 
 def test_overflowing_fit_is_refused():

@@ -5,21 +5,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 import math
 from test.nodes.conftest import MILLISECOND, SECOND
 from typing import Any
 
+from damage import accepted, datas, few
 from diagnostic_msgs.msg import DiagnosticStatus
+from hypothesis import given
+from hypothesis import strategies as st
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rigs import aged, measured_throw
 from sensor_msgs.msg import JointState
-from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values, time_to_msg
+from soft_throw_ros.nodes.measured import _to_sample
+from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.twin.sample_buffer import Sample
+from twin_runs import BEGIN, Run
 
 MEASURED = TWIN_TOPICS.measured_joint_states.at('/twin').name
 BATCH_NS = 10 * MILLISECOND
@@ -33,13 +40,13 @@ class Sensors(Node):
         self._ros = ros
         self._twin = twin
         self._sent = 0
-        self._publisher = self.create_publisher(JointState, MEASURED, QoSProfile(depth=1000))
-        ros.spin_until(lambda: self._publisher.get_subscription_count() > 0, 'the twin')
+        self.publisher = self.create_publisher(JointState, MEASURED, QoSProfile(depth=1000))
+        ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
 
     def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
         message = JointState(name=list(names), position=[sample.plate, sample.projectile])
         message.header.stamp = time_to_msg(sample.stamp_ns)
-        self._publisher.publish(message)
+        self.publisher.publish(message)
         self._sent += 1
 
     def wait(self) -> None:
@@ -104,7 +111,7 @@ def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
 
 
 def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener) -> None:
-    listener.listen(TWIN_TOPICS.diagnostics)
+    listener.listen(TWIN_TOPICS.diagnostics, TWIN_TOPICS.throw_result)
     begin_ns = twin.clock.time
     samples = measured_throw(Rig(), begin_ns=begin_ns, onset=0.35, duration=0.4)
     sensors.throw(samples, behind_ns=300 * MILLISECOND)
@@ -118,7 +125,13 @@ def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener)
         TWIN_TOPICS.diagnostics, 'measurement', lambda s: msg_to_values(s)['clock_offset'] > 0.0
     )
     assert status.level == DiagnosticStatus.WARN
-    assert msg_to_values(status)['clock_offset'] == pytest.approx(0.29, abs=0.02)
+    offset = msg_to_values(status)['clock_offset']
+    assert offset == pytest.approx(0.29, abs=0.02)
+    (message,) = listener.hear(TWIN_TOPICS.throw_result)[:1]
+    values = msg_to_values(message.status[0])
+    assert values['measurement.clock_offset_ns'] == round(offset * SECOND)
+    started_ns = values['accuracy.release_ns'] - round(values['ejection_time'] * SECOND)
+    assert values['start_ns'] == pytest.approx(started_ns, abs=1)
 
 
 def test_clock_topic_that_moves_in_steps_is_no_offset_of_the_sensors(twin, sensors) -> None:
@@ -202,3 +215,23 @@ def test_without_measurement_nothing_is_reported_about_it(ros, start_twin, liste
     statuses = listener.heard[TWIN_TOPICS.diagnostics.name][0].status
     assert not {'/twin: measurement', '/twin: model'} & {status.name for status in statuses}
     assert twin.session.sample_counts.taken == 0
+
+
+THROW = [
+    JointStateEncoder(FRAME, JOINTS, series=1).encode(s.stamp_ns, [s.plate, s.projectile])
+    for s in measured_throw(Rig(), begin_ns=BEGIN, onset=0.02, duration=0.06)
+]
+
+
+@few
+@given(damaged=st.dictionaries(st.integers(0, len(THROW) - 1), datas(*THROW[::50]), max_size=9))
+def test_damaged_messages_never_reach_the_outputs(damaged: dict[int, bytes]) -> None:
+    run, reader = Run(engine__motion='measured'), JointStateReader()
+    for number, message in enumerate(THROW):
+        values = accepted(partial(reader.read, damaged.get(number, message)))
+        sample = values and _to_sample(values)
+        if sample is not None:
+            run.session.measure([sample])
+        if number % 5 == 0:
+            (outputs,) = run.go(1)
+            assert all(map(math.isfinite, outputs.state))

@@ -106,16 +106,6 @@ def test_number_is_accepted_as_every_parameter_type(twin, client) -> None:
         assert (tuple(received) if isinstance(value, tuple) else received) == value
 
 
-def test_former_names_set_the_present_parameters_with_a_warning(twin, client, capfd) -> None:
-    assert client.set(**{'layer.elasticity': 'neo_hookean'}) == ['']
-    assert client.get('layer.stress_strain_law') == 'neo_hookean'
-    assert client.set(model='finite_difference') == ['']
-    assert twin.parameters.settings['model'] == client.get('model') == 'cells'
-    words = capfd.readouterr().err
-    assert 'layer.elasticity is deprecated' in words
-    assert "model 'finite_difference' is deprecated" in words
-
-
 def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
     for value in (math.nan, math.inf, -0.01, 0, 'soft', True, ['a'], None):
         (reason,) = client.set(layer__thickness=value)
@@ -151,7 +141,7 @@ def test_set_accepts_parameters_of_others(twin, client) -> None:
 
 
 def test_results_are_read_only_and_the_log_says_so(ros, twin, client, capfd) -> None:
-    twin.parameters.set_results({'thickness': 0.04, 'mass_ratio': 1})
+    twin.parameters.set_results({'thickness': 0.04, 'density': 1})
     assert capfd.readouterr().err == ''
     assert client.set(recommended__thickness=0.01, recommended__layer='soft') == ['', '']
     printed: list[str] = []
@@ -160,7 +150,7 @@ def test_results_are_read_only_and_the_log_says_so(ros, twin, client, capfd) -> 
     assert "got 'soft'" in printed[-1]
     assert client.get('recommended.thickness') == 0.04
     assert client.get('recommended.layer') == ''
-    assert client.get('recommended.mass_ratio') == 1.0
+    assert client.get('recommended.density') == 1.0
     assert math.isnan(client.get('recommended.wave_speed'))
     twin.parameters.set_results({'wave_speed': 20.0})
     assert math.isnan(client.get('recommended.thickness'))

@@ -4,21 +4,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import re
+import shutil
 from test.recording.conftest import plain, read, TYPES
 import tracemalloc
 
 from bags import profiles, write
+from damage import accepted, datas, few
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Metadata
 from mcap.writer import CompressionType, IndexType, Writer
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Reader as RosbagsReader
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import parse_qos
-from soft_throw_ros.recording import mcap_scan
+from soft_throw_ros.commands.recover import main as recover_bag
+from soft_throw_ros.recording import recovery
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
 from soft_throw_ros.storage import mcap_file
@@ -259,19 +263,16 @@ def test_damaged_index_is_refused(recording):
 
 
 @pytest.mark.parametrize('compression', ['none', 'zstd'])
-def test_too_large_chunk_is_refused_and_left_out(tmp_path, monkeypatch, compression):
-    messages = [plain(0, size=200_000), plain(1)]
+def test_too_large_chunk_is_refused_before_it_is_read(tmp_path, monkeypatch, compression):
+    messages = [plain(0), plain(1, size=200_000)]
     path = write(tmp_path / 'bag', messages, chunk=1, compression=compression)
-    for module in (mcap_file, mcap_scan):
+    for module in (mcap_file, recovery):
         monkeypatch.setattr(module, 'MAX_RECORD', 100_000)
     with pytest.raises(UnfinishedError, match=r'chunk of .* more than 100000'):
         BagReader(path)
-    recovery = recover(path, tmp_path / 'new')
-    chunk, missing = recovery.skipped
-    kind = 'record' if compression == 'none' else 'chunk'
-    assert re.search(rf'a {kind} of .* more than 100000', chunk.reason)
-    assert missing.messages == 1
-    assert [message.sequence for message in read(recovery.target).messages] == [1]
+    recovered = recover(path, tmp_path / 'new')
+    assert '100000' in recovered.omitted[0]
+    assert [message.sequence for message in read(recovered.target).messages] == [0]
 
 
 def test_too_large_index_is_refused_and_not_needed_to_recover(tmp_path, monkeypatch):
@@ -280,3 +281,38 @@ def test_too_large_index_is_refused_and_not_needed_to_recover(tmp_path, monkeypa
     with pytest.raises(UnfinishedError, match='index'):
         BagReader(path)
     assert recover(path, tmp_path / 'new').message_count == 50
+
+
+@pytest.fixture(scope='module')
+def small_bags(tmp_path_factory):
+    """Return the bytes of small bags, and their messages."""
+    channel = Channel(topic='/odd', type='t/msg/T', schema='int8 x')
+    messages = [Message(channel, bytes([number] * 20), number, 0, number) for number in range(40)]
+    folder = tmp_path_factory.mktemp('small')
+    contents = []
+    for name in ('none', 'lz4', 'zstd'):
+        write(folder / name, messages, chunk=10, compression=name)
+        contents.append((folder / f'{name}/{name}_0.mcap').read_bytes())
+    return contents, {message.data for message in messages}
+
+
+@few
+@given(data=st.data())
+def test_damaged_bag_gives_messages_as_they_were_written_or_is_refused(
+    tmp_path, small_bags, data
+):
+    contents, written = small_bags
+    path, target = tmp_path / 'bag.mcap', tmp_path / 'new'
+    path.write_bytes(data.draw(datas(*contents)))
+    shutil.rmtree(target, ignore_errors=True)
+
+    def read():
+        with BagReader(path) as reader:
+            return {message.data for message in reader.messages()}
+
+    assert (accepted(read, str(path)) or set()) <= written
+    with contextlib.suppress(SystemExit):  # with code 2, if nothing can be recovered
+        recover_bag([str(path), '--to', str(target)])
+    if target.exists():
+        with RosbagsReader(target) as reader:
+            assert {bytes(message) for *_, message in reader.messages()} <= written

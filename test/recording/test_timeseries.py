@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import json
 from typing import Any
 
 from bags import text
@@ -22,7 +21,9 @@ from soft_throw_ros.recording.timeseries import (
     TwinReader,
 )
 from soft_throw_ros.storage.message import Message
+from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_messages import TwinMessages
+from twin_runs import BEGIN
 
 
 def one_throw(steps: int, **request: Any) -> Any:
@@ -44,10 +45,10 @@ def real() -> Any:
     return one_throw(400, rate__field=1000.0)
 
 
-@pytest.fixture(scope='module')
-def measured() -> Any:
+@pytest.fixture(scope='module', params=[0, BEGIN - 100 * SECOND], ids=['right', 'since boot'])
+def measured(request: Any) -> Any:
     """Return one throw of a measured plate, with its messages read back."""
-    twin = TwinMessages(engine__motion='measured')
+    twin = TwinMessages(engine__motion='measured', behind_ns=request.param)
     twin.measure(duration=0.1)
     twin.read = Read(twin.messages)
     return twin
@@ -138,19 +139,6 @@ def test_rig_changes_with_a_throw_or_reset_and_requests_are_known_before() -> No
     assert [rig.layer.thickness for _, rig in rigs] == [0.0168, 0.01, 0.012]
 
 
-def test_former_names_in_a_journal_give_the_present_rig(real) -> None:
-    entry = {
-        'kind': 'start',
-        'step': 3,
-        'settings': {'layer.elasticity': 'neo_hookean', 'model': 'finite_difference_elastic'},
-    }
-    reader = TwinReader()
-    data = text(json.dumps(entry))
-    reader.read_journal(Message(real.channels['journal'], data, 5, 5))
-    assert reader.rig == Rig(layer=Layer(stress_strain_law='neo_hookean'))
-    assert reader.settings['model'] == 'cells_elastic'
-
-
 @pytest.mark.parametrize(
     'line',
     [
@@ -170,7 +158,7 @@ def test_invalid_journal_lines_are_refused_like_damage(real, line) -> None:
     assert reader.rig is None
 
 
-def test_measured_throw_and_states_have_the_same_zero_height(measured) -> None:
+def test_measured_throw_and_states_have_the_same_time_and_zero_height(measured) -> None:
     truth = measured.read.contents[TWIN_TOPICS.measured_joint_states]
     predicted = measured.read.contents[TWIN_TOPICS.predicted_joint_states]
     times, positions = joined(predicted, 0), joined(predicted, 1)

@@ -32,9 +32,8 @@ def forecaster() -> EngineForecaster:
     return PreparedRig.from_config(TwinConfig.from_settings(settings)).forecaster
 
 
-def estimate(unknowns=0.0, covariance=0.0, stamp_error=0.0) -> EngineEstimate:
-    covariance = covariance * np.eye(5)
-    return EngineEstimate(BEGIN, PLATE, unknowns * np.ones(5), covariance, stamp_error)
+def estimate(unknowns=0.0, covariance=0.0) -> EngineEstimate:
+    return EngineEstimate(BEGIN, PLATE, unknowns * np.ones(5), covariance * np.eye(5))
 
 
 def throw(engine: Engine) -> tuple[float, float]:
@@ -58,11 +57,11 @@ def test_changes_of_a_release_are_derivatives_even_without_damping(forecaster) -
         assert change == pytest.approx(derivatives, rel=1e-2)
 
 
-def test_standard_errors_follow_from_the_covariance_and_the_stamps(forecaster) -> None:
+def test_standard_errors_follow_from_the_covariance(forecaster) -> None:
     gradient = np.array([[0.0, 5.0, 0, 0, 0], [3.0, 0, 4.0, 0, 0], [0, 0, 0, 1.0, -1.0]])
     ours = EngineForecaster(1.0, gradient, forecaster.stepper)
-    assert ours.errors(estimate(covariance=4.0, stamp_error=24.0)) == pytest.approx(
-        (26.0, 10.0, math.sqrt(8.0)), rel=1e-14
+    assert ours.errors(estimate(covariance=4.0)) == pytest.approx(
+        (10.0, 10.0, math.sqrt(8.0)), rel=1e-14
     )
     correlated = estimate()
     correlated.covariance[:] = 4.0

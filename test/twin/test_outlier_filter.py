@@ -16,8 +16,7 @@ INTERVAL = 2e-4  # of samples [s]
 
 def find(positions, *, acceleration=0.0, noise=NOISE, stamp_error=0.0) -> list[int]:
     """Return the indices of the outliers of the plate, whose last position is judged."""
-    outliers = OutlierFilter(acceleration, noise)
-    outliers.set_stamp_error(stamp_error)
+    outliers = OutlierFilter(acceleration, noise, stamp_error)
     times = INTERVAL * np.arange(len(positions))
     both = np.stack([positions, np.full(len(positions), math.nan)], axis=1)
     is_outlier = outliers.find(times, both)
@@ -78,9 +77,9 @@ def test_last_row_waits_for_the_next_and_batches_find_the_same_outliers() -> Non
     positions[random.random((400, 2)) < 0.05] += 1e-3
     positions[random.random((400, 2)) < 0.05] = math.nan
     times = INTERVAL * np.arange(400.0)
-    expected = OutlierFilter(0.0, NOISE).find(times, positions)
+    expected = OutlierFilter(0.0, NOISE, 0.0).find(times, positions)
     assert expected.any(axis=0).all()
-    outliers, batches, first = OutlierFilter(0.0, NOISE), [], 0
+    outliers, batches, first = OutlierFilter(0.0, NOISE, 0.0), [], 0
     for end in range(1, 401):
         batches.append(outliers.find(times[first:end], positions[first:end]))
         first += len(batches[-1])

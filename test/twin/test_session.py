@@ -490,12 +490,26 @@ def test_motion_is_commanded_before_its_throw(write_motion, period, lead) -> Non
     run.assert_repeated()
 
 
-def test_plate_in_slow_motion_or_of_an_engine_is_not_commanded(write_motion) -> None:
-    slow = Run(
-        engine__motion_file=str(write_motion()), engine__command=True, time_scale=0.5
+@pytest.mark.parametrize('steps', [100, 250, 350])  # before the start, in the motion, near its end
+def test_next_command_waits_for_the_end_of_the_motion(write_motion, steps) -> None:
+    run = Run(
+        engine__motion_file=str(write_motion()), engine__command=True, throw__period=0.0
     )
-    engine = Run(engine__command=True)
-    assert not any(outputs.command for run in (slow, engine) for outputs in run.go(2500))
+    run.session.request_throw()
+    run.go(steps)
+    run.session.change({'rate.state': 2000.0})
+    run.session.reset()
+    run.session.reset()
+    for _ in range(1500):
+        run.go(1)
+        with contextlib.suppress(RequestRejected):
+            run.session.request_throw()
+    first, second = (outputs for outputs in run.outputs if outputs.command is not None)
+    start = first.step + 200
+    assert first.command.start_ns == run.schedule.deadline(start)
+    remaining = run.rig.engine.motion.end_time + 1e-3 * (start - steps)  # since the reset [s]
+    assert second.step - steps >= 2000.0 * remaining
+    run.assert_repeated()
 
 
 def test_change_builds_one_rig_and_ticks_build_none(monkeypatch, write_motion) -> None:

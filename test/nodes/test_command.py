@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Commanded motions, as a joint_trajectory_controller with its default settings plays them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.duration import Duration
+from soft_throw_ros.configuration import motions
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
+from soft_throw_ros.nodes.conversions import msg_to_time
+
+ENGINE = PlateLimits.of(Engine())
+SMOOTH = replace(ENGINE, jerk=3e5)
+STROKE = PlateLimits(speed=0.4, acceleration=120.0, jerk=1.3e5, travel=2.01e-3)
+
+
+def play(message: Any, arrival_ns: int, held: tuple[float, ...]) -> tuple[Any, Any]:
+    """
+    Return times [ns] and the heights, velocities, accelerations and jerks of a controller.
+
+    It joins the state that it holds when a message arrives to the first point, and the points to
+    one another, by quintics, and rejects a trajectory that ends in motion.
+    """
+    start_ns = msg_to_time(message.header.stamp)
+    stamps, states = [arrival_ns], [held]
+    for point in message.points:
+        stamps.append(start_ns + Duration.from_msg(point.time_from_start).nanoseconds)
+        states.append((*point.positions, *point.velocities, *point.accelerations))
+        assert not point.effort
+    assert message.joint_names == ['plate']
+    assert (np.diff(stamps) > 0).all()
+    assert abs(states[-1][1]) <= np.finfo(np.float32).eps
+    share = np.linspace(0.0, 1.0, 201)[:, None]
+    powers = np.arange(6)
+
+    def terms(s: Any, order: int) -> Any:
+        """Return the derivatives of the powers of s."""
+        factors = [math.perm(power, order) for power in range(6)]
+        return factors * s ** np.maximum(powers - order, 0)
+
+    ends = np.concatenate([terms(s, order) for s in (0.0, 1.0) for order in range(3)])
+    times, path = [], []
+    for n, length in enumerate(1e-9 * np.diff(stamps)):
+        scale = length ** np.arange(4.0)
+        both = np.concatenate([states[n] * scale[:3], states[n + 1] * scale[:3]])
+        coefficients = np.linalg.solve(ends.reshape(6, 6), both)
+        path.append([terms(share, order) @ coefficients / scale[order] for order in range(4)])
+        times.append(stamps[n] + np.rint(1e9 * length * share[:, 0]))
+    return np.concatenate(times), np.concatenate(path, axis=1)
+
+
+def stroke() -> SampledMotion:
+    """Return a motion of 2 mm up in 10 ms and down again in 20 ms, from three states."""
+    return SampledMotion(
+        np.array([0.0, 0.01, 0.03]), np.array([[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    )
+
+
+@pytest.mark.parametrize(
+    ('motion_of', 'limits'),
+    [
+        (stroke, STROKE),
+        (lambda: find_best_motion(Rig(), SMOOTH).motion, SMOOTH),
+        (lambda: find_best_motion(Rig(layer=Layer(thickness=5.6e-3)), ENGINE).motion, ENGINE),
+    ],
+)
+def test_commands_are_played_as_in_the_twin_and_within_the_limits(
+    start_twin, listen_to, write, motion_of, limits
+) -> None:
+    path = write(motions.to_csv(motion_of()), 'plate.csv')
+    twin = start_twin(
+        *('-p', f'engine.motion_file:={path}', '-p', 'engine.command:=true'),
+        *('-p', 'throw.period:=0.5', '-p', 'engine.command_lead:=0.05'),
+    )
+    listener = listen_to(twin)
+    listener.listen(TWIN_TOPICS.plate_trajectory)
+    held = (0.0, 0.0, 0.0)
+    for number in (1, 2):
+        shown = len(twin.outputs)
+        twin.go(600)
+        message = listener.hear(TWIN_TOPICS.plate_trajectory, number)[-1]
+        (sent,) = (out.step for out in twin.outputs[shown:] if out.command is not None)
+        arrival_ns = twin.session.due_ns(sent)
+        assert msg_to_time(message.header.stamp) - arrival_ns == 50_000_000
+        times, (height, *derivatives) = play(message, arrival_ns, held)
+        for values, name in zip(derivatives, ('speed', 'acceleration', 'jerk'), strict=True):
+            assert np.abs(values).max() <= getattr(limits, name) * (1.0 + 1e-6), name
+        assert np.ptp(height) <= limits.travel * (1.0 + 1e-6)
+        held = height[-1], *(values[-1] for values in derivatives[:2])
+        due = [twin.session.due_ns(out.step) for out in twin.outputs[shown:]]
+        plate = [out.state.plate_position for out in twin.outputs[shown:]]
+        assert plate == pytest.approx(np.interp(due, times, height), abs=1e-6)
