@@ -10,6 +10,7 @@ from soft_throw_ros.commands.identify_input import add_track_options, read_layer
 from soft_throw_ros.commands.identify_report import IdentificationReport, with_unit
 from soft_throw_ros.commands.options import (
     add_rig_options,
+    MEASURED_PARAMETERS,
     new_file,
     not_negative,
     parameter_type,
@@ -45,7 +46,7 @@ def _parser() -> CommandParser:
     add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
     parser.add_json_option()
     add_track_options(parser)
-    add_rig_options(parser)
+    add_rig_options(parser, MEASURED_PARAMETERS[1:])  # not the thickness
     return parser
 
 

@@ -123,7 +123,7 @@ def _locate(picture: Picture, diameter: int, light: bool) -> Floats:
     """Return `Spot.first` of all bright places of a picture, shape (n, 6)."""
     import trackpy
 
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), np.errstate(divide='ignore', invalid='ignore'):
         warnings.simplefilter('ignore')  # of pictures without a bright place or without noise
         found = trackpy.locate(picture if light else picture.max() - picture, diameter)
     return np.asarray(found[_COLUMNS].to_numpy(dtype=np.float64))
