@@ -107,6 +107,7 @@ _HOLD = tuple(
     if treatment == FIXED
     for word in ('--hold', name)
 )
+_FIT_LOSS = ('-p', 'layer.loss_tangent:=0.05+-0.5')
 _RINGING, _SECOND_MODE = Imperfections(ringing=0.02), Imperfections(second_mode=0.01)
 _STICKING = Imperfections(sticking=2e-4)
 _SLOW = RigRange(amplitude=(0.1e-3, 0.3e-3), frequency=(20.0, 45.0))
@@ -117,7 +118,7 @@ _OWN_DAMPING = Imperfections(ringing=0.02, ringing_damping_ratio=0.01)
 ROWS = (
     Row('clean', _single(Bench()), is_clean=True),
     Row('clean, known exactly', _single(Bench(), *_HOLD, is_exact=True), is_clean=True),
-    Row('clean, with loss', _single(Bench(rigs=_LOSSY)), is_clean=True),
+    Row('clean, with loss', _single(Bench(rigs=_LOSSY), *_FIT_LOSS), is_clean=True),
     Row('0.5 % outliers of 0.3 to 3 mm', _single(Bench(faults=_OUTLIERS))),
     Row('drift of 2 % of A', _single(Bench(drift=0.02))),
     Row('plate rings before, 2 % of A', _single(Bench(imperfections=_RINGING))),
@@ -152,7 +153,7 @@ ROWS = (
         faults=replace(
             _OUTLIERS, missing_rate=0.02, stamp_error=2e-5, projectile_scale=1.001, rounding=5e-6
         ),
-    ))),
+    ), *_FIT_LOSS)),
 )
 """All rows in the order of the table."""
 

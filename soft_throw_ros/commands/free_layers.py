@@ -30,10 +30,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _parser() -> CommandParser:
-    parser = CommandParser(
-        description=__doc__,
-        usage='%(prog)s [OPTION ...] M FILE [M FILE ...]',
-    )
+    parser = CommandParser(description=__doc__, usage='%(prog)s [OPTION ...] M FILE [M FILE ...]')
     add = parser.add_argument
     add(
         'layers', metavar='M FILE', nargs='+',
@@ -64,10 +61,8 @@ def _run(arguments: argparse.Namespace) -> int:
     speed = fit_wave_speed(thicknesses, periods, thickness_error=arguments.thickness_error)
     layers = list(zip(thicknesses, periods, strict=True))
     lines = [f'{1e3 * size:.4g} mm: period {with_unit(period, "s")}' for size, period in layers]
-    warning = (
-        'the periods are not proportional to the thicknesses (probability '
-        f'{speed.probability:.1g}): is it one material?'
-    )
+    warning = 'the periods are not proportional to the thicknesses (probability '
+    warning += f'{speed.probability:.1g}): is it one material?'
     known = stated_parameters(arguments) | {'layer.wave_speed'}
     IdentificationReport(
         sources=tuple(paths),
