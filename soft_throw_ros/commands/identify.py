@@ -52,8 +52,6 @@ from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
-
-
 _NOISE = 'measured.position_noise'  # noise of all heights, if it is stated
 
 
