@@ -80,6 +80,11 @@ class Underdamped:
         )
 
     @property
+    def angular_frequency(self) -> float:
+        r""":math:`\omega` [rad/s]."""
+        return 2.0 * math.pi * self.frequency
+
+    @property
     def exponent(self) -> complex:
         r""":math:`\lambda = -\zeta \omega + i \omega_d` [1/s]."""
         omega = 2.0 * math.pi * self.frequency
@@ -122,6 +127,12 @@ class Underdamped:
         time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
         rate = self.exponent
         return self.velocity_factor * np.exp(rate.real * time) * np.sin(rate.imag * time)
+
+    def states(self, time: Floats) -> Floats:
+        """Height [m], velocity [m/s] and acceleration [m/s2] by Eq. (D1), shape (n, 3)."""
+        omega, height, velocity = self.angular_frequency, self.position(time), self.velocity(time)
+        force = omega * (self.amplitude - height) - 2.0 * self.damping_ratio * velocity
+        return np.stack((height, velocity, np.where(time < 0.0, 0.0, omega * force)), axis=1)
 
 
 def peak_velocity_ratio(damping_ratio: float) -> float:

@@ -110,7 +110,6 @@ class Onset:
     onset_ns: int  # time of the start [ns]
     rest: RestBaseline
     samples: tuple[Sample, ...]  # sorted, from a window before the start on
-    engine_is_nominal: bool = True  # whether the last motion was that of the engine
     clock_offset_ns: int = 0  # what was added to the stamps of the samples [ns]
 
 

@@ -129,7 +129,6 @@ class Accuracy:
     The uncertainties of layer and projectile are not included, see `uncertainty.*`.
     """
 
-    basis: str  # 'engine' for a fit of the engine's motion, 'plate' for the smoothed plate
     is_certain: bool  # whether the plate cannot change the release any more
     release_time_error: float  # [s]
     ejection_speed_error: float  # [m/s]
