@@ -210,6 +210,8 @@ class FitDescription:
 
     Throws with the same treatment or part share its value.
     """
+    topic: str | None = None
+    """Topic to read from bags; needed if several topics have a plate."""
     assumed: tuple[str, ...] = ()
     """Parameters that are held at the values of another rig, because nobody stated them."""
 
@@ -232,8 +234,8 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `parameters` (a mapping of names to treatments), `heights`,
-        `reference`, and `throws` (names of throws to such mappings, in which the names of `PARTS`
-        may stand, too). All keys are optional; the defaults are those of `base`.
+        `reference`, `topic`, and `throws` (names of throws to such mappings, in which the names
+        of `PARTS` may stand, too). All keys are optional; the defaults are those of `base`.
 
         Raises
         ------
@@ -253,6 +255,8 @@ class FitDescription:
                 for key, item in _items(node):
                     with _located(item):
                         description = description.change(parse_treatments({key: str(item.value)}))
+            elif name == 'topic':
+                description = replace(description, topic=str(node.value))
             elif name in ('heights', 'reference'):
                 text = str(node.value)
                 with _located(node):
@@ -261,9 +265,8 @@ class FitDescription:
                     else:
                         description = replace(description, reference=cast(Reference, text))
             else:
-                raise ValueError(
-                    f'{node.where}: must be parameters, heights, reference or throws, got {name!r}'
-                )
+                keys = 'parameters, heights, reference, topic or throws'
+                raise ValueError(f'{node.where}: must be {keys}, got {name!r}')
         return description
 
     def _with_condition(self, throw: str, name: str, text: str) -> FitDescription:
