@@ -21,10 +21,8 @@ def answer(future):
     return future.result()
 
 
-(result,) = answer(
-    parameters.set_parameters([Parameter('recommendation.vary', value='library')])
-).results
-print(result.reason or 'set')
+vary = Parameter('recommendation.vary', value='library')
+print(answer(parameters.set_parameters([vary])).results[0].reason or 'set')
 while not (reply := answer(apply.call_async(Trigger.Request()))).success:
     time.sleep(0.5)  # it is being computed
 print(reply.message)

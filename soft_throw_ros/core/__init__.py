@@ -14,6 +14,15 @@ from soft_throw_ros.core.throw import simulate, Throw, ThrowUnfinishedError
 from soft_throw_ros.core.throws import throw_many, Throws
 
 __all__ = [
-    'Engine', 'Layer', 'Projectile', 'Rig', 'SampledMotion', 'simulate', 'Stack', 'Throw',
-    'throw_many', 'Throws', 'ThrowUnfinishedError',
+    'Engine',
+    'Layer',
+    'Projectile',
+    'Rig',
+    'SampledMotion',
+    'Stack',
+    'Throw',
+    'ThrowUnfinishedError',
+    'Throws',
+    'simulate',
+    'throw_many',
 ]
