@@ -19,6 +19,7 @@ from ament_index_python.packages import (
 )
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -93,7 +94,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
     motion = [{'engine.motion': values['motion']}] if values['motion'] else []
     nodes = [_ours('twin', parameters=[*parameters, *motion], **common)]
     if recording := _recording(values):
-        nodes.append(_ours('recorder', parameters=[*parameters, recording], **common))
+        recorder = {**common, 'parameters': [*parameters, recording], 'on_exit': _on_recorder_exit}
+        nodes.append(_ours('recorder', **recorder))
     with_rviz = 'true' in (values['use_rviz'], values['rviz'])
     if with_rviz:
         _check_installed('use_rviz', 'robot_state_publisher', 'rviz2')
@@ -109,12 +111,21 @@ def _nodes(context: LaunchContext) -> list[Node]:
     return nodes
 
 
+def _on_recorder_exit(event: ProcessExited, _context: LaunchContext) -> None:
+    """End the launch with an error if the recorder fails, since nothing would be recorded."""
+    if event.returncode:
+        raise RuntimeError(f'the recorder has ended with exit code {event.returncode}')
+
+
 def _recording(values: dict[str, str]) -> dict[str, str]:
     """Return the parameters of the recorder, or none without a recorder."""
     paths = {name: values[name] for name in ('output', 'uri') if values[name]}
     if len(paths) > 1:
         given = ' and '.join(f'{name}:={path}' for name, path in paths.items())
         raise RuntimeError(f'{given}: both name the bag; leave one of the two out')
+    for name, path in paths.items():
+        if Path(path).exists():
+            raise RuntimeError(f'{name}:={path}: exists already, and no bag is overwritten')
     records = values['record'] == 'true' or bool(paths)
     if not records and values['rerun'] == 'none':
         return {}
