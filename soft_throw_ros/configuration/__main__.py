@@ -47,9 +47,11 @@ def _parameters_page() -> Iterator[str]:
     yield (
         'A number may also be given as text, because tools that read YAML 1.1 treat `5e-06` as '
         'text. A request\nto set a result is accepted without effect, so that `ros2 param load` '
-        'accepts the output of\n`ros2 param dump`. The values in one request must not contradict '
-        'each other; every single\nchange within its range is accepted, if the rig can be '
-        'computed in time and a controller can\nplay a commanded motion.\n'
+        'accepts the output of\n`ros2 param dump`. The values of a request are set one by one in '
+        'the order of these tables, so that the\nlater of two values that contradict each other '
+        'wins; values of a file that are present already do not count.\nEvery change within its '
+        'range is accepted, if the rig can be computed in time and a controller can play a\n'
+        'commanded motion.\n'
     )
     for table in _TABLES:
         yield f'## {table.node}\n'

@@ -170,7 +170,7 @@ def _bounded(name: str, value: Any, low: float | None = None) -> float:
     """Return a property of a layer as a number within its bounds, or refuse it."""
     unit, lowest, high = BOUNDS[name]
     lowest = lowest if low is None else low
-    number = number_of(value) if isinstance(value, str) else value
+    number: Any = number_of(value) if isinstance(value, str) else value
     is_number = isinstance(number, (int, float)) and not isinstance(number, bool)
     if is_number and lowest <= number <= high:
         return float(number)

@@ -205,10 +205,11 @@ def test_arguments_are_one_request_after_the_file(write: Any) -> None:
     assert named == start(['--ros-args', '--params-file', path, '--params-file', str(later)])
 
 
-def test_arguments_that_contradict_each_other_are_refused() -> None:
-    arguments = ['--ros-args', '-p', 'layer.name:=gelatin_2.0mm', '-p', 'layer.thickness:=0.01']
-    with pytest.raises(ParameterError, match=r'^-p layer.thickness:=0.01: .* is 0.002, got 0.01;'):
-        start(arguments)
+def test_later_of_two_arguments_in_the_table_wins() -> None:
+    settings = start(
+        ['--ros-args', '-p', 'layer.thickness:=0.01', '-p', 'layer.name:=gelatin_2.0mm']
+    )
+    assert (settings['layer.name'], settings['layer.thickness']) == ('custom', 0.01)
 
 
 def test_results_are_ignored_except_in_arguments() -> None:

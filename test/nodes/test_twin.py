@@ -405,7 +405,7 @@ def test_failed_recommendation_names_the_two_limits(ros, twin, listener) -> None
     refused = listener.trigger(TWIN_SERVICES.apply_recommendation)
     assert not refused.success
     for message in (status.message, refused.message):
-        assert 'recommendation.thickness_min must be below recommendation.thickness_max' in message
+        assert 'thickness_min must be below thickness_max' in message
         assert '0.05 and 0.01' in message
     assert math.isnan(client.get('recommended.thickness'))
 
