@@ -122,8 +122,6 @@ _ENTRIES = (
         unit='s', low=0.0, high=0.1),
     row('measured.position_noise', 5e-6, 'Standard deviation of measured positions of the plate',
         unit='m', low=1e-9, high=1e-2),
-    row('measured.velocity_noise', 1e-2, 'Standard deviation of its measured velocities, if any',
-        unit='m/s', low=1e-6, high=10.0),
     row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps of samples',
         unit='s', low=0.0, high=1e-3),
     row('measured.start', 0.1,

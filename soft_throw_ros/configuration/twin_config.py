@@ -29,7 +29,6 @@ class MeasurementConfig:
     smoothing_window_ns: int  # length of the smoothing window [ns]
     latency_ns: int  # time to wait for samples out of order [ns]
     position_noise: float  # standard deviation of the heights of the plate [m]
-    velocity_noise: float  # standard deviation of its velocities [m/s]
     stamp_error: float  # standard deviation of the stamps [s]
     start_speed: float  # upward speed at which a throw has begun [m/s]
     residual_threshold: float  # rms of the projectile beyond which the model is wrong [m]
@@ -107,7 +106,6 @@ class TwinConfig:
                 smoothing_window_ns=round(settings['measured.smoothing_window'] * SECOND),
                 latency_ns=round(settings['measured.latency'] * SECOND),
                 position_noise=settings['measured.position_noise'],
-                velocity_noise=settings['measured.velocity_noise'],
                 stamp_error=settings['measured.stamp_error'],
                 # relative to the plate's
                 start_speed=settings['measured.start'] * plate.peak_velocity,

@@ -168,14 +168,11 @@ class Measurement:
 
 def _to_sample(values: JointValues) -> Sample | None:
     """Return the sample in a message, None if the message lacks the plate."""
-    stamp_ns, names, position, velocity, _ = values
-    count = len(names)
-    if _PLATE not in names or len(position) != count or len(velocity) not in (0, count):
+    stamp_ns, names, position, *_ = values
+    if _PLATE not in names or len(position) != len(names):
         return None
-    plate = names.index(_PLATE)
     return Sample(
         stamp_ns,
-        position[plate],
-        velocity[plate] if velocity else math.nan,
+        position[names.index(_PLATE)],
         position[names.index(_PROJECTILE)] if _PROJECTILE in names else math.nan,
     )

@@ -121,7 +121,7 @@ def test_infinite_apex_is_none_in_the_journal() -> None:
 # samples and onsets
 
 numbers = st.floats(allow_nan=False)
-samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers, numbers)
+samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers)
 
 
 @given(
