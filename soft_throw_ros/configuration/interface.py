@@ -145,8 +145,7 @@ class TwinTopics(NamedTuple):
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
         'Result of a throw, at its first release and at its end; with a measured plate also the '
-        'prediction with its errors, first within measured.prediction_error and again when it is '
-        'certain',
+        'prediction with its errors, first within 1 % and again when it is certain',
         depth=_SEVERAL, is_latched=True)
     recommendation: Topic = Topic(
         '~/recommendation', ARRAY, 'Best layer for the rig, after every change',

@@ -31,7 +31,7 @@ from soft_throw_ros.configuration.table import (
     Table,
 )
 from soft_throw_ros.core.material import LOSSES, STRESS_STRAIN_LAWS
-from soft_throw_ros.core.rig import Engine, Layer, LINEAR_STRAIN, Projectile, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 
 _INSTALLED = library()
 
@@ -124,18 +124,9 @@ _ENTRIES = (
         unit='m', low=1e-9, high=1e-2),
     row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps of samples',
         unit='s', low=0.0, high=1e-3),
-    row('measured.start', 0.1,
-        "Part of the plate's peak speed by `engine.*` at which a throw has started",
-        low=0.01, high=0.9),
     row('measured.residual_threshold', 1e-4,
         'Rms residual of the projectile beyond which the model is reported as wrong',
         unit='m', low=1e-7, high=1.0),
-    row('measured.prediction_error', 0.01,
-        'Largest relative half width of the 95 % interval of the ejection speed in the first '
-        'prediction of a throw', low=1e-4, high=1.0),
-    row('measured.clock_limit', 1.0,
-        "How far the clock that stamps the samples may be off the twin's to be corrected; "
-        'stamps since boot always are', unit='s', low=0.0, high=1e6),
     row('layer.library', '',
         'File of materials besides those of `config/layers.yaml`, which describes the format',
         kind='the path of a file, or empty'),
@@ -180,10 +171,6 @@ _ENTRIES = (
         unit='Hz', low=0.1, high=1000.0),
     row('time_scale', 1.0, 'Time of the rig over time of the clock; 0.01 is slow motion',
         low=1e-4, high=10.0),
-    row('max_strain', LINEAR_STRAIN,
-        'Strain beyond which the layer is reported as no longer linear; at the default a linear '
-        'model errs by up to 5 % in ejection time and energy transfer',
-        low=1e-3, high=1.0),
     row('uncertainty.wave_speed', 0.3,
         'Largest error of the wave speed, up or down; all errors within it are equally likely',
         unit='m/s', low=0.0, high=100.0),
@@ -213,8 +200,6 @@ _ENTRIES = (
         unit='m/s', low=1e-3, high=100.0, or_zero=True),
     row('recommendation.plate_acceleration', 0.0, 'Its largest acceleration, likewise',
         unit='m/s2', low=0.1, high=1e6, or_zero=True),
-    row('recommendation.plate_jerk', 0.0, 'Its largest jerk; 0 does not limit it',
-        unit='m/s3', low=1.0, high=1e10, or_zero=True),
     row('recommendation.plate_travel', 0.0,
         'How far it may go, from the lowest to the highest position; 0 is as far as now',
         unit='m', low=1e-5, high=1.0, or_zero=True),

@@ -18,6 +18,9 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.message import SECOND
 
+_START_SPEED = 0.1
+"""Speed at which a measured plate has started a throw, over the peak speed by `engine.*`. [-]"""
+
 BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
 
@@ -35,8 +38,6 @@ class MeasurementConfig:
     plate: Underdamped  # expected motion in a throw
     frequency_error: float  # standard deviation of its frequency [Hz]
     damping_error: float  # standard deviation of its damping ratio [-]
-    # half of the 95 % interval of the ejection speed, over the speed, for a first prediction [-]
-    prediction_error: float
 
     @property
     def smoothing_window(self) -> float:
@@ -107,13 +108,11 @@ class TwinConfig:
                 latency_ns=round(settings['measured.latency'] * SECOND),
                 position_noise=settings['measured.position_noise'],
                 stamp_error=settings['measured.stamp_error'],
-                # relative to the plate's
-                start_speed=settings['measured.start'] * plate.peak_velocity,
+                start_speed=_START_SPEED * plate.peak_velocity,
                 residual_threshold=settings['measured.residual_threshold'],
                 plate=plate,
                 frequency_error=settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
                 damping_error=settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
-                prediction_error=settings['measured.prediction_error'],
             ),
             state_rate=settings['rate.state'],
             field_rate=settings['rate.field'],
@@ -121,7 +120,7 @@ class TwinConfig:
             command_lead=lead if settings['engine.command'] else None,
             throw_period=period,
             max_events=settings['throw.max_events'],
-            max_strain=rig.layer.linear_range(settings['max_strain']),
+            max_strain=rig.layer.linear_range,
         )
 
     def change(

@@ -17,7 +17,6 @@ from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
-from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_estimator import FARTHEST
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
@@ -47,8 +46,6 @@ class Measurement:
         Session that receives the samples.
     now : callable
         Returns the time on the clock of the ticks. [ns]
-    clock_limit : callable
-        Returns the largest offset that is corrected. [s]
 
     Attributes
     ----------
@@ -65,7 +62,6 @@ class Measurement:
         session: Session,
         *,
         now: Callable[[], int],
-        clock_limit: Callable[[], float],
     ) -> None:
         self.leads: list[int] = []
         self.clock = SensorClock()
@@ -73,7 +69,6 @@ class Measurement:
         self._arrived: list[int] = []  # their stamps [ns]
         self._session = session
         self._now = now
-        self._clock_limit = clock_limit
         self._logger = node.get_logger()
         self._is_warned = False
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
@@ -143,8 +138,7 @@ class Measurement:
         if not self._arrived or now < self._arrival_ns:  # a bag that is played again
             return
         arrival = min(max(*self._arrived, self._arrival_ns), now)
-        limit_ns = round(self._clock_limit() * SECOND)
-        if self.clock.observe(self._arrived, arrival, limit_ns=limit_ns):
+        if self.clock.observe(self._arrived, arrival):
             self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
 
     def _samples(self, datas: list[bytes]) -> list[Sample]:

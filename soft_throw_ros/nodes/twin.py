@@ -107,12 +107,7 @@ class Twin(RealTimeNode):
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
         self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
         session = Session(self.parameters.settings, on_entry=self.on_entry)
-        self.measurement = Measurement(
-            self,
-            session,
-            now=lambda: self._current_clock().now(),
-            clock_limit=lambda: float(self.parameters.settings['measured.clock_limit']),
-        )
+        self.measurement = Measurement(self, session, now=lambda: self._current_clock().now())
         self.add_cleanup(self.measurement.close)
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)

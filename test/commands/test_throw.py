@@ -106,7 +106,7 @@ def test_options_replace_values_of_the_file(command, write):
         (('--thickness', 'soft'), "argument --thickness: .* got 'soft'"),
         (('--layer', 'jelly'), "argument --layer: .* got 'jelly'"),
         (('--motion', 'measured'), "argument --motion: .*'measured'"),
-        (('-p', 'max_strain:=0'), 'argument -p: max_strain must be .* got 0'),
+        (('-p', 'gravity:=-1'), 'argument -p: gravity must be .* got -1'),
         (('--thicknes', '0.01'), '--thicknes 0.01'),
         (('--config', 'no_such.yaml'), 'no_such.yaml: '),
     ],

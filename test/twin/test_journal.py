@@ -27,7 +27,7 @@ def eventful() -> Any:
     run = Run(throw__max_events=4)
     run.go(1234)
     run.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
-    run.session.change({'max_strain': 0.3})
+    run.session.change({'uncertainty.mass': 0.02})
     run.go(1111)
     run.session.reset()
     run.go(77)
