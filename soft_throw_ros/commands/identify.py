@@ -30,7 +30,8 @@ from soft_throw_ros.commands.identify_report import (
 )
 from soft_throw_ros.commands.options import (
     add_rig_options,
-    option_of,
+    argument_of,
+    MEASURED_PARAMETERS,
     read_settings,
     stated_parameters,
 )
@@ -38,14 +39,11 @@ from soft_throw_ros.commands.output import CommandParser, print_note, run_comman
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.identification.ejection import answer_of, ejection_of
 from soft_throw_ros.identification.fit_description import (
-    DEFAULT_FREE,
-    DEFAULTS,
     ENGINE,
     FitDescription,
     FIXED,
     PARAMETERS,
     parse_treatments,
-    TREATMENTS,
     values_of,
 )
 from soft_throw_ros.identification.least_squares import FitError
@@ -54,6 +52,7 @@ from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
+_NOISE = 'measured.position_noise'  # noise of all heights, if it is stated
 
 
 def main(args: list[str] | None = None) -> int:
@@ -75,7 +74,8 @@ def _parser() -> CommandParser:
         usage='%(prog)s [OPTION ...] FILE ...',
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
         'projectile in the next ones; a first line may name them. Without a projectile only the '
-        'engine is found. soft-throw track makes such files of videos.',
+        'engine is found. soft-throw track makes such files of videos. A parameter of the rig may '
+        "have an error, as in '--mass 0.0012+-1%%'; the fit then finds it, too.",
     )
     parser.add_argument(
         'files', metavar='FILE', nargs='+', help='tracks of throws: CSV files, or bags'
@@ -83,7 +83,7 @@ def _parser() -> CommandParser:
     add_fit_options(parser)
     add_track_options(parser)
     add_report_options(parser)
-    add_rig_options(parser)
+    add_rig_options(parser, MEASURED_PARAMETERS)
     return parser
 
 
@@ -91,15 +91,8 @@ def add_fit_options(parser: CommandParser) -> None:
     """Add the options that describe a fit; `describe_fit` reads them."""
     add = parser.add_argument
     add(
-        '--fit', metavar='NAME[=HOW]', action='append', default=[],
-        help=f'fit this too: one of {", ".join(DEFAULTS)} '
-        f'(default: to fit {", ".join(DEFAULT_FREE)}, and parameters that are known with an '
-        f'error). HOW is {TREATMENTS.replace("%", "%%")}, as in '
-        "'projectile.mass=0.0012 +- 1 %%', or shorter '--mass 0.0012+-1%%'. May be repeated",
-    )
-    add(
         '--hold', metavar='NAME', action='append', default=[],
-        help='do not fit this, it is known; may be repeated',
+        help='do not fit this parameter, which is known; may be repeated',
     )
     add(
         '--one-camera', action='store_true',
@@ -107,9 +100,8 @@ def add_fit_options(parser: CommandParser) -> None:
     )
     add(
         '--fit-file', metavar='FILE',
-        help='YAML file of the fit: `parameters` (NAME: HOW), `heights`, `reference`, and '
-        '`throws` (names of files or throws, or patterns, to parameters and names of `layer` and '
-        '`projectile` that differ there)',
+        help='YAML file of the fit (docs/measured.md): `parameters` to fit or hold, `throws` '
+        'whose parameters differ, `heights`, `reference`, and the `topic` of bags',
     )
 
 
@@ -121,40 +113,35 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
         description = description.change(dict.fromkeys(_OF_TWO_SENSORS, FIXED))
     if arguments.fit_file:
         description = FitDescription.from_file(arguments.fit_file, description)
-    fitted = {}
-    for text in arguments.fit:
-        name, _, treatment = text.partition('=')
-        fitted[name.strip()] = treatment or 'free'
-    both = sorted(set(fitted) & set(arguments.hold))
-    if both:
-        raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
-    options = {option_of(name).removeprefix('--'): {name: text} for name, text in known.items()}
-    options |= {'fit': fitted, 'hold': dict.fromkeys(arguments.hold, 'held')}
-    for option, changes in options.items():
+    changes = [(argument_of(arguments, name), name, text) for name, text in known.items()]
+    changes += [('argument --hold', name, 'held') for name in arguments.hold]
+    for argument, name, text in changes:
         try:
-            description = description.change(parse_treatments(changes))
+            description = description.change(parse_treatments({name: text}))
         except ValueError as error:
-            raise ValueError(f'argument --{option}: {error}') from None
+            raise ValueError(f'{argument}: {error}') from None
     return description
 
 
 def _split_known(arguments: argparse.Namespace) -> dict[str, str]:
-    """Split the errors off options of the rig, as in `--mass 0.0012+-1%`."""
+    """Split the errors off parameters of the rig, as in `--mass 0.0012+-1%`."""
     known = {}
     for name in PARAMETERS:
         value, sign, error = str(getattr(arguments, name, '')).partition('+-')
         if sign:
-            setattr(arguments, name, value)
+            setattr(arguments, name, value.strip())
             known[name] = f'+- {error}'
     return known
 
 
-def read_all(arguments: argparse.Namespace) -> tuple[list[ThrowTracks], list[str]]:
+def read_all(
+    arguments: argparse.Namespace, *, noise: float | None = None, topic: str | None = None
+) -> tuple[list[ThrowTracks], list[str]]:
     """Return all throws, without false detections in a long record, and notes on defects."""
     throws: list[ThrowTracks] = []
     notes: list[str] = []
     for path in arguments.files:
-        result = read_throws(path, arguments, notes)
+        result = read_throws(path, arguments, notes, noise=noise, topic=topic)
         good = []
         for throw in result if len(result) > 1 else ():
             try:
@@ -171,13 +158,13 @@ def _identify(
     arguments: argparse.Namespace, settings: Settings, description: FitDescription
 ) -> IdentificationReport:
     """Fit a rig to throws."""
-    throws, notes = read_all(arguments)
+    stated = stated_parameters(arguments)
+    noise = float(settings[_NOISE]) if _NOISE in stated else None
+    throws, notes = read_all(arguments, noise=noise, topic=description.topic)
     has_projectile = any(throw.projectile is not None for throw in throws)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': FIXED})
-    description = description.assume(
-        stated_parameters(arguments), [throw.name for throw in throws]
-    )
+    description = description.assume(stated, [throw.name for throw in throws])
     rig = rig_of(settings)
     result = fit_rig(throws, rig, description, on_progress=_show_progress)
     remarks = tuple(remark_lines(result))

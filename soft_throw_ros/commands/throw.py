@@ -15,7 +15,6 @@ from typing import TypedDict
 from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
     add_rig_options,
-    MAIN_PARAMETERS,
     read_settings,
     UNCERTAINTY_PARAMETERS,
 )
@@ -61,7 +60,7 @@ def _parser() -> CommandParser:
         usage='%(prog)s [OPTION ...]',
     )
     parser.add_json_option()
-    add_rig_options(parser, MAIN_PARAMETERS)
+    add_rig_options(parser)
     return parser
 
 

@@ -208,6 +208,8 @@ class FitDescription:
 
     Throws with the same treatment or part share its value.
     """
+    topic: str | None = None
+    """Topic to read from bags; needed if several topics have a plate."""
     assumed: tuple[str, ...] = ()
     """Parameters that are held at the values of another rig, because nobody stated them."""
 
@@ -230,8 +232,8 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `parameters` (a mapping of names to treatments), `heights`,
-        `reference`, and `throws` (names of throws to such mappings, in which the names of `PARTS`
-        may stand, too). All keys are optional; the defaults are those of `base`.
+        `reference`, `topic`, and `throws` (names of throws to such mappings, in which the names
+        of `PARTS` may stand, too). All keys are optional; the defaults are those of `base`.
 
         Raises
         ------
@@ -242,10 +244,9 @@ class FitDescription:
         description = base or cls()
         tree = read_yaml(path)
         for name in tree:
-            if name not in ('parameters', 'heights', 'reference', 'throws'):
-                raise ValueError(
-                    f'{path}: must be parameters, heights, reference or throws, got {name!r}'
-                )
+            if name not in ('parameters', 'heights', 'reference', 'topic', 'throws'):
+                keys = 'parameters, heights, reference, topic or throws'
+                raise ValueError(f'{path}: must be {keys}, got {name!r}')
         try:
             for name, value in tree.items():
                 if name == 'throws':
@@ -255,6 +256,8 @@ class FitDescription:
                 elif name == 'parameters':
                     for key, item in _items(name, value):
                         description = description.change(parse_treatments({key: str(item)}))
+                elif name == 'topic':
+                    description = replace(description, topic=str(value))
                 elif name == 'heights':
                     description = replace(description, heights=cast(Heights, str(value)))
                 else:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import math
 
 from rclpy.node import Node
-from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
@@ -26,9 +26,6 @@ MAX_MESSAGE_SIZE = 2**14
 
 MAX_DATA_RATE = 16e6
 """Largest data rate, about 100,000 samples per second, which bounds a tick [bytes/s]."""
-
-_PLATE, _PROJECTILE = JOINTS
-
 
 class Measurement:
     """
@@ -44,6 +41,8 @@ class Measurement:
         Node that subscribes.
     session : Session
         Session that receives the samples.
+    joints : tuple of str
+        Names of plate and projectile.
     now : callable
         Returns the time on the clock of the ticks. [ns]
 
@@ -51,6 +50,8 @@ class Measurement:
     ----------
     clock : SensorClock
         Estimate of the offset of the stamps.
+    age_ns : int
+        Time from the stamp of the newest sample to its arrival. [ns]
     leads : list of int
         Prediction lead at every step of a throw. [ns]
 
@@ -60,17 +61,21 @@ class Measurement:
         self,
         node: Node,
         session: Session,
+        joints: tuple[str, str],
         *,
         now: Callable[[], int],
     ) -> None:
         self.leads: list[int] = []
+        self.age_ns = 0
         self.clock = SensorClock()
         self._arrival_ns = 0  # latest time of the clock at which samples arrived [ns]
         self._arrived: list[int] = []  # their stamps [ns]
         self._session = session
+        self._joints = joints
         self._now = now
         self._logger = node.get_logger()
         self._is_warned = False
+        self._names: tuple[str, ...] = ()  # of a message without the plate
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
         self._read = JointStateReader().read
 
@@ -116,6 +121,15 @@ class Measurement:
                 'divide them by 1000'
             )
 
+    def _warn_of_names(self, names: tuple[str, ...]) -> None:
+        """Log the joints of refused messages once."""
+        if names != self._names:
+            self._names = names
+            self._logger.warning(
+                f'measured messages have the joints {list(names)!r:.200}, and the heights of '
+                f'joint_names.plate {self._joints[0]!r} are missing'
+            )
+
     def _by_our_clock(self, samples: list[Sample]) -> list[Sample]:
         """Correct the stamps of samples by the offset of the sensor's clock."""
         clock, now = self.clock, self._now()
@@ -138,6 +152,7 @@ class Measurement:
         if not self._arrived or now < self._arrival_ns:  # a bag that is played again
             return
         arrival = min(max(*self._arrived, self._arrival_ns), now)
+        self.age_ns = arrival - max(self._arrived) - self.clock.offset_ns
         if self.clock.observe(self._arrived, arrival):
             self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
 
@@ -149,24 +164,27 @@ class Measurement:
                 refused['too large'] += 1
                 continue
             try:
-                sample = _to_sample(self._read(data))
+                values = self._read(data)
             except MessageError:
                 refused['unreadable'] += 1
                 continue
+            sample = _to_sample(values, self._joints)
             if sample is None:
                 refused['names'] += 1
+                self._warn_of_names(values.names)
             else:
                 samples.append(sample)
         return samples
 
 
-def _to_sample(values: JointValues) -> Sample | None:
-    """Return the sample in a message, None if the message lacks the plate."""
+def _to_sample(values: JointValues, joints: tuple[str, str]) -> Sample | None:
+    """Return the sample in a message; None without the plate, the first of the joints."""
     stamp_ns, names, position, *_ = values
-    if _PLATE not in names or len(position) != len(names):
+    plate, projectile = joints
+    if plate not in names or len(position) != len(names):
         return None
     return Sample(
         stamp_ns,
-        position[names.index(_PLATE)],
-        position[names.index(_PROJECTILE)] if _PROJECTILE in names else math.nan,
+        position[names.index(plate)],
+        position[names.index(projectile)] if projectile in names else math.nan,
     )

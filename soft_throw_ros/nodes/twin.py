@@ -20,12 +20,10 @@ from typing import Any
 from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import (
-    ALL_TWIN_TOPICS,
-    RECOMMENDED_TOPICS,
-    throw_numbers,
     TWIN_SERVICES,
     TWIN_TOPICS,
 )
+from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
@@ -42,8 +40,9 @@ from soft_throw_ros.nodes.recommendations import (
 )
 from soft_throw_ros.nodes.sensor_texts import sensor_text
 from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
-from soft_throw_ros.nodes.topics import create_service, Publishers
+from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
@@ -82,6 +81,7 @@ class Twin(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
+        self.add_cleanup(self._log_end)  # the first one is called last
         self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
@@ -98,16 +98,19 @@ class Twin(RealTimeNode):
             check=check_settings,
             arguments=arguments,
         )
+        self._joints = joint_names(self.parameters.settings)
         self.load_kernels(self.parameters.settings)
         self._serialize_command()
-        self.outgoing = Publishers(self, ALL_TWIN_TOPICS)
+        self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
         self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
         session = Session(self.parameters.settings, on_entry=self.on_entry)
-        self.measurement = Measurement(self, session, now=lambda: self._current_clock().now())
+        self.measurement = Measurement(
+            self, session, self._joints, now=lambda: self._current_clock().now()
+        )
         self.add_cleanup(self.measurement.close)
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
@@ -189,15 +192,17 @@ class Twin(RealTimeNode):
         send = self.outgoing.send
         for phase, stamp_ns in outputs.phases:
             send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
-            send(TWIN_TOPICS.phase, phase.value)
+        if outputs.phases:
+            send(TWIN_TOPICS.phase, outputs.phases[-1].phase.value)
         if outputs.throw_field is not None:
-            send(TWIN_TOPICS.throw_field, outputs.throw_field.strain)
-            send(TWIN_TOPICS.throw_energies, outputs.throw_field.energies)
+            field = outputs.throw_field
+            send(TWIN_TOPICS.throw_field, field.start_ns, field.points)
+            send(TWIN_TOPICS.throw_energies, field.start_ns, field.energies)
         for result in outputs.results:
             self._publish_result(result, due)
 
     def _publish_result(self, result: ThrowResult, due: int) -> None:
-        """Publish a result as one message, and its numbers for plots."""
+        """Publish a result as one message, and the numbers of its first release, or NaN."""
         last, self._last_result = self._last_result, result
         send = self.outgoing.send
         settings = self.parameters.settings
@@ -205,10 +210,14 @@ class Twin(RealTimeNode):
         if not self.is_compiling:  # otherwise this process would compile their kernels, too
             beside = uncertainty_values(result.rig, settings)
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
-        send(TWIN_TOPICS.throw_result, due, [status])
-        if result.is_valid:
-            for topic, number in throw_numbers(result.stage, {**result.values(), **beside}):
-                send(topic, number)
+        send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
+        first = result.first
+        if result.stage == 'release' or (result.stage == 'final' and first is None):
+            for topic in (
+                TWIN_TOPICS.ejection_time, TWIN_TOPICS.ejection_speed, TWIN_TOPICS.energy_transfer
+            ):
+                name = topic.name.rpartition('/')[2]
+                send(topic, math.nan if first is None else getattr(first, name))
         if result.stage != 'predicted' or last is None or last.throw != result.throw:
             self._log_result(result, due)
 
@@ -220,15 +229,20 @@ class Twin(RealTimeNode):
         A strain beyond the linear range is a warning once per rig.
         """
         log, throw = self.get_logger(), f'throw {result.throw}'
+        settings = self.parameters.settings
         comparison = result.comparison
         if not result.is_valid:
             log.warning(throw_text(result))
         elif result.stage == 'predicted':
             if not result.is_ahead:
-                log.warning(
-                    f'{throw}: {lead_text(result)}; for an earlier prediction decrease '
-                    'measured.smoothing_window or measured.latency, or increase rate.state'
-                )
+                age = self.measurement.age_ns / SECOND
+                cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
+                if age <= settings['measured.smoothing_window'] / 4.0:
+                    cause = (
+                        'for an earlier prediction decrease measured.smoothing_window or '
+                        'measured.latency, or increase rate.state'
+                    )
+                log.warning(f'{throw}: {lead_text(result)}; {cause}')
         elif result.stage == 'release' or result.first is None:
             rig = (result.rig, result.max_strain)
             if not result.is_linear and rig != self._rig_beyond_range:
@@ -268,9 +282,10 @@ class Twin(RealTimeNode):
             + ('' if motion == 'measured' else f', {throws}')
         )
 
-    def close(self) -> None:
-        """Log the number of throws and skipped ticks."""
-        super().close()
+    def _log_end(self) -> None:
+        """Log the number of throws and skipped ticks of a twin that has begun."""
+        if not hasattr(self, 'ticker'):
+            return
         throws, skipped = self.session.throws, self.ticker.counts['ticks_skipped']
         noun = 'throw' if throws == 1 else 'throws'
         self.get_logger().info(
@@ -287,9 +302,6 @@ class Twin(RealTimeNode):
             self.get_logger().warning(recommended.describe())
         else:
             self.get_logger().info(recommended.describe())
-        values = recommended.values()
-        for number, topic in RECOMMENDED_TOPICS:
-            self.outgoing.send(topic, float(values.get(number.name, math.nan)))
         status = recommended.to_status(self.get_fully_qualified_name())
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
@@ -306,16 +318,16 @@ class Twin(RealTimeNode):
         config = self.parameters.checked
         motion = config.rig.engine.motion
         if config.command_lead is not None and motion is not None:
-            encode_command(0, motion)
+            encode_command(0, motion, self._joints[0], frame_of(self))
 
     def _describe_change(self, name: str) -> str:
         """Return when a change takes effect, as the end of a log line."""
         return ', from the next throw or ~/reset on' if name in self.session.pending else ''
 
     def _on_throw(self) -> str:
-        self.session.request_throw()
+        number = self.session.request_throw()
         topic = TWIN_TOPICS.throw_result.at(self.get_fully_qualified_name())
-        return f'the result will be published on {topic.name}'
+        return f'throw {number}: its result follows on {topic.name}'
 
     def _on_reset(self) -> str:
         self.session.reset()

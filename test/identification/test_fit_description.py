@@ -130,13 +130,13 @@ def test_file_agrees_with_the_python_description(tmp_path):
     path = tmp_path / 'fit.yaml'
     path.write_text(
         'parameters:\n  projectile.mass: 0.0012 +- 1 %\n  engine.amplitude: free per throw\n'
-        'heights: common\nreference: centre\n'
+        'heights: common\nreference: centre\ntopic: /a\n'
         'throws:\n  a.csv: {layer: soft, layer.thickness: 0.01}\n'
     )
     texts = {'projectile.mass': '0.0012 +- 1 %', 'engine.amplitude': 'free per throw'}
     thickness = parse_treatments({'layer.thickness': '0.01'})
     throws = {'a.csv': ThrowConditions(thickness, {'layer': 'soft'})}
-    expected = FitDescription(parse_treatments(texts), 'common', 'centre', throws)
+    expected = FitDescription(parse_treatments(texts), 'common', 'centre', throws, '/a')
     assert FitDescription.from_file(path) == expected
 
 
