@@ -106,11 +106,6 @@ def predict(settings: Settings) -> Prediction:
         notes['uncertainty'] = f'95 % of throws: {uncertainty_text(intervals)}'
     except ValueError as error:
         notes['uncertainty'] = f'none, {error}'
-    if throws['throw'] and throws['throw']['ejection_time'] > rig.shock_time:
-        notes['shocks'] = (
-            f'the layer compresses into shocks after {1e3 * rig.shock_time:.3g} ms, before the '
-            'release: ejection time and speed have errors up to 4e-3'
-        )
     return {
         'parameters': {
             name: settings[name]
