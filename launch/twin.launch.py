@@ -30,8 +30,16 @@ SHARE = Path(get_package_share_directory('soft_throw_ros'))
 def _flag(name: str, description: str) -> DeclareLaunchArgument:
     """Return a boolean launch argument with the default false."""
     return DeclareLaunchArgument(
-        name, default_value='false', choices=['true', 'false'], description=description
+        name,
+        default_value='false',
+        choices=['true', 'false', 'True', 'False'],
+        description=description,
     )
+
+
+def _is_set(values: dict[str, str], *flags: str) -> bool:
+    """Return whether one of some flags is true."""
+    return any(values[flag].lower() == 'true' for flag in flags)
 
 
 ARGUMENTS = (
@@ -88,7 +96,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
     }
     if not Path(values['params_file']).is_file():
         raise RuntimeError(f'params_file:={values["params_file"]}: file not found')
-    use_sim_time = values['use_sim_time'] == 'true'
+    use_sim_time = _is_set(values, 'use_sim_time')
     common = {'namespace': values['namespace'], 'output': 'both'}
     parameters = [values['params_file'], {'use_sim_time': use_sim_time}]
     motion = [{'engine.motion': values['motion']}] if values['motion'] else []
@@ -96,10 +104,10 @@ def _nodes(context: LaunchContext) -> list[Node]:
     if recording := _recording(values):
         recorder = {**common, 'parameters': [*parameters, recording], 'on_exit': _on_recorder_exit}
         nodes.append(_ours('recorder', **recorder))
-    with_rviz = 'true' in (values['use_rviz'], values['rviz'])
+    with_rviz = _is_set(values, 'use_rviz', 'rviz')
     if with_rviz:
         _check_installed('use_rviz', 'robot_state_publisher', 'rviz2')
-    elif values['description'] == 'true':
+    elif _is_set(values, 'description'):
         _check_installed('description', 'robot_state_publisher')
     else:
         return nodes
@@ -126,7 +134,7 @@ def _recording(values: dict[str, str]) -> dict[str, str]:
     for name, path in paths.items():
         if Path(path).exists():
             raise RuntimeError(f'{name}:={path}: exists already, and no bag is overwritten')
-    records = values['record'] == 'true' or bool(paths)
+    records = _is_set(values, 'record') or bool(paths)
     if not records and values['rerun'] == 'none':
         return {}
     recording = {'storage': 'mcap' if records else 'none', 'rerun.sink': values['rerun']}

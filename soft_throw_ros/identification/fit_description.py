@@ -9,7 +9,6 @@ Command line, YAML file and Python share them.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from fnmatch import fnmatchcase
@@ -19,8 +18,7 @@ from pathlib import Path
 import re
 from typing import cast, Literal, NamedTuple
 
-from soft_throw_ros.configuration import located_yaml
-from soft_throw_ros.configuration.located_yaml import Located
+from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.identification.least_squares import Estimate, FitError
@@ -240,33 +238,32 @@ class FitDescription:
         Raises
         ------
         ValueError
-            Naming file and line, if something is wrong.
+            Naming the file and the value, if something is wrong.
 
         """
-        root = located_yaml.read(Path(path)) or Located(str(path), items=())
         description = base or cls()
-        for name, node in _items(root):
-            if name == 'throws':
-                for throw, conditions in _items(node):
-                    for key, item in _items(conditions):
-                        with _located(item):
-                            description = description._with_condition(throw, key, str(item.value))
-            elif name == 'parameters':
-                for key, item in _items(node):
-                    with _located(item):
-                        description = description.change(parse_treatments({key: str(item.value)}))
-            elif name == 'topic':
-                description = replace(description, topic=str(node.value))
-            elif name in ('heights', 'reference'):
-                text = str(node.value)
-                with _located(node):
-                    if name == 'heights':
-                        description = replace(description, heights=cast(Heights, text))
-                    else:
-                        description = replace(description, reference=cast(Reference, text))
-            else:
+        tree = read_yaml(path)
+        for name in tree:
+            if name not in ('parameters', 'heights', 'reference', 'topic', 'throws'):
                 keys = 'parameters, heights, reference, topic or throws'
-                raise ValueError(f'{node.where}: must be {keys}, got {name!r}')
+                raise ValueError(f'{path}: must be {keys}, got {name!r}')
+        try:
+            for name, value in tree.items():
+                if name == 'throws':
+                    for throw, conditions in _items(name, value):
+                        for key, item in _items(throw, conditions):
+                            description = description._with_condition(throw, key, str(item))
+                elif name == 'parameters':
+                    for key, item in _items(name, value):
+                        description = description.change(parse_treatments({key: str(item)}))
+                elif name == 'topic':
+                    description = replace(description, topic=str(value))
+                elif name == 'heights':
+                    description = replace(description, heights=cast(Heights, str(value)))
+                else:
+                    description = replace(description, reference=cast(Reference, str(value)))
+        except ValueError as error:
+            raise ValueError(f'{path}: {error}') from None
         return description
 
     def _with_condition(self, throw: str, name: str, text: str) -> FitDescription:
@@ -450,15 +447,6 @@ def _matches(throw: str, pattern: str) -> bool:
     return any(name == pattern or fnmatchcase(name, pattern) for name in names_of(throw))
 
 
-@contextmanager
-def _located(node: Located) -> Iterator[None]:
-    """Add file and line to an error."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f'{node.where}: {error}') from None
-
-
 def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
     """Return the values of some `PARAMETERS` of a rig."""
     return {name: float(attrgetter(name)(rig)) for name in names}
@@ -469,8 +457,8 @@ def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
     return rig_with(rig, {name.rpartition('.')[2]: value for name, value in values.items()})
 
 
-def _items(node: Located) -> tuple[tuple[str, Located], ...]:
-    """Return the items of a mapping, or raise ValueError."""
-    if node.items is None:
-        raise ValueError(f'{node.where}: must be a mapping, got {node.value!r}')
-    return node.items
+def _items(name: object, value: object) -> Iterator[tuple[str, object]]:
+    """Yield the items of a mapping, or raise ValueError."""
+    if not isinstance(value, dict):
+        raise ValueError(f'{name} must be a mapping, got {value!r}')
+    return ((str(key), item) for key, item in value.items())
