@@ -22,7 +22,6 @@ EXECUTABLES = {
     'free_layers': ('soft_throw_ros.commands.free_layers', 'a material from layers that ring'),
     'identify': ('soft_throw_ros.commands.identify', 'identify a rig from tracks of throws'),
     'inspect': ('soft_throw_ros.commands.inspect_bag', 'show a bag or a stream in Rerun'),
-    'plan': ('soft_throw_ros.commands.plan', 'rank possible next throws for identify'),
     'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: record and show topics'),
     'recover': ('soft_throw_ros.commands.recover', 'repair a bag after a crash'),
     'replay': ('soft_throw_ros.nodes.replay', 'ROS 2 node: play a bag or check it'),

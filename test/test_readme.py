@@ -11,7 +11,7 @@ import shlex
 import numpy as np
 import pytest
 from soft_throw_ros import __main__ as umbrella
-from soft_throw_ros.commands import design, free_layers, identify, plan, throw, track
+from soft_throw_ros.commands import design, free_layers, identify, throw, track
 from soft_throw_ros.configuration.layers import library
 
 ROOT = Path(__file__).parents[1]
@@ -118,7 +118,7 @@ def test_pictures_of_the_page_are_current_and_small(tmp_path, capsys):
 
 
 def test_options_of_the_page_are_those_of_the_command(capsys):
-    for command in (track, identify, free_layers, plan):
+    for command in (track, identify, free_layers):
         with pytest.raises(SystemExit):
             command.main(['--help'])
     known = capsys.readouterr().out
