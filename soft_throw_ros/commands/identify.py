@@ -51,6 +51,7 @@ from soft_throw_ros.identification.fit_description import (
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.systematics import FLOORS
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
@@ -216,6 +217,7 @@ def _identify(
         data={
             'answer': answer and vars(answer),
             'fit': fit_data(result.fit),
+            'systematic_errors': {name: floor._asdict() for name, floor in FLOORS.items()},
             'terms': result.terms(),
             'remarks': remarks,
             'layers': result.layers,

@@ -36,13 +36,14 @@ from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.model_choice import LayerModel
 from soft_throw_ros.identification.parameter_layout import RINGING
 from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.systematics import FLOORS
 
 _UNITS_IN_TABLES = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
 _MAX_NAMES = 4  # largest number of sources listed in a parameter file
 _MAX_OUTLIERS = 4  # largest number of outliers of a track that are listed individually
 _MAX_TRACKS = 8  # largest number of tracks in the table; the worst ones come first
 _NAME_WIDTH = 24
-_NOISY = 0.7  # share of noise in an error, above which no other source is listed
+_NOISY = 0.7  # share of noise and systematic errors, above which no other source is listed
 _LARGE_SHARE = 0.3  # share of an error, above which its source is listed
 _UNITS_OF_TERMS = {'projectile.delay': 's'}
 
@@ -258,12 +259,12 @@ def remark_lines(result: RigFit) -> Iterator[str]:
             )
     if not result.is_complete:
         yield 'the search for effects of the bench is incomplete: the fit takes too long'
-    for name, reason in result.skipped_effects.items():
-        yield f'the errors do not include the effect of {name}: {reason}'
 
 
 def budget_lines(result: RigFit) -> Iterator[str]:
-    """Yield the nuisance parameters of the fit, and all large sources of error besides noise."""
+    """Yield the systematic errors, the nuisance parameters, and all other large errors."""
+    floors = [f'{name} {floor}' for name, floor in FLOORS.items()]
+    yield f'systematic errors, part of all errors here: {", ".join(floors)}'
     for name, value in result.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
     for name, ends in result.intervals.items():
@@ -273,8 +274,9 @@ def budget_lines(result: RigFit) -> Iterator[str]:
     for name in result.estimates():
         if name not in result.fit or result.fit.names.index(name) in result.fit.known:
             continue
-        budget = result.fit.budget(name)
-        if budget['noise'] < _NOISY * math.hypot(*budget.values()):
+        budget = result.budget(name)
+        expected = math.hypot(budget['noise'], budget.get('systematic', 0.0))
+        if expected < _NOISY * math.hypot(*budget.values()):
             yield _budget_line(name, math.hypot(*budget.values()), unit_of(name), budget)
 
 
@@ -322,7 +324,7 @@ def answer_lines(
     elif ejection.alternatives:
         verdict += '; another number of echoes is possible, see below'
     elif not answer.is_good_enough:
-        verdict += f' ({100.0 * GOOD_ENOUGH:g} %); soft-throw plan ranks the next throws'
+        verdict += f' ({100.0 * GOOD_ENOUGH:g} %)'
     yield (
         f'{"energy transfer":{_NAME_WIDTH}} {ejection.energy_transfer} '
         f'(known to {100.0 * answer.energy_transfer_error:.2g} %): {verdict}'
@@ -408,9 +410,6 @@ def ejection_lines(ejection: Ejection) -> Iterator[str]:
             f'{"later" if other.echoes > 0 else "earlier"}: t_e {with_unit(other.time, "s")}, '
             f'V_e {with_unit(other.speed, "m/s")}, alpha {other.energy_transfer}'
         )
-    budget = ejection.time_budget
-    if budget['tracks'] < _NOISY * math.hypot(*budget.values()):
-        yield _budget_line('ejection time', ejection.time.error, 's', budget)
 
 
 def ejection_data(ejection: Ejection | None) -> dict[str, object] | None:
@@ -418,4 +417,4 @@ def ejection_data(ejection: Ejection | None) -> dict[str, object] | None:
     if ejection is None:
         return None
     data: dict[str, object] = {key: getattr(ejection, key) for key, _, _ in EJECTION_ROWS}
-    return {**data, 'alternatives': ejection.alternatives, 'time_budget': ejection.time_budget}
+    return {**data, 'alternatives': ejection.alternatives}

@@ -51,15 +51,6 @@ plate before the throw, both over the amplitude. `scale` is the measured over th
 projectile, and `delay` the delay of its measurement [s].
 """
 
-PLATE_MODE = 'plate.mode'
-"""Size of a second mode of the plate that the throw excites, over the amplitude. [-]"""
-
-RELEASE_DELAY = 'projectile.sticking'
-"""Longest delay of the release because the projectile sticks to the layer. [s]"""
-
-UNSEEN = (PLATE_MODE, RELEASE_DELAY)
-"""Effects that tracks hardly show; they are not fitted, but increase the errors."""
-
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
 
@@ -140,7 +131,7 @@ def _prior(error: float, **flags: bool) -> Treatment:
 
 
 DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
-    (*PARAMETERS, *NUISANCE_PARAMETERS, *UNSEEN), FIXED
+    (*PARAMETERS, *NUISANCE_PARAMETERS), FIXED
 ) | {
     'engine.frequency': FREE,
     'engine.damping_ratio': FREE,
@@ -153,11 +144,9 @@ DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
     'projectile.mass': _prior(0.01, is_relative=True),
     'projectile.scale': _prior(0.005, is_relative=True),
     'projectile.delay': _prior(1e-4),
-    RELEASE_DELAY: _prior(2e-4),
     'plate.drift': _prior(0.02, is_per_throw=True),
     'projectile.drift': _prior(0.02, is_per_throw=True),
     'plate.ringing': _prior(0.02, is_per_throw=True, only_if_significant=True),
-    PLATE_MODE: _prior(0.01),
 }
 """
 Default treatments; errors of lengths and mass are those of the paper.
@@ -383,17 +372,9 @@ def parse_treatments(texts: Mapping[str, str]) -> dict[str, Treatment]:
 def _parse(name: str, text: str) -> Treatment:
     """Parse the treatment of a parameter; raise ValueError with its name."""
     try:
-        treatment = _parse_text(text)
+        return _parse_text(text)
     except ValueError as error:
         raise ValueError(f'{name} {error}') from None
-    if name in UNSEEN and treatment not in (FIXED, FIXED._replace(
-        role=ParameterRole.PRIOR, error=treatment.error
-    )):
-        raise ValueError(
-            f"{name} cannot be fitted, because tracks hardly show it: it must be 'held', or "
-            f"'+- ERROR' to be part of the errors, got {text!r}"
-        )
-    return treatment
 
 
 def _parse_text(text: str) -> Treatment:
@@ -429,11 +410,6 @@ def _parse_text(text: str) -> Treatment:
 def _parse_condition(name: str, text: str) -> Treatment:
     """Parse the treatment of a parameter of some throws."""
     treatment = _parse(name, text)
-    if name in UNSEEN:
-        raise ValueError(
-            f'{name} is the same for all throws: it must stand below `parameters`, got {text!r} '
-            'below `throws`'
-        )
     if treatment.only_if_significant:
         raise ValueError(
             f"{name} of some throws must not be 'if seen', got {text!r}; say so below "

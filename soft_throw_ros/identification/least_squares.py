@@ -193,8 +193,6 @@ class Fit:
     """Other minima that are hardly worse; the covariance spans them."""
     is_converged: bool = True
     """Whether the solver ended before its limit of evaluations."""
-    unseen: Mapping[str, Floats] = field(default_factory=dict)
-    """Shifts of the values by unseen effects, shape (k, n), which the covariance includes."""
 
     def __getitem__(self, name: str) -> Estimate:
         index = self.names.index(name)
@@ -233,43 +231,15 @@ class Fit:
         return np.asarray(np.divide(self.covariance, scale, out=zeros, where=scale > 0.0))
 
     def budget(self, name: str) -> dict[str, float]:
-        """Return the contributions of noise, priors and unseen effects to the error [SI]."""
+        """Return the contributions of noise and priors to the error [SI]."""
         index = self.names.index(name)
-        row = self.seen_covariance[index]
+        row = self.covariance[index]
         contributions = {
             self.names[other]: abs(float(row[other])) / known.error
             for other, known in self.known.items()
         }
         noise = row[index] - sum(contribution**2 for contribution in contributions.values())
-        contributions |= {
-            effect: float(np.linalg.norm(shifts[:, index]))
-            for effect, shifts in self.unseen.items()
-        }
         return {'noise': math.sqrt(max(float(noise), 0.0)), **contributions}
-
-    @property
-    def seen_covariance(self) -> Floats:
-        """Return the covariance without the unseen effects."""
-        unseen = sum(shifts.T @ shifts for shifts in self.unseen.values())
-        return np.asarray(self.covariance - unseen)
-
-    def with_unseen(self, shifts: Mapping[str, Floats]) -> Fit:
-        """
-        Add unseen effects to the covariance, as shifts of the values of shape (k, n).
-
-        No error becomes larger than that of the prior.
-        """
-        added = np.zeros_like(self.values)
-        for item in shifts.values():
-            added += np.sum(item**2, axis=0)
-        scales = np.ones_like(self.values)
-        for index, known in self.known.items():
-            reducible = max(known.error**2 - float(self.covariance[index, index]), 0.0)
-            if added[index] > reducible:
-                scales[index] = math.sqrt(reducible / added[index])
-        scaled = {name: item * scales for name, item in shifts.items()}
-        covariance = self.covariance + sum(item.T @ item for item in scaled.values())
-        return replace(self, covariance=covariance, unseen={**self.unseen, **scaled})
 
     def spanning(self, alternatives: Sequence[Alternative]) -> Fit:
         """Extend the intervals of 95 % to other minima."""

@@ -71,29 +71,6 @@ class LinearFit:
         remainder = residuals - extra @ result
         return float(residuals @ residuals - np.sum(remainder**2)), np.asarray(result)
 
-    def score(self, heights: Floats) -> tuple[Floats, Floats]:
-        """
-        Return how well columns of shape (k, n) are seen, and how well they fit the residuals.
-
-        The first is the gain of chi squared by a column of size 1 that no parameter explains, the
-        second the product of the column with the residuals; both over the variance scale.
-        """
-        columns = np.zeros((len(heights), self._basis.shape[0]))
-        columns[:, : self._slopes.shape[0]] = self._weigh(heights)
-        columns -= columns @ self._basis @ self._basis.T
-        scale = max(self.fit.variance_scale, 1e-300)
-        residual = self._weighted_residuals(self.fit.values)
-        return np.sum(columns**2, axis=1) / scale, np.asarray(columns @ residual) / scale
-
-    def shifts(self, heights: Floats) -> Floats:
-        """Return the shifts of the fitted values by columns of shape (k, n)."""
-        gradients = self._weigh(heights) @ self._slopes
-        inverse = np.linalg.pinv(self._triangle, rcond=1e-12)
-        scaled = gradients[:, self._others] / self._sizes
-        shifts = np.zeros((len(gradients), self.fit.values.size))
-        shifts[:, self._others] = (scaled @ inverse @ inverse.T) / self._sizes
-        return shifts
-
     def _weigh(self, heights: Floats) -> Floats:
         """Divide heights of all samples by their noise, and leave out outliers."""
         return np.asarray((heights / self.fit.noise)[..., self.fit.kept])

@@ -31,6 +31,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Event
+from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
@@ -56,19 +58,16 @@ from soft_throw_ros.identification.model_choice import (
 )
 from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.systematics import FLOORS, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
-from soft_throw_ros.identification.unseen import (
-    add_unseen,
-    release_shift,
-    UnseenEffect,
-)
 
 Floats = NDArray[np.float64]
 
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
-_SLOPE_STEP = 0.05  # step of the derivatives of the ejection time [standard errors]
+_LAST_RELEASE = 3.0  # time until which a projectile is released [periods of the plate]
 _MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 _SECONDS_PER_THROW = 60.0
@@ -94,10 +93,6 @@ class RigFit:
     """Fitted kinds of layers, the best first."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Intervals of 95 % where standard errors are inaccurate, see `profile_intervals`."""
-    effects: tuple[UnseenEffect, ...] = ()
-    """Unseen effects, of the sizes that the fit leaves open."""
-    skipped_effects: Mapping[str, str] = field(default_factory=dict)
-    """Unseen effects that the errors do not include, and the reasons."""
 
     @cached_property
     def rig(self) -> Rig:
@@ -124,12 +119,13 @@ class RigFit:
         The wave speed is that of the squeezed layer, for a linear model, and its error that with
         which it is the one of a layer at rest.
         """
-        return Estimate(values_of(self.rig, [name])[name], self._error_of(self._weights(name)))
+        value = values_of(self.rig, [name])[name]
+        return self._estimate(name, value, self._weights(name))
 
     def rest_wave_speed(self) -> Estimate:
         """Return the wave speed of the layer at rest [m/s]."""
         weights = self._weights('layer.wave_speed')
-        return Estimate(float(weights @ self.fit.values), self._error_of(weights))
+        return self._estimate('layer.wave_speed', float(weights @ self.fit.values), weights)
 
     def effective_wave_speed(self) -> Estimate:
         """Return the wave speed of the layer at the amplitude of the throws [m/s]."""
@@ -138,7 +134,15 @@ class RigFit:
         if stiffening is not None:
             engine = self.rig.engine
             weights[stiffening] = 2.0 * math.pi * engine.frequency * engine.amplitude
-        return Estimate(self.rig.layer.wave_speed, self._error_of(weights))
+        return self._estimate('layer.wave_speed', self.rig.layer.wave_speed, weights)
+
+    def budget(self, name: str) -> dict[str, float]:
+        """Return the contributions of noise, priors and systematic errors to an error [SI]."""
+        budget = self.fit.budget(name)
+        floor = FLOORS.get(name.partition('[')[0])
+        if floor is not None and self.fit.names.index(name) not in self.fit.known:
+            budget['systematic'] = floor.of(self.fit[name].value)
+        return budget
 
     def _weights(self, name: str) -> Floats:
         """Return the weights of the fitted values in a parameter, or in the mean over throws."""
@@ -150,9 +154,12 @@ class RigFit:
         weights[indices] = 1.0 / len(indices)
         return weights
 
-    def _error_of(self, weights: Floats) -> float:
-        """Return the standard error of a weighted sum of the fitted values."""
-        return math.sqrt(float(weights @ self.fit.covariance @ weights))
+    def _estimate(self, name: str, value: float, weights: Floats) -> Estimate:
+        """Return a value with its error as a weighted sum of the fitted values."""
+        error = math.sqrt(float(weights @ self.fit.covariance @ weights))
+        is_known = not self.fit.known.keys().isdisjoint(self.model.layout.indices_of(name))
+        found = Estimate(value, error)
+        return found if is_known else with_floor(name, found)
 
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
@@ -162,73 +169,35 @@ class RigFit:
         """
         Compute the release of the fitted rig, and of rigs drawn from the errors of the fit.
 
-        The first release is that of the fitted rig. Waves of the plate and unseen effects change
-        time and speed of each release.
+        The first release is that of the fitted rig. A ringing plate changes all releases alike.
         """
-        rng = np.random.default_rng(seed)
         fit = self.fit
-        steps = draw_normal(rng, fit.seen_covariance, count)
-        shift, slopes = self._shift_of_release()
-        shifts = np.tile(shift, (1 + count, 1))
-        for effect in self.effects:
-            causes = rng.normal(size=(count, effect.time.size))
-            steps -= causes @ fit.unseen[effect.name]
-            shifts[1:] += effect.changes(rng, causes)
-        shifts[1:] += steps @ slopes
-        rigs, kept = [], []
-        for row, values in enumerate(fit.values + np.vstack([np.zeros(fit.values.size), steps])):
+        steps = draw_normal(np.random.default_rng(seed), fit.covariance, count)
+        rigs = []
+        for values in fit.values + np.vstack([np.zeros(fit.values.size), steps]):
             with contextlib.suppress(ValueError):
                 rigs.append(self.model.rig_of(values))
-                kept.append(row)
         result = first_releases(rigs)
-        time, speed = shifts[kept].T
+        time, speed = release_shift(self.model, fit.values)
         return result._replace(time=result.time + time, speed=result.speed + speed)
 
-    def release_time_budget(self) -> dict[str, float]:
-        """
-        Return the contributions to the error of the ejection time [s], to first order.
 
-        `tracks` is the contribution of the noise and of the priors, the others are unseen effects.
-        """
-        fit = self.fit
-        slopes = self._shift_of_release()[1][:, 0] + self._time_slopes()
-        variance = max(float(slopes @ fit.seen_covariance @ slopes), 0.0)
-        contributions = {'tracks': math.sqrt(variance)}
-        for effect in self.effects:
-            shift = -fit.unseen[effect.name] @ slopes
-            total = shift + effect.time if effect.is_linear else np.hypot(shift, effect.time)
-            contributions[effect.name] = float(np.linalg.norm(total))
-        return contributions
+def release_shift(model: RigModel, values: Floats) -> Floats:
+    """Return the effect of ringing on time [s] and speed [m/s] of the release, first throw."""
+    rig, motion = model.motion(values, 0)
+    plain = next(iter(ejections(_events(model, rig, PlateWithWaves(motion.step)))), None)
+    if plain is None or not any(motion.ringing):
+        return np.zeros(2)
+    # A ringing plate may release the projectile briefly, long before the throw
+    releases = [event for event in _events(model, rig, motion) if event.kind == 'release']
+    near = min(releases, key=lambda event: abs(event.time - plain.time), default=plain)
+    return np.array([near.time - plain.time, near.velocity - plain.velocity])
 
-    def _time_slopes(self) -> Floats:
-        """Return the derivatives of the ejection time by the fitted values; 0 across a jump."""
-        values, steps = self.fit.values, _SLOPE_STEP * np.maximum(self.fit.errors, 1e-300)
-        offsets = np.concatenate([np.zeros((1, steps.size)), np.diag(steps), -np.diag(steps)])
-        rigs, widths = [], []
-        for offset in offsets:
-            try:
-                rigs.append(self.model.rig_of(values + offset))
-                widths.append(float(np.abs(offset).sum()))
-            except ValueError:  # the value is at its bound
-                rigs.append(rigs[0])
-                widths.append(0.0)
-        result = first_releases(rigs)
-        times = np.where(result.echoes == result.echoes[0], result.time, np.nan)
-        above, below = times[1:].reshape(2, -1)
-        width = np.array(widths[1:]).reshape(2, -1).sum(axis=0)
-        slopes = np.divide(above - below, width, out=np.zeros_like(width), where=width > 0.0)
-        return np.asarray(np.nan_to_num(slopes))
 
-    def _shift_of_release(self) -> tuple[Floats, Floats]:
-        """Return the effect of waves of the plate on the release, and its derivatives."""
-        fit, model = self.fit, self.model
-        shift = release_shift(model, fit.values)
-        slopes = np.zeros((fit.values.size, 2))
-        for index in model.layout.waves_of(0):
-            values = fit.values.copy()
-            values[index] += fit.errors[index]
-            slopes[index] = (release_shift(model, values) - shift) / fit.errors[index]
-        return shift, slopes
+def _events(model: RigModel, rig: Rig, motion: PlateWithWaves) -> tuple[Event, ...]:
+    """Return the events of the first few periods of the plate."""
+    end = np.array([_LAST_RELEASE / rig.engine.frequency])
+    return model.simulator.follow(rig, end, motion=motion, by_cells=model.by_cells).events
 
 
 def draw_normal(rng: np.random.Generator, covariance: Floats, count: int) -> Floats:
@@ -299,15 +268,7 @@ def fit_rig(
         result = replace(result, is_complete=False)
     on_progress('computing the errors')
     model = replace(result.model, simulator=ThrowSimulator())
-    fit, effects, skipped = add_unseen(model, result.fit)
-    return replace(
-        result,
-        model=model,
-        fit=fit,
-        intervals=profile_intervals(model, result.fit),
-        effects=tuple(effects),
-        skipped_effects=skipped,
-    )
+    return replace(result, model=model, intervals=profile_intervals(model, result.fit))
 
 
 def _fit_plates(

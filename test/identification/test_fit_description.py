@@ -152,7 +152,6 @@ def test_file_agrees_with_the_python_description(tmp_path):
         ('throws:\n  a.csv:\n    layer.thickness: often', 3, "'often'"),
         ('throws:\n  a.csv: 1', 2, '1'),
         ('throws:\n  a.csv:\n    layer.loss_tangent: free if seen', 3, "'free if seen'"),
-        ('throws:\n  a.csv:\n    plate.mode: held', 3, "'held'"),
         ('heights: any', 1, "'any'"),
         ('reference: top', 1, "'top'"),
         ('depths: own', 1, "'depths'"),

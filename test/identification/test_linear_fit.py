@@ -61,38 +61,6 @@ def test_adapt_gives_chi_squared_of_a_fit_of_the_others(make_model, throw):
     assert np.abs(shift / np.delete(fit.errors, index)).max() < 0.1
 
 
-def test_score_and_shifts_agree_with_direct_least_squares(make_model, throw):
-    position = throw.projectile.position.copy()
-    position[100] += 3e-3  # an outlier, which has no effect
-    spiky = replace(throw, projectile=replace(throw.projectile, position=position))
-    model, fit = fitted(make_model(Rig(), [spiky], WITH_THICKNESS))
-    assert (~fit.kept).sum() == 1
-    heights = 1e-5 * np.random.default_rng(1).normal(size=(3, fit.kept.size))
-
-    def weighted(rows):
-        return (rows / fit.noise)[..., fit.kept]
-
-    (index, known), = model.known.items()
-    prior = np.eye(fit.values.size)[index] / known.error
-    design = np.vstack([weighted(model.jacobian(fit.values).T).T, prior])
-    sizes = np.linalg.norm(design, axis=0)
-    data = np.append(weighted(heights), np.zeros((3, 1)), axis=1)
-    measured = np.concatenate([track.position for _, track in model.tracks()])
-    residual = np.append(
-        weighted(measured - model.predict(fit.values)),
-        (known.value - fit.values[index]) / known.error,
-    )
-    shifts = np.linalg.lstsq(design / sizes, data.T)[0].T / sizes
-    unexplained = data - shifts @ design.T
-
-    linear = LinearFit(model, fit)
-    seen, products = linear.score(heights)
-    scale = fit.variance_scale
-    assert seen == pytest.approx(np.sum(unexplained**2, axis=1) / scale)
-    assert products == pytest.approx(unexplained @ residual / scale)
-    assert linear.shifts(heights) == pytest.approx(shifts, rel=1e-6)
-
-
 def test_profile_of_a_nearly_linear_parameter_is_1_96_errors_wide(make_model, make_throw):
     # So little noise that the bent valley of thickness and wave speed is straight
     throw = make_throw(Rig(), rate=2000.0, duration=0.08, noise=1e-6)
