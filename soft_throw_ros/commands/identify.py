@@ -221,7 +221,6 @@ def _identify(
             'terms': result.terms(),
             'remarks': remarks,
             'layers': result.layers,
-            'intervals': result.intervals,
             'throws': [
                 {
                     'name': throw.name,

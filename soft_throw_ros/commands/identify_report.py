@@ -267,10 +267,6 @@ def budget_lines(result: RigFit) -> Iterator[str]:
     yield f'systematic errors, part of all errors here: {", ".join(floors)}'
     for name, value in result.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
-    for name, ends in result.intervals.items():
-        shown, factor = _handy_unit(unit_of(name))
-        low, high = (f'{factor * end:.4g}' for end in ends)
-        yield f'{name} is from {low} to {high} {shown}'.rstrip() + ' with 95 % (profile)'
     for name in result.estimates():
         if name not in result.fit or result.fit.names.index(name) in result.fit.known:
             continue

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 
-INSEPARABLE = 0.99
+_INSEPARABLE = 0.99
 """Correlation from which on two parameters cannot be separated. [-]"""
 
 _CONTRADICTION = 4.0
@@ -114,7 +114,7 @@ def _inseparable_pairs(fit: Fit) -> Iterator[InseparablePair]:
     ]
     correlation = fit.correlation
     for i, j in combinations(free, 2):
-        if abs(correlation[i, j]) > INSEPARABLE:
+        if abs(correlation[i, j]) > _INSEPARABLE:
             yield InseparablePair((fit.names[i], fit.names[j]), float(correlation[i, j]))
 
 

@@ -29,7 +29,6 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import changed_rig, FIXED
 from soft_throw_ros.identification.layer_search import find_best_minimum
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.linear_fit import LinearFit
 from soft_throw_ros.identification.parameter_layout import value_names
 from soft_throw_ros.identification.rig_model import RigModel
 
@@ -111,8 +110,7 @@ def _best_term(model: RigModel, fit: Fit) -> _Candidate | None:
     ]
     if not names:
         return None
-    linear = LinearFit(model, fit)
-    best = max((_try_term(linear, name) for name in names), key=attrgetter('gain'))
+    best = max((_try_term(model, fit, name) for name in names), key=attrgetter('gain'))
     return best if best.gain > _MIN_GAIN else None
 
 
@@ -121,10 +119,9 @@ def _penalty(fit: Fit, parameters: int) -> float:
     return parameters * math.log(fit.dof + fit.values.size)
 
 
-def _try_term(linear: LinearFit, name: str) -> _Candidate:
+def _try_term(model: RigModel, fit: Fit, name: str) -> _Candidate:
     """Try a term beside a model."""
-    wider = replace(linear.model, description=linear.model.description.activate(name))
-    fit = linear.fit
+    wider = replace(model, description=model.description.activate(name))
     start = wider.start(fit)
     layout, trial = wider.layout, _SCORE_STEPS.get(name, _SCORE_STEP)
     names = value_names(name)
@@ -138,12 +135,42 @@ def _try_term(linear: LinearFit, name: str) -> _Candidate:
         for index in layout.indices_of(value_name):
             throws = [throw for throw, at in layout.indices[value_name].items() if at == index]
             columns.append(np.where(np.isin(wider.throw_of_sample, throws), change, 0.0))
-    gain, result = linear.gain(np.stack(columns, axis=1))
+    gain, result = predicted_gain(model, fit, np.stack(columns, axis=1))
     if name == _LOSS and result.max() <= 0.0:
         gain = 0.0
     if fit.is_mismatch:
         gain /= max(1.0, fit.reduced_chi2)
     return _Candidate(name, wider, gain - _penalty(fit, len(columns)))
+
+
+def predicted_gain(model: RigModel, fit: Fit, columns: Floats) -> tuple[float, Floats]:
+    """
+    Return the decrease of chi squared by further parameters, and their values, to first order.
+
+    `columns` are the derivatives of all heights by these parameters, in any units. Their part that
+    the fitted parameters explain is projected off, and so the others adapt.
+    """
+    known = fit.known
+    priors = np.zeros((len(known), fit.values.size))
+    deviations = np.zeros(len(known))
+    for row, (index, prior) in enumerate(known.items()):
+        priors[row, index] = 1.0 / prior.error
+        deviations[row] = (prior.value - fit.values[index]) / prior.error
+
+    def weigh(heights: Floats) -> Floats:
+        return np.asarray((heights.T / fit.noise)[..., fit.kept].T)
+
+    design = np.concatenate([weigh(model.jacobian(fit.values)), priors])
+    basis, _ = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300))
+    position = np.concatenate([track.position for _, track in model.tracks()])
+    residuals = np.append(weigh(position - model.predict(fit.values)), deviations)
+    residuals -= basis @ (basis.T @ residuals)
+    extra = np.concatenate([weigh(columns), np.zeros((len(known), columns.shape[1]))])
+    extra -= basis @ (basis.T @ extra)
+    extra /= np.maximum(np.linalg.norm(extra, axis=0), 1e-300)
+    result, *_ = np.linalg.lstsq(extra, residuals, rcond=1e-6)
+    remainder = residuals - extra @ result
+    return float(residuals @ residuals - remainder @ remainder), np.asarray(result)
 
 
 def compare_layers(

@@ -22,9 +22,9 @@ parameters that are not separate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 import contextlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 
@@ -49,7 +49,6 @@ from soft_throw_ros.identification.forward import (
 )
 from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.linear_fit import profile_intervals
 from soft_throw_ros.identification.model_choice import (
     add_terms,
     AddedTerm,
@@ -91,8 +90,6 @@ class RigFit:
     """Whether all terms and kinds of layers were tried within the time of the fit."""
     layers: tuple[LayerModel, ...] = ()
     """Fitted kinds of layers, the best first."""
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Intervals of 95 % where standard errors are inaccurate, see `profile_intervals`."""
 
     @cached_property
     def rig(self) -> Rig:
@@ -266,9 +263,7 @@ def fit_rig(
         result = _choose_layer(result)
     except DeadlineExceeded:
         result = replace(result, is_complete=False)
-    on_progress('computing the errors')
-    model = replace(result.model, simulator=ThrowSimulator())
-    return replace(result, model=model, intervals=profile_intervals(model, result.fit))
+    return replace(result, model=replace(result.model, simulator=ThrowSimulator()))
 
 
 def _fit_plates(
