@@ -22,7 +22,6 @@ from soft_throw_ros.commands.identify_report import (
     fit_data,
     fit_lines,
     IdentificationReport,
-    layer_lines,
     remark_lines,
     unit_of,
     warning_lines,
@@ -179,11 +178,9 @@ def _identify(
     description = description.assume(
         stated_parameters(arguments), [throw.name for throw in throws]
     )
-    rig = rig_of(settings)
-    result = fit_rig(throws, rig, description, on_progress=_show_progress)
+    result = fit_rig(throws, rig_of(settings), description, on_progress=_show_progress)
     remarks = tuple(remark_lines(result))
-    lines = [*budget_lines(result), '', *remarks, *layer_lines(result.layers)]
-    lines += fit_lines(result.fit)
+    lines = [*budget_lines(result), '', *remarks, *fit_lines(result.fit)]
     warnings = warning_lines(result.fit)
     ejection = answer = None
     if has_projectile:
@@ -195,7 +192,6 @@ def _identify(
             lines += ['', warnings[-1]]
         answer = answer_of(result, ejection)
     relevant = PARAMETERS if has_projectile else ENGINE
-    law = result.rig.layer.stress_strain_law
     values = {
         name: value for name, value in result.estimates().items()
         if name in relevant and name not in description.assumed
@@ -211,7 +207,6 @@ def _identify(
         result=values,
         held=values_of(result.model.rigs[0], [name for name in relevant if name not in values]),
         assumed=description.assumed,
-        chosen={'layer.stress_strain_law': law} if law != rig.layer.stress_strain_law else {},
         answer=tuple(answer_lines(answer, result, ejection)) if answer else (),
         lines=tuple(lines),
         data={
@@ -220,7 +215,6 @@ def _identify(
             'systematic_errors': {name: floor._asdict() for name, floor in FLOORS.items()},
             'terms': result.terms(),
             'remarks': remarks,
-            'layers': result.layers,
             'throws': [
                 {
                     'name': throw.name,

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
@@ -33,7 +33,6 @@ from soft_throw_ros.identification.fit_warnings import (
     NotConverged,
 )
 from soft_throw_ros.identification.least_squares import Estimate, Fit
-from soft_throw_ros.identification.model_choice import LayerModel
 from soft_throw_ros.identification.parameter_layout import RINGING
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.systematics import FLOORS
@@ -67,8 +66,6 @@ class IdentificationReport:
     """Parameters that the fit held."""
     assumed: tuple[str, ...] = ()
     """Parameters with default values, because nobody stated them."""
-    chosen: Mapping[str, str] = field(default_factory=dict)
-    """Chosen models that differ from the request."""
     answer: tuple[str, ...] = ()
     """Lines that come first."""
     lines: tuple[str, ...]
@@ -92,8 +89,6 @@ class IdentificationReport:
         for name, value in self.held.items():
             source = 'assumed' if name in self.assumed else 'taken as known'
             yield f'{name:{width}}  {_in_handy_unit(name, value)}, {source}'
-        for name, model in self.chosen.items():
-            yield f'{name:{width}}  {model}'
         yield from ('', *self.lines)
 
     def values(self) -> dict[str, object]:
@@ -106,7 +101,6 @@ class IdentificationReport:
             'found': result,
             'held': self.held,
             'assumed': self.assumed,
-            'chosen': self.chosen,
             **self.data,
             'notes': self.notes,
             'warnings': self.warnings,
@@ -129,7 +123,6 @@ class IdentificationReport:
                 scale = value if name == 'projectile.mass' else 1.0  # its error is relative
                 largest = BOUND_PER_DEVIATION * error / scale
                 request[bound.name] = float(f'{min(largest, bound.high):.3g}')
-        request |= self.chosen
         try:
             return {**settings, **TWIN.change(settings, request)}
         except ParameterError as error:
@@ -325,17 +318,6 @@ def answer_lines(
         f'{"energy transfer":{_NAME_WIDTH}} {ejection.energy_transfer} '
         f'(known to {100.0 * answer.energy_transfer_error:.2g} %): {verdict}'
     )
-
-
-def layer_lines(layers: Sequence[LayerModel]) -> Iterator[str]:
-    """Yield a table that compares the fits of different models of the layer."""
-    if layers:
-        yield f'{"layer":{_NAME_WIDTH}} {"chi squared":>12} {"each":>8} {"BIC":>8}'
-    for layer in layers:
-        yield (
-            f'{layer.name:{_NAME_WIDTH}} {layer.chi2:12.1f} {layer.chi2 / layer.dof:8.3f} '
-            f'{layer.criterion:+8.1f}'
-        )
 
 
 def fit_lines(fit: Fit) -> Iterator[str]:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 r"""
-Choice among models of a bench and of a layer.
+Choice of the terms that a fit needs: a loss of the layer, or a plate that rings.
 
 Notes
 -----
@@ -25,8 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import changed_rig, FIXED
 from soft_throw_ros.identification.layer_search import find_best_minimum
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.parameter_layout import value_names
@@ -34,26 +32,13 @@ from soft_throw_ros.identification.rig_model import RigModel
 
 Floats = NDArray[np.float64]
 
-_MAX_EVALUATIONS = 20  # largest number of evaluations of the model per kind of layer
 _MAX_TERMS = 3  # largest number of added terms
 _MIN_GAIN = 6.0  # smallest decrease of the criterion for which a term is added
-_MIN_EXCESS = 12.0  # increase of chi squared above which a kind of layer is excluded
 
 _LOSS = 'layer.loss_tangent'
-_WITHOUT_LOSS, _WITH_LOSS, _LARGE_STRAIN = 'without loss', 'with loss', 'of large strain'
 _INITIAL_LOSS = 0.05  # initial loss tangent of a fit with loss
 _SCORE_STEPS = {_LOSS: 0.01}  # step of the score test of a term
 _SCORE_STEP = 1e-3  # step of the score test of all other terms
-
-
-class LayerModel(NamedTuple):
-    """The fit of a kind of layer."""
-
-    name: str
-    chi2: float
-    dof: int
-    criterion: float
-    """The Bayesian information criterion, above the lowest one."""
 
 
 class AddedTerm(NamedTuple):
@@ -114,11 +99,6 @@ def _best_term(model: RigModel, fit: Fit) -> _Candidate | None:
     return best if best.gain > _MIN_GAIN else None
 
 
-def _penalty(fit: Fit, parameters: int) -> float:
-    """Return the increase of the criterion by a number of parameters."""
-    return parameters * math.log(fit.dof + fit.values.size)
-
-
 def _try_term(model: RigModel, fit: Fit, name: str) -> _Candidate:
     """Try a term beside a model."""
     wider = replace(model, description=model.description.activate(name))
@@ -140,7 +120,7 @@ def _try_term(model: RigModel, fit: Fit, name: str) -> _Candidate:
         gain = 0.0
     if fit.is_mismatch:
         gain /= max(1.0, fit.reduced_chi2)
-    return _Candidate(name, wider, gain - _penalty(fit, len(columns)))
+    return _Candidate(name, wider, gain - len(columns) * math.log(fit.dof + fit.values.size))
 
 
 def predicted_gain(model: RigModel, fit: Fit, columns: Floats) -> tuple[float, Floats]:
@@ -171,64 +151,3 @@ def predicted_gain(model: RigModel, fit: Fit, columns: Floats) -> tuple[float, F
     result, *_ = np.linalg.lstsq(extra, residuals, rcond=1e-6)
     remainder = residuals - extra @ result
     return float(residuals @ residuals - remainder @ remainder), np.asarray(result)
-
-
-def compare_layers(
-    model: RigModel, fit: Fit
-) -> tuple[list[LayerModel], tuple[Rig, Fit] | None]:
-    """
-    Compare the fitted layer with one without loss and one of large strain; empty if not possible.
-
-    Second comes a layer of large strain, if that alone explains the throws, and its fit.
-    """
-    is_sought = model.projectiles and model.description.is_free('layer.wave_speed')
-    if not is_sought:
-        return [], None
-    simple, plain, fits = model, fit, {}
-    try:
-        if _LOSS in model.layout:
-            fits[_WITH_LOSS] = fit
-            simple = replace(
-                model,
-                description=model.description.change({_LOSS: FIXED._replace(value=0.0)}),
-                rig=changed_rig(model.rig, {_LOSS: 0.0}),
-            )
-            plain = simple.fit(
-                simple.start(fit), noise=fit.noise, max_evaluations=_MAX_EVALUATIONS
-            )
-        fits[_WITHOUT_LOSS] = plain
-        strained = _fit_large_strain(simple, plain, fit.noise)
-    except FitError:
-        return [], None  # the throws cannot be followed
-    if strained:
-        fits[_LARGE_STRAIN] = strained[1]
-    scale = max(1.0, min(item.chi2 for item in fits.values()) / plain.dof)
-    criteria = {name: item.chi2 / scale + _penalty(plain, plain.dof - item.dof)
-                for name, item in fits.items()}
-    smallest = min(criteria.values())
-    layers = [
-        LayerModel(name, item.chi2, item.dof, criteria[name] - smallest)
-        for name, item in fits.items()
-    ]
-    layers.sort(key=attrgetter('criterion'))
-    # A fixed stiffening means a linear layer
-    is_proven = len(layers) > 1 and layers[1].criterion > _MIN_EXCESS
-    is_open = 'layer.stiffening' in model.layout
-    return layers, strained if is_proven and is_open and layers[0].name == _LARGE_STRAIN else None
-
-
-def _fit_large_strain(model: RigModel, fit: Fit, noise: Floats) -> tuple[Rig, Fit] | None:
-    """Fit a layer of large strain; None if it is one, or cannot be followed."""
-    layer = model.rig.layer
-    if not layer.is_uniform or layer.stress_strain_law == 'neo_hookean':
-        return None
-    rig = replace(model.rig, layer=replace(layer, stress_strain_law='neo_hookean'))
-    other = replace(model, rig=rig)
-    start = fit.values.copy()
-    start[model.layout.indices_of('layer.wave_speed')] = model.rig_of(start).layer.wave_speed
-    if 'layer.stiffening' in model.layout:  # which it has by itself
-        start[model.layout.indices_of('layer.stiffening')] = 0.0
-    try:
-        return rig, other.fit(start, noise=noise, max_evaluations=_MAX_EVALUATIONS)
-    except FitError:
-        return None

@@ -49,12 +49,7 @@ from soft_throw_ros.identification.forward import (
 )
 from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.model_choice import (
-    add_terms,
-    AddedTerm,
-    compare_layers,
-    LayerModel,
-)
+from soft_throw_ros.identification.model_choice import add_terms, AddedTerm
 from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
 from soft_throw_ros.identification.plate_waves import PlateWithWaves
@@ -87,9 +82,7 @@ class RigFit:
     added_terms: tuple[AddedTerm, ...] = ()
     """Terms that the tracks need besides the requested ones."""
     is_complete: bool = True
-    """Whether all terms and kinds of layers were tried within the time of the fit."""
-    layers: tuple[LayerModel, ...] = ()
-    """Fitted kinds of layers, the best first."""
+    """Whether all terms were tried within the time of the fit."""
 
     @cached_property
     def rig(self) -> Rig:
@@ -259,8 +252,10 @@ def fit_rig(
     try:
         on_progress('searching for other minima')
         result = replace(result, fit=find_best_minimum(result.model, result.fit, others))
-        on_progress('searching for effects of the bench, and comparing layers')
-        result = _choose_layer(result)
+        on_progress('searching for a loss and effects of the bench')
+        model, fit, terms = add_terms(result.model, result.fit)
+        added = (*result.added_terms, *terms)
+        result = replace(result, model=model, fit=fit, added_terms=added)
     except DeadlineExceeded:
         result = replace(result, is_complete=False)
     return replace(result, model=replace(result.model, simulator=ThrowSimulator()))
@@ -285,23 +280,6 @@ def _fit_plates(
         tuple(throws), rig, alone.description, simulator, plates, initial=fit.by_name
     )
     return model, terms
-
-
-def _choose_layer(result: RigFit) -> RigFit:
-    """Add the terms that the tracks show, and choose the law of the layer that explains them."""
-    simple = result.model
-    model, fit, terms = add_terms(simple, result.fit)
-    layers, strained = compare_layers(model, fit)
-    if strained is not None:
-        other = replace(simple, rig=strained[0])
-        model, fit, terms = add_terms(other, other.fit(other.start(strained[1])))
-    return replace(
-        result,
-        model=model,
-        fit=fit,
-        layers=tuple(layers),
-        added_terms=(*result.added_terms, *terms),
-    )
 
 
 def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[Rig]]:

@@ -18,7 +18,7 @@ from reference.method_of_steps import follow
 from soft_throw_ros.commands import identify, throw
 from soft_throw_ros.commands.identify_report import ejection_data, ejection_lines
 from soft_throw_ros.commands.options import option_of, UNCERTAINTY_PARAMETERS
-from soft_throw_ros.configuration import files, rig_of, TWIN
+from soft_throw_ros.configuration import files, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
@@ -175,16 +175,6 @@ def test_fit_of_a_rig_that_does_not_throw_is_shown_and_written(command, write, t
     assert result['ejection'] is None
     assert any(reason in warning for warning in result['warnings'])
     assert not result['answer']['is_good_enough']
-
-
-def test_large_strain_is_printed_and_written(command, write, tmp_path):
-    engine = Engine(frequency=58.0, damping_ratio=0.05, amplitude=5e-3)
-    rig = Rig(engine=engine, layer=Layer(stress_strain_law='neo_hookean'))
-    # a longer flight would only cost time
-    path, output = write(csv_of(rig, np.arange(0.0, 0.042, 2e-4), 2e-5)), tmp_path / 'rig.yaml'
-    printed = command.run(path, '--output', output)
-    assert re.search(r'^layer.stress_strain_law +neo_hookean$', printed, re.MULTILINE)
-    assert rig_of(files.read(output)).layer.stress_strain_law == 'neo_hookean'
 
 
 def test_release_beyond_a_jump_is_an_alternative_of_the_report():

@@ -284,28 +284,19 @@ def test_unknown_loss_is_found_beside_bench_effects(see):
     assert_true(found, rig, errors=3.5)
     assert found.fit['layer.loss_tangent'].error < 0.02
     assert fit_warnings(found.fit) == []
-    best, second, *_ = found.layers
-    assert (best.name, best.criterion) == ('with loss', 0.0)
-    assert second.criterion > 12.0
+    (term,) = found.added_terms
+    assert term.name == 'layer.loss_tangent'
 
 
-def test_layer_of_large_strain_is_distinguished_from_linear_layers(see):
+@pytest.mark.slow
+def test_layer_of_large_strain_is_fitted_if_stated(see):
     rig = Rig(engine=Engine(amplitude=5e-3), layer=Layer(stress_strain_law='neo_hookean'))
-    found = fit_rig([followed(see, rig)], KNOWN)
-    assert found.rig.layer.stress_strain_law == 'neo_hookean'
+    known = replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0))
+    found = fit_rig([followed(see, rig)], known)
     assert_true(found, rig, ENGINE, errors=3.5)
-    speed = found.estimates()['layer.wave_speed']
-    assert speed.value == pytest.approx(7.8, abs=3.5 * speed.error)
-    assert fit_warnings(found.fit) == []
-    best, second = found.layers
-    assert (best.name, best.chi2 / best.dof) == ('of large strain', pytest.approx(1.0, abs=0.1))
-    assert second.criterion > 12.0
-
-
-def test_layer_that_is_linear_stays_so(make_throw):
-    found = fit_rig([make_throw(Rig(engine=Engine(amplitude=5e-3)))], KNOWN)
-    assert found.rig.layer.stress_strain_law == 'linear'
-    assert found.layers[0].name == 'without loss'
+    speed = found.estimate('layer.wave_speed')
+    assert speed.value == pytest.approx(rig.layer.wave_speed, abs=3.5 * speed.error)
+    assert not found.fit.is_mismatch
 
 
 def test_value_held_for_one_of_two_layers_is_kept(make_throw):
