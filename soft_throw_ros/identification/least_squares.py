@@ -5,12 +5,11 @@ Least squares without outliers, with standard errors.
 
 Notes
 -----
-Weights are one over the noise of each sample. By default, `_estimate_noise` estimates the noise
-from the differences of neighbouring residuals, with a term that grows with the speed of the body
-if stamps are inaccurate. Errors of a model change slowly, so they increase chi squared and not the
-noise. Standard errors are multiplied by the square root of chi squared per degree of freedom if
-this ratio is above 1 or the noise was estimated. They are also multiplied by the effect of
-correlated residuals on the variance of a mean (`TrackResidual.inflation`).
+Weights are one over the noise of each track. By default, `_estimate_noise` estimates the noise
+from the second differences of the residuals. Errors of a model change slowly, so they increase
+chi squared and not the noise. Standard errors are multiplied by the square root of chi squared per
+degree of freedom if this ratio is above 1 or the noise was estimated. They are also multiplied by
+the effect of correlated residuals on the variance of a mean (`TrackResidual.inflation`).
 
 A sample is an outlier if its residual deviates from its neighbours by more than `_OUTLIER_LIMIT`
 times the noise; errors of a model change slowly, and make no outliers. So outliers are removed
@@ -53,7 +52,6 @@ _ESTIMATED_NOISE_FACTOR = 3.0  # variance of chi squared if noise was estimated,
 _MAX_NOISE_ROUNDS = 2  # largest number of fits with a new estimate of the noise
 _NOISE_TOLERANCE = 0.1  # relative change of the noise below which no further fit is needed
 _NOISE_SIGMAS = 5.0  # standard deviations beyond which a difference is excluded from the noise
-_JITTER_SIGNIFICANCE = 4.0  # significance of noise that grows with speed [standard errors]
 _SLOW_WINDOW = 25  # number of residuals in a mean that shows systematic errors
 _CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # preserves the size of white noise
 
@@ -268,8 +266,6 @@ class FitModel:
     high: Floats
     known: Mapping[int, Estimate] = field(default_factory=dict)
     """Priors of some parameters, by their indices."""
-    speed: Callable[[Floats], Floats] | None = None
-    """Speeds [m/s] that turn errors of stamps into noise; None for exact stamps."""
 
     @classmethod
     def with_steps(
@@ -354,47 +350,17 @@ def fit_tracks(
     return problem.conclude(values)
 
 
-def _estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
-    r"""
-    Estimate the noise of heights [m] and of stamps [s], 0 if it is not significant.
-
-    Notes
-    -----
-    Second differences of the residuals [m] preserve white noise, and suppress slow changes. Their
-    mean squares are :math:`\sigma^2 + \tau^2 v^2` at a speed :math:`v` [m/s].
-
-    """
-    squares = np.convolve(residuals, _CURVATURE, 'valid') ** 2
-    speeds = speed[1:-1] ** 2
-    kept = np.ones(squares.size, bool)
+def _estimate_noise(residuals: Floats) -> float:
+    """Estimate the noise from second differences, which suppress slow changes [m]."""
+    differences = np.abs(np.convolve(residuals, _CURVATURE, 'valid'))
+    kept = differences
     for _ in range(8):
-        level, growth = _estimate_variance(squares[kept], speeds[kept])
-        inside = squares <= _NOISE_SIGMAS**2 * (level + growth * speeds)
-        if (inside == kept).all():
+        noise = float(np.sqrt(np.mean(kept**2)))
+        inside = differences[differences <= _NOISE_SIGMAS * noise]
+        if inside.size == kept.size:
             break
         kept = inside
-    return math.sqrt(level), math.sqrt(growth)
-
-
-def _estimate_variance(squares: Floats, speeds: Floats) -> tuple[float, float]:
-    """Fit a constant and a growth with squared speeds to squares; no growth by chance."""
-    mean = float(np.mean(squares))
-    if mean == 0.0 or squares.size <= 8 or not speeds.any():  # computed tracks have no noise
-        return mean, 0.0
-    design = np.stack([np.ones(squares.size), speeds], axis=1)
-    variance = np.full(squares.size, mean)
-    for _ in range(4):
-        rows = design / np.maximum(variance, 1e-300)[:, None]
-        level, growth = optimize.nnls(rows, squares / np.maximum(variance, 1e-300))[0]
-        # Of neighbouring differences of second order 0.94 more of the variance is shared
-        information = rows.T @ rows / (2.0 * 1.94)
-        significance = growth * math.sqrt(
-            max(np.linalg.det(information) / max(information[0, 0], 1e-300), 0.0)
-        )
-        if significance < _JITTER_SIGNIFICANCE or level <= 0.0:
-            return mean, 0.0
-        variance = design @ [level, growth]
-    return float(level), float(growth)
+    return noise
 
 
 class _LeastSquares:
@@ -479,16 +445,15 @@ class _LeastSquares:
     def reweigh(self, values: Floats) -> bool:
         """Estimate the noise of tracks where it is not known; return whether it changes much."""
         residuals = self._position - self._model.predict(values)
-        speeds = self._model.speed(values) if self._model.speed else np.zeros_like(residuals)
         noises = []
-        for (_, track), residual, speed, kept, noise in self._by_track(
-            residuals, speeds, self._kept, self._noise
+        for (_, track), residual, kept, noise in self._by_track(
+            residuals, self._kept, self._noise
         ):
             if track.known_noise:
                 noises.append(noise)
             else:
-                height, stamp = _estimate_noise(residual[kept], speed[kept])
-                noises.append(np.hypot(max(height, track.least_noise, 1e-15), stamp * speed))
+                estimate = max(_estimate_noise(residual[kept]), track.least_noise, 1e-15)
+                noises.append(np.full_like(noise, estimate))
         before, self._noise = self._noise, np.concatenate(noises)
         return float(np.max(np.abs(np.log(self._noise / before)))) > _NOISE_TOLERANCE
 

@@ -217,11 +217,6 @@ class RigModel:
         """Heights of all tracks in one series; see `trajectories`."""
         return np.concatenate([item.height for item in self.trajectories(values)])
 
-    def speed(self, values: Floats) -> Floats:
-        """Speeds of all bodies in one series."""
-        velocities = [item.velocity for item in self.trajectories(values)]
-        return np.asarray(np.abs(np.concatenate(velocities)))
-
     def trajectories(
         self, values: Floats, requests: Sequence[tuple[int, str, Floats]] | None = None
     ) -> list[Trajectory]:
@@ -370,7 +365,6 @@ class RigModel:
             low=low,
             high=high,
             known={k: self.known[index] for k, index in enumerate(free) if index in self.known},
-            speed=lambda values: self.speed(whole(values)),
         )
         result = fit_tracks(
             model,

@@ -203,19 +203,6 @@ def test_sensor_faults_are_within_the_errors(make_throw, see, fault):
     assert fit_warnings(found.fit) == []
 
 
-def test_stamp_errors_increase_noise_where_bodies_are_fast(make_throw, see):
-    seen = make_throw(Rig(), noise=1e-5)
-    time = seen.plate.time
-    wrong = time + 4e-5 * np.random.default_rng(2).uniform(-1.0, 1.0, time.size)
-    jittering = see(wrong, seen.plate.position, seen.projectile.position, noise=0.0)
-    found = fit_rig([jittering], Rig(layer=Layer(wave_speed=20.0)))
-    assert_true(found, Rig(), (*DEFAULT_FREE, 'start_time'), errors=3.5)
-    assert fit_warnings(found.fit) == []
-    noise = found.fit.residuals[1].noise
-    assert noise.min() == pytest.approx(1e-5, rel=0.2)
-    assert noise.max() == pytest.approx(1.4 * 4e-5 / 3**0.5, rel=0.25)
-
-
 def followed(see, rig, *, duration=0.08):
     """Tracks of a throw by the model that is fitted."""
     time = np.arange(0.0, duration, 2e-4)
