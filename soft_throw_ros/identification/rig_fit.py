@@ -50,7 +50,7 @@ from soft_throw_ros.identification.forward import (
 from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.model_choice import add_terms, AddedTerm
-from soft_throw_ros.identification.parameter_layout import START
+from soft_throw_ros.identification.parameter_layout import RINGING_AMPLITUDES, START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
 from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
@@ -159,16 +159,28 @@ class RigFit:
         """
         Compute the release of the fitted rig, and of rigs drawn from the errors of the fit.
 
-        The first release is that of the fitted rig. A ringing plate changes all releases alike.
+        The first release is that of the fitted rig. Ringing of the plate shifts each release, to
+        first order in its amplitudes.
         """
-        fit = self.fit
+        fit, model = self.fit, self.model
         steps = draw_normal(np.random.default_rng(seed), fit.covariance, count)
-        rigs = []
-        for values in fit.values + np.vstack([np.zeros(fit.values.size), steps]):
+        steps = np.vstack([np.zeros(fit.values.size), steps])
+        shift = release_shift(model, fit.values)
+        shifts = np.tile(shift, (len(steps), 1))
+        for name in RINGING_AMPLITUDES:
+            index = model.layout.indices.get(name, {}).get(0)
+            if index is not None:
+                moved = fit.values.copy()
+                moved[index] += fit.errors[index]
+                slope = (release_shift(model, moved) - shift) / fit.errors[index]
+                shifts += np.outer(steps[:, index], slope)
+        rigs, kept = [], []
+        for row, values in enumerate(fit.values + steps):
             with contextlib.suppress(ValueError):
-                rigs.append(self.model.rig_of(values))
+                rigs.append(model.rig_of(values))
+                kept.append(row)
         result = first_releases(rigs)
-        time, speed = release_shift(self.model, fit.values)
+        time, speed = shifts[kept].T
         return result._replace(time=result.time + time, speed=result.speed + speed)
 
 
