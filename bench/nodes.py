@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Cost and lateness of twin and recorder beside plain rclpy nodes, and of many twins at once.
+Cost and lateness of the twin beside an rclpy timer, and of the recorder beside rclpy and mcap.
 
 All nodes run in their own processes. The measurements use only topics, the twin's statistics in
 `/diagnostics`, bags, and the process accounting of the kernel. Twin and timer run in turns; both
@@ -10,16 +10,15 @@ recorders record the same messages at the same time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 import contextlib
 import importlib
 import os
 from pathlib import Path
-import statistics
 import sys
 import tempfile
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 from bench.processes import (
     Process,
@@ -45,59 +44,33 @@ SECONDS = 7.0
 SETTLING = 2.0
 """Time between the first message and the measurement. [s]"""
 
-TWINS = 16
-"""Number of twins that run at once."""
-
-STORM_RATE = 50
-"""Number of parameter changes per second."""
-
-STORM_THICKNESS = 0.012
-"""Layer thickness around which the parameter changes. [m]"""
-
 LATENESS = ('lateness_p50', 'lateness_p99', 'lateness_max')
 """Keys of the lateness of ticks in `/diagnostics`."""
 
+ROWS = (
+    'lateness p50 [us]', 'lateness p99 [us]', 'lateness max [us]', 'lost [%]', 'of one core [%]',
+)
+"""Numbers of a publisher."""
 
-class Measured(NamedTuple):
-    """Lateness of ticks [s], fraction of lost messages, and fraction of one core."""
-
-    p50: float
-    p99: float
-    largest: float
-    lost: float
-    processor: float
+GOALS = (None, 100.0, None, 0.0, 12.0)
+"""Largest number of the twin in each of the rows."""
 
 
 def twin() -> Result:
     """Compare the ticks of the twin with those of a plain timer."""
-    commands = {'twin': (*SOFT_THROW, 'twin'), 'timer': (sys.executable, __file__, 'timer')}
-    measured: dict[str, list[Measured]] = {name: [] for name in commands}
-    for _ in range(ROUNDS):
-        for name, command in commands.items():
-            measured[name].append(_measure(command))
-    ours, plain = (
-        Measured(*(statistics.median(values) for values in zip(*rounds, strict=True)))
-        for rounds in measured.values()
-    )
-    result = Result.under(
-        'at 1 kHz, one subscriber', 'twin', 'rclpy timer', 'timer / twin', 'goal'
-    )
-    rows = (
-        ('lateness p50 [us]', 1e6, None),
-        ('lateness p99 [us]', 1e6, 100.0),
-        ('lateness max [us]', 1e6, None),
-        ('messages lost [%]', 100.0, 0.0),
-        ('of one core [%]', 100.0, 12.0),
-    )
-    for (title, scale, goal), value, reference in zip(rows, ours, plain, strict=True):
-        ratio = reference / value if value else None
-        result.rows.append([title, scale * value, scale * reference, ratio, goal])
-    result.ratios['of one core'] = plain.processor / ours.processor
+    commands = ((*SOFT_THROW, 'twin'), (sys.executable, __file__, 'timer'))
+    rounds = [[_measure(command) for command in commands] for _ in range(ROUNDS)]
+    heads = ['at 1 kHz, one subscriber', 'twin', 'rclpy timer', 'timer / twin', 'goal']
+    result = Result(heads, [], {})
+    for title, goal, (ours, plain) in zip(ROWS, GOALS, np.median(rounds, axis=0).T, strict=True):
+        result.rows.append([title, ours, plain, plain / ours if ours else None, goal])
+        if title == ROWS[-1]:
+            result.ratios[title] = plain / ours
     return result
 
 
-def _measure(command: tuple[str, ...]) -> Measured:
-    """Run a publisher; measure its messages, its reported lateness and its processor time."""
+def _measure(command: tuple[str, ...]) -> tuple[float, ...]:
+    """Run a publisher, and return the numbers of `ROWS`."""
     with subscriber() as heard, running(command) as (child,):
         heard.wait(TIMEOUT, lambda: bool(heard.stamps))
         heard.wait(SETTLING)
@@ -105,11 +78,9 @@ def _measure(command: tuple[str, ...]) -> Measured:
         (share,) = _shares([child], lambda: heard.wait(SECONDS))
     stamps = heard.stamps
     expected = round((max(stamps) - min(stamps)) * RATE / SECOND) + 1
-    p50, p99, largest = heard.values(*LATENESS).T
-    lost = 1.0 - len(set(stamps)) / expected
-    return Measured(
-        float(np.median(p50)), float(np.median(p99)), float(largest.max()), lost, share
-    )
+    p50, p99, largest = 1e6 * heard.values(*LATENESS).T
+    lost = 100.0 * (1.0 - len(set(stamps)) / expected)
+    return float(np.median(p50)), float(np.median(p99)), float(largest.max()), lost, 100.0 * share
 
 
 def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
@@ -124,55 +95,16 @@ def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
     ]
 
 
-def storm() -> Result:
-    """Compare the ticks of a twin with and without frequent changes of a parameter."""
-    from rclpy.parameter import Parameter
-    from rclpy.parameter_client import AsyncParameterClient
-
-    title = f'ticks of the twin at 1 kHz, {STORM_RATE} changes of a parameter a second'
-    result = Result.under(title, 'ticks', 'later than 0.2 ms [%]', 'skipped', 'lateness p99 [us]')
-    with subscriber() as heard, running((*SOFT_THROW, 'twin')):
-        heard.wait(TIMEOUT, lambda: bool(heard.stamps))
-        heard.wait(SETTLING)
-        client = AsyncParameterClient(heard.node, '/twin')
-        for name, rate in (('without changes', 0), ('with changes', STORM_RATE)):
-            heard.clear()
-            begin, count = time.monotonic(), 0
-            while time.monotonic() < begin + 2.0 * SECONDS:
-                heard.wait(1.0 / STORM_RATE)
-                while rate and count < rate * (time.monotonic() - begin):
-                    thickness = STORM_THICKNESS * (1.0 + 1e-4 * (count % 500))
-                    future = client.set_parameters([Parameter('layer.thickness', value=thickness)])
-                    heard.wait(TIMEOUT, future.done)
-                    count += 1
-            numbers = heard.values('ticks', 'ticks_late', 'ticks_skipped')
-            ticks, late, skipped = (numbers[-1] - numbers[0]).tolist()
-            p99 = 1e6 * float(np.median(heard.values('lateness_p99')))
-            result.rows.append([name, ticks, 100.0 * late / ticks, skipped, p99])
-    return result
-
-
-def start() -> Result:
-    """Measure the time to the twin's first state, with and without compiled kernels."""
-    result = Result.under('first start of the twin', 's', 'goal')
-    with tempfile.TemporaryDirectory() as folder:
-        for title, goal in (('no kernel compiled', 15.0), ('all kernels compiled', 1.5)):
-            with subscriber() as heard:
-                begin = time.monotonic()
-                with running((*SOFT_THROW, 'twin'), NUMBA_CACHE_DIR=folder):
-                    heard.wait(TIMEOUT, lambda heard=heard: bool(heard.stamps))
-                    result.rows.append([title, time.monotonic() - begin, goal])
-    return result
-
-
 def recorder() -> Result:
-    """Compare the recorder with a plain one that writes in its callbacks."""
-    result = Result.under('recorder', 'rate [Hz]', 'lost [%]', 'of one core [%]', 'cost over ours')
+    """Compare the recorder with rclpy and mcap, whose callbacks write the messages."""
+    heads = ['recorder', 'rate [Hz]', 'lost [%]', 'of one core [%]', 'cost over ours']
+    result = Result(heads, [], {})
     for rate in (1000, 5000):
         (ours_lost, ours), (plain_lost, plain) = _record(rate)
         result.rows.append(['ours', rate, 100.0 * ours_lost, 100.0 * ours, None])
-        result.rows.append(['plain', rate, 100.0 * plain_lost, 100.0 * plain, plain / ours])
-        result.ratios[f'of one core at {rate} Hz'] = plain / ours
+        cost = plain / ours
+        result.rows.append(['rclpy and mcap', rate, 100.0 * plain_lost, 100.0 * plain, cost])
+        result.ratios[f'of one core at {rate} Hz'] = cost
     return result
 
 
@@ -181,7 +113,7 @@ def _record(rate: int) -> list[tuple[float, float]]:
     with tempfile.TemporaryDirectory() as folder:
         bags = [Path(folder) / name for name in ('ours', 'plain')]
         commands = (
-            (*SOFT_THROW, *_recorder_into(folder, 'ours')),
+            (*SOFT_THROW, 'recorder', '--ros-args', '-p', f'folder:={folder}', '-p', 'name:=ours'),
             (sys.executable, __file__, 'plain', str(bags[1])),
             (*SOFT_THROW, 'twin', '--ros-args', '-p', f'rate.state:={rate}.0'),
         )
@@ -197,47 +129,6 @@ def _record(rate: int) -> list[tuple[float, float]]:
         (1.0 - float(np.isin(published, stamps).mean()), share)
         for stamps, share in zip(recorded, shares, strict=True)
     ]
-
-
-def _recorder_into(folder: str, name: str, *rules: str) -> tuple[str, ...]:
-    words = (f'folder:={folder}', f'name:={name}', *rules)
-    return 'recorder', '--ros-args', *(word for rule in words for word in ('-p', rule))
-
-
-def sixteen_twins() -> Result:
-    """Run many twins at 100 Hz each, and one recorder of all their topics."""
-    names = [f'/rig{number}/twin' for number in range(1, TWINS + 1)]
-    twins = [
-        (*SOFT_THROW, 'twin', '--ros-args', '-r', f'__ns:={name.removesuffix("/twin")}',
-         '-p', 'rate.state:=100.0')
-        for name in names
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        command = (*SOFT_THROW, *_recorder_into(folder, 'bag', "topics:=['/']"))
-        with subscriber() as heard, running(command, *twins) as processes:
-            reporting: set[str] = set()
-
-            def all_report() -> bool:
-                reporting.update(name for name, values in heard.statuses if LATENESS[0] in values)
-                return len(reporting) == TWINS
-
-            heard.wait(TIMEOUT, all_report)
-            heard.clear()
-            shares = _shares(processes, lambda: heard.wait(SECONDS))
-        p99 = heard.values(*LATENESS)[:, 1]
-        recorded = [
-            recorded_states(Path(folder) / 'bag', f'{name}/joint_states') for name in names
-        ]
-    result = Result.under(f'{TWINS} twins at 100 Hz, one recorder', 'measured', 'goal')
-    result.rows.extend([
-        ['states recorded', sum(states.stamps.size for states in recorded), None],
-        ['states lost', sum(states.lost for states in recorded), 0.0],
-        ['of one core, a twin, median [%]', 100.0 * statistics.median(shares[1:]), None],
-        ['of one core, all twins [%]', 100.0 * sum(shares[1:]), None],
-        ['of one core, the recorder [%]', 100.0 * shares[0], None],
-        ['lateness p99, median [us]', 1e6 * float(np.median(p99)), None],
-    ])
-    return result
 
 
 def _publish_by_timer() -> None:
@@ -307,12 +198,6 @@ def _record_plainly(folder: str) -> None:
             rclpy.spin(node)
         finally:
             writer.finish()
-
-
-PARTS: Mapping[str, Callable[[], Result]] = {
-    function.__name__: function for function in (twin, storm, recorder, start, sixteen_twins)
-}
-"""Functions that measure the tables, by their names."""
 
 
 if __name__ == '__main__':

@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-import statistics
+from collections.abc import Callable
 import time
 from typing import Any, NamedTuple
 
@@ -28,19 +27,7 @@ class Case(NamedTuple):
     error: Callable[[Any], float] | None = None
     """Error of the returned result."""
     goal: float | None = None
-    """Required performance, in the unit of the table."""
-
-
-class Table(NamedTuple):
-    """Cases to compare; ratios are costs relative to the first case."""
-
-    title: str
-    unit: str
-    error: str
-    """Head of the column of errors."""
-    cases: list[Case]
-    is_factor: bool = False
-    """Whether to print real-time factors (units per second) instead of us per unit."""
+    """Longest time for a unit. [us]"""
 
 
 class Result(NamedTuple):
@@ -52,11 +39,6 @@ class Result(NamedTuple):
     ratios: dict[str, float]
     """Costs relative to the first case, which should be the same on all machines."""
 
-    @classmethod
-    def under(cls, *heads: str) -> Result:
-        """Return an empty table with these heads."""
-        return cls(list(heads), [], {})
-
     def lines(self) -> list[str]:
         """Return the table in Markdown."""
         lines = head(*self.heads)
@@ -66,48 +48,37 @@ class Result(NamedTuple):
         return [*lines, '']
 
 
-class Times(NamedTuple):
-    """Duration and processor time of a call; load on the machine hardly changes the latter [s]."""
+def measure(title: str, error_of: str, cases: list[Case]) -> Result:
+    """
+    Time cases in turns, after a first call that compiles, and return their table.
 
-    shortest: float
-    median: float
-    processor: float
+    Parameters
+    ----------
+    title, error_of : str
+        Heads of the columns of names and of errors.
+    cases : list of Case
+        The first one is the reference of the ratios.
 
-
-def race(calls: Mapping[str, Callable[[], Any]]) -> dict[str, Times]:
-    """Time calls in turns, after a first call that compiles."""
-    counts: dict[str, int] = {}
-    for name, call in calls.items():
-        call()
-        counts[name] = max(1, round(MIN_TURN / _time(call, 1)[1]))
-    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
+    """
+    counts = []
+    for case in cases:
+        case.call()
+        counts.append(max(1, round(MIN_TURN / _time(case.call, 1)[0])))
+    times: list[list[tuple[float, float]]] = [[] for _ in cases]
     for _ in range(REPETITIONS):
-        for name, call in calls.items():
-            if sum(wall for wall, _ in measured[name]) * counts[name] < BUDGET:
-                measured[name].append(_time(call, counts[name]))
-    times = {}
-    for name, pairs in measured.items():
-        walls, processors = zip(*pairs, strict=True)
-        times[name] = Times(min(walls), statistics.median(walls), min(processors))
-    return times
-
-
-def measure(table: Table) -> Result:
-    """Measure the cases of a table."""
-    times = race({case.name: case.call for case in table.cases})
-    first = table.cases[0]
-    base = times[first.name].processor / first.units
-    kind = 'real-time factor' if table.is_factor else f'us per {table.unit}'
-    result = Result.under(
-        table.title, table.error, f'{kind}, best', 'median', 'processor time over first', 'goal'
-    )
-    for case in table.cases:
-        costs = [seconds / case.units for seconds in times[case.name][:2]]
-        numbers = [1.0 / cost if table.is_factor else 1e6 * cost for cost in costs]
+        for case, count, measured in zip(cases, counts, times, strict=True):
+            if sum(wall for wall, _ in measured) * count < BUDGET:
+                measured.append(_time(case.call, count))
+    heads = [title, f'error of {error_of}', 'us', 'processor time over first', 'goal [us]']
+    result = Result(heads, [], {})
+    first = None
+    for case, measured in zip(cases, times, strict=True):
+        # Load on the machine hardly changes the smallest processor time
+        wall, processor = (min(values) / case.units for values in zip(*measured, strict=True))
+        ratio = processor / (first := first or processor)
         error = None if case.error is None else case.error(case.call())
-        ratio = times[case.name].processor / case.units / base
-        result.rows.append([case.name, error, *numbers, ratio, case.goal])
-        if case is not first:
+        result.rows.append([case.name, error, 1e6 * wall, ratio, case.goal])
+        if case is not cases[0]:
             result.ratios[case.name] = ratio
     return result
 

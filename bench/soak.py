@@ -15,17 +15,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 import contextlib
-import json
 from pathlib import Path
 import re
 import signal
 import sys
 import tempfile
 import time
-from typing import NamedTuple
 
 from bench import processes
-from bench.processes import RATE, SECOND, SOFT_THROW, stamp_of, STATES, Usage
+from bench.processes import RATE, SECOND, SOFT_THROW, stamp_of, STATES
 from bench.race import head
 import numpy as np
 from numpy.typing import NDArray
@@ -67,53 +65,16 @@ TOPICS = (STATES, '/twin/layer/joint_states')
 THICKNESSES = (0.0150, 0.0168)
 """Alternating values of the parameter `layer.thickness`. [m]"""
 
-MB = 1e6
-"""One megabyte. [bytes]"""
-
-
-class Promise(NamedTuple):
-    """A promise, the measured result, and whether the promise is kept."""
-
-    promise: str
-    result: str
-    is_kept: bool
-
-
-class Course(NamedTuple):
-    """Resource usage of a process over time."""
-
-    times: list[float]
-    usages: list[Usage]
-
-    def after_warm_up(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s] and usages (one row per time) after warm-up."""
-        times, used = np.array(self.times), np.array(self.usages, dtype=float)
-        is_warm = times >= times[0] + min(WARM_UP, 0.25 * (times[-1] - times[0]))
-        return times[is_warm], used[is_warm]
-
-    def summary(self) -> dict[str, float]:
-        """Return the fraction of one core, final memory and open files, and their growth."""
-        times, used = self.after_warm_up()
-        fifth = max(len(times) // 5, 1)  # medians ignore memory that is soon freed again
-        first, last = np.median(used[:fifth], axis=0), np.median(used[-fifth:], axis=0)
-        share = (used[-1, 0] - used[0, 0]) / max(times[-1] - times[0], 1e-9)
-        return {
-            'of one core [%]': round(100.0 * share, 2),
-            'memory [MB]': round(last[1] / MB, 1),
-            'growth [MB]': round((last[1] - first[1]) / MB, 2),
-            'handles': int(last[2]),
-            'growth of handles': int(last[2] - first[2]),
-        }
+COLUMNS = ('of one core [%]', 'memory [MB]', 'growth [MB]', 'handles', 'growth of handles')
+"""Numbers of a process."""
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the system, print the results, and return 1 if a promise was broken."""
     parser = argparse.ArgumentParser(prog='python -m bench.soak', description=__doc__)
     parser.add_argument('--minutes', type=float, default=30.0, help='duration (default 30)')
-    sinks = ('viewer', 'serve', 'file', 'none')
-    parser.add_argument('--sink', default='serve', choices=sinks,
+    parser.add_argument('--sink', default='serve', choices=('viewer', 'serve', 'file', 'none'),
                         help='sink of the recorder (default serve, which needs no screen)')
-    parser.add_argument('--json', type=Path, metavar='FILE', help='also write the results as JSON')
     parser.add_argument('--subscribe', type=Path, metavar='FILE', help=argparse.SUPPRESS)
     arguments = parser.parse_args(args)
     if arguments.subscribe is not None:
@@ -121,41 +82,33 @@ def main(args: list[str] | None = None) -> int:
         return 0
     with tempfile.TemporaryDirectory() as folder:
         soak = _Soak(Path(folder), arguments.sink)
-        before = processes.steal()
         soak.run(60.0 * arguments.minutes)
-        stolen, passed = np.subtract(processes.steal(), before)
-        promises = [*soak.judge(), *soak.judge_ticks()]
-    used = {name: course.summary() for name, course in soak.courses.items()}
-    columns = list(used['twin'])
-    print(*head(f'{arguments.minutes:g} min at 1 kHz', *columns), sep='\n')
-    for name, values in used.items():
-        print(f'| {name} |', ' | '.join(f'{values[column]:g}' for column in columns), '|')
-    print(f'\nOther virtual machines took {100.0 * stolen / passed:.1f} % of the processors.\n')
-    print(*head('promise', 'result', 'kept'), sep='\n')
-    for row in promises:
-        print(f'| {row.promise} | {row.result} | {"yes" if row.is_kept else "NO"} |')
-    if arguments.json is not None:
-        rows = [row._replace(is_kept=bool(row.is_kept))._asdict() for row in promises]
-        report = {'minutes': arguments.minutes, 'processes': used, 'promises': rows}
-        arguments.json.write_text(json.dumps(report, indent=2) + '\n', 'utf-8')
-    return 0 if all(row.is_kept for row in promises) else 1
+        promises = list(soak.judge())
+    print(*head(f'{arguments.minutes:g} min at 1 kHz', *COLUMNS), sep='\n')
+    for name, numbers in soak.usages.items():
+        print(f'| {name} | {" | ".join(f"{number:.4g}" for number in _summary(numbers))} |')
+    print('', *head('promise', 'result', 'kept'), sep='\n')
+    for promise, result, is_kept in promises:
+        print(f'| {promise} | {result} | {"yes" if is_kept else "NO"} |')
+    return 0 if all(is_kept for _, _, is_kept in promises) else 1
 
 
 class _Soak:
     """The processes of a run, their resource usage and exit codes."""
 
     def __init__(self, folder: Path, sink: str) -> None:
-        self.courses: dict[str, Course] = {}
+        self.usages: dict[str, list[tuple[float, ...]]] = {}
+        """Time [s], processor time [s], memory [bytes] and handles of each process."""
         self._folder = folder
-        self._is_long = False
+        self._seconds = 0.0
         self._changes: list[str] = []  # reason of each rejected change, empty if accepted
         self._codes: dict[str, int] = {}
         recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag', '-p', f'rerun.sink:={sink}')
+        subscriber = (sys.executable, '-m', 'bench.soak', '--subscribe')
         self._commands = {
             'recorder': (*SOFT_THROW, 'recorder', '--ros-args', *recorder),
             **{
-                f'subscriber {number}':
-                (sys.executable, '-m', 'bench.soak', '--subscribe', str(folder / str(number)))
+                f'subscriber {number}': (*subscriber, str(folder / str(number)))
                 for number in range(1, SUBSCRIBERS + 1)
             },
             'twin': (*SOFT_THROW, 'twin'),
@@ -163,7 +116,7 @@ class _Soak:
 
     def run(self, seconds: float) -> None:
         """Run all processes for a time after the first report, and end them in order."""
-        self._is_long = seconds >= 2.0 * WARM_UP
+        self._seconds = seconds
         with contextlib.ExitStack() as stack:
             running = {}
             for name, command in self._commands.items():
@@ -184,92 +137,91 @@ class _Soak:
 
         client = AsyncParameterClient(heard.node, '/twin')
         begin = time.monotonic()
-        next_change = begin
         while (now := time.monotonic()) < begin + seconds:
-            sinks = processes.children_of(pids['recorder'])
-            for name, pid in [*pids.items(), *((f'viewer sink {pid}', pid) for pid in sinks)]:
+            sinks = {f'viewer {pid}': pid for pid in processes.children_of(pids['recorder'])}
+            for name, pid in (pids | sinks).items():
                 with contextlib.suppress(OSError):  # has ended; judge() checks its exit code
-                    course = self.courses.setdefault(name, Course([], []))
-                    course.usages.append(processes.usage(pid))
-                    course.times.append(now)
-            if now >= next_change:
+                    usage = processes.usage(pid)
+                    self.usages.setdefault(name, []).append((now, *usage))
+            if now >= begin + CHANGE_PERIOD * len(self._changes):
                 thickness = THICKNESSES[len(self._changes) % 2]
                 future = client.set_parameters([Parameter('layer.thickness', value=thickness)])
                 heard.wait(processes.EXIT_TIMEOUT, future.done)
                 results = future.result().results if future.done() else []
-                reasons = [result.reason for result in results]
-                self._changes.append(' '.join(reasons) if results else 'no answer')
-                next_change += CHANGE_PERIOD
+                reasons = ' '.join(result.reason for result in results)
+                self._changes.append(reasons if results else 'no answer')
             heard.wait(SAMPLE_PERIOD)
             heard.clear()
 
-    def judge(self) -> Iterator[Promise]:
-        """Yield the promises on losses, parameter changes, exit codes and resources."""
+    def judge(self) -> Iterator[tuple[str, str, bool]]:
+        """Yield the six promises with the measured result, and whether each is kept."""
         states, layers = (processes.recorded_states(self._folder / 'bag', t) for t in TOPICS)
-        count = states.stamps.size
-        text = f'{states.lost} of {count + states.lost}'
-        yield Promise('the recorder loses no states', text, states.lost == 0 < count)
-        line = (self._folder / 'recorder.log').read_text('utf-8').strip().splitlines()[-1]
-        counted = [sum(map(int, re.findall(rf'(\d+) of {topic}', line))) for topic in TOPICS]
-        missing = [topic.lost + int(topic.numbers[0]) - 1 for topic in (states, layers)]
-        text = line.partition(']: ')[2].rpartition(', in ')[0]
-        yield Promise('the recorder counts missing messages', text, counted == missing)
+        count, lost = states.stamps.size, [states.lost]
         for number in range(1, SUBSCRIBERS + 1):
             heard = np.fromfile(self._folder / str(number), dtype='<i8')
             published = states.stamps[states.stamps >= heard[0]]
-            lost = int((~np.isin(published, heard)).sum())
-            is_kept = lost == 0 and bool(heard.size > 0.9 * count)
-            text = f'{lost} of {published.size}'
-            yield Promise(f'subscriber {number} loses no states', text, is_kept)
+            missing = int((~np.isin(published, heard)).sum())
+            lost.append(missing if published.size > 0.9 * count else count)
+        text = f'{", ".join(map(str, lost))} of {count + states.lost}'
+        yield 'recorder and subscribers lose no states', text, not any(lost)
+        line = (self._folder / 'recorder.log').read_text('utf-8').strip().splitlines()[-1]
+        counted = [sum(map(int, re.findall(rf'(\d+) of {topic}', line))) for topic in TOPICS]
+        gaps = [topic.lost + int(topic.numbers[0]) - 1 for topic in (states, layers)]
+        text = f'{sum(counted)} of {sum(gaps)}'
+        yield 'the recorder counts missing messages', text, counted == gaps
+        late, unreported, skipped, reported = _late_ticks(self._folder / 'bag', states)
+        text = f'{late} late, {unreported} not reported; {skipped} skipped, {reported} reported'
+        is_kept = unreported == 0 and skipped <= reported
+        yield 'the twin reports late and skipped ticks', text, is_kept
+        texts, is_flat = [], True
+        for name, usages in self.usages.items():
+            if not name.startswith('viewer'):  # keeps messages for a Rerun that connects later
+                _, _, memory, _, handles = _summary(usages)
+                texts.append(f'{memory:+.1f} MB {handles:+g}')
+                limit = MAX_GROWTH + INDEX_GROWTH * self._seconds * (name == 'recorder')
+                is_flat &= 1e6 * memory < limit or self._seconds < 2.0 * WARM_UP
+                is_flat &= handles <= 0
+        yield 'memory and handles do not grow', ', '.join(texts), is_flat
         refused = [reason for reason in self._changes if reason]
-        accepted = f'{len(self._changes) - len(refused)} of {len(self._changes)}'
-        text = ' '.join([accepted, *refused])
-        yield Promise('changes of a parameter are accepted', text, not refused)
+        text = ' '.join([f'{len(refused)} of {len(self._changes)} refused', *refused])
+        yield 'changes of a parameter are accepted', text, not refused
         bad = {name: code for name, code in self._codes.items() if code != 0}
-        yield Promise('all processes end with 0', str(bad or 'yes'), not bad)
-        for name, course in self.courses.items():
-            if name.startswith('viewer sink'):
-                continue  # buffers messages for viewers that connect later, up to its own limit
-            used = course.summary()
-            memory, handles = used['growth [MB]'], used['growth of handles']
-            text = f'{memory:g} MB, {handles:+g} handles'
-            seconds = course.times[-1] - course.times[0]
-            limit = MAX_GROWTH + INDEX_GROWTH * seconds * (name == 'recorder')
-            is_flat = (memory * MB < limit or not self._is_long) and handles <= 0
-            yield Promise(f'memory and handles of {name} do not grow', text, is_flat)
-
-    def judge_ticks(self) -> Iterator[Promise]:
-        """Yield the promises on late and skipped ticks, from publication times and reports."""
-        states = processes.recorded_states(self._folder / 'bag', STATES)
-        reports = _reports(self._folder / 'bag')
-        end = reports[-1, 0]  # no report covers later states
-        late = states.published - states.stamps
-        is_late = (states.published < end) & (late > MAX_UNREPORTED_LATENESS)
-        times = states.published[is_late]
-        # A tick is in the first report after it, or in the next if both were published at once.
-        first = np.searchsorted(reports[:, 0], times)
-        reported = np.maximum(
-            reports[first, 1], reports[np.minimum(first + 1, len(reports) - 1), 1]
-        )
-        unreported = int((reported < MIN_REPORTED_LATENESS).sum())
-        text = f'{times.size} of {states.stamps.size} later, {unreported} unreported'
-        yield Promise('every tick later than 10 ms is reported', text, unreported == 0)
-        stamps = states.stamps[states.stamps < end]
-        skipped = int((np.round(np.diff(stamps) * RATE / SECOND) - 1).sum())
-        text = f'{skipped} skipped, {reports[-1, 2]:.0f} reported'
-        yield Promise('every skipped tick is reported', text, bool(skipped <= reports[-1, 2]))
+        yield 'all processes end with 0', str(bad or 'yes'), not bad
 
 
-def _reports(bag: Path) -> NDArray[np.float64]:
-    """Return the twin's reports: time [ns], largest lateness and computing time [s], skips."""
+def _summary(usages: list[tuple[float, ...]]) -> tuple[float, ...]:
+    """Return the numbers of `COLUMNS` after the warm-up of a process."""
+    used = np.array(usages)
+    used = used[used[:, 0] >= used[0, 0] + min(WARM_UP, 0.25 * np.ptp(used[:, 0]))]
+    fifth = max(len(used) // 5, 1)  # medians ignore memory that is soon freed again
+    first, last = np.median(used[:fifth], axis=0), np.median(used[-fifth:], axis=0)
+    seconds, processor = (used[-1] - used[0])[:2]
+    growth = last - first
+    share = 100.0 * processor / max(seconds, 1e-9)
+    return share, last[2] / 1e6, growth[2] / 1e6, last[3], growth[3]
+
+
+def _late_ticks(bag: Path, states: processes.RecordedStates) -> tuple[int, int, int, int]:
+    """Return the numbers of late and of unreported ticks, and of skipped ones twice."""
     rows: dict[int, dict[str, str]] = {}
     for published, name, values in processes.recorded_statuses(bag):
         if name in ('/twin: timing', '/twin: load'):
             rows[published] = rows.get(published, {}) | values
-    return np.array([
+    reports: NDArray[np.float64] = np.array([
         (time, float(row['lateness_max']) + float(row['compute_max']), float(row['ticks_skipped']))
         for time, row in rows.items()
     ])
+    end = reports[-1, 0]  # no report covers later states
+    late = states.published - states.stamps > MAX_UNREPORTED_LATENESS
+    times = states.published[late & (states.published < end)]
+    # A tick is in the first report after it, or in the next if both were published at once.
+    first = np.searchsorted(reports[:, 0], times)
+    following = np.minimum(first + 1, len(reports) - 1)
+    largest = np.maximum(reports[first, 1], reports[following, 1])
+    stamps = states.stamps[states.stamps < end]
+    skipped = np.round(np.diff(stamps) * RATE / SECOND) - 1
+    unreported = int((largest < MIN_REPORTED_LATENESS).sum())
+    return times.size, unreported, int(skipped.sum()), int(reports[-1, 2])
 
 
 def _subscribe(path: Path) -> None:

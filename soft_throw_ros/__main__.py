@@ -19,7 +19,7 @@ import sys
 EXECUTABLES = {
     'calibrator': ('soft_throw_ros.nodes.calibrator', 'ROS 2 node: keep a twin calibrated'),
     'design': ('soft_throw_ros.commands.design', 'find a better layer, amplitude or motion'),
-    'free_layers': ('soft_throw_ros.commands.free_layers', 'a material from layers that ring'),
+    'free_layers': ('soft_throw_ros.commands.free_layers', 'a wave speed from layers that ring'),
     'identify': ('soft_throw_ros.commands.identify', 'identify a rig from tracks of throws'),
     'inspect': ('soft_throw_ros.commands.inspect_bag', 'show a bag or a stream in Rerun'),
     'recorder': ('soft_throw_ros.nodes.recorder', 'ROS 2 node: record and show topics'),

@@ -40,17 +40,6 @@ def disc(shape, row, column, *, diameter=DIAMETER, blur=BLUR):
     return padded[reach + 1:reach + 1 + shape[0], reach + 1:reach + 1 + shape[1]]
 
 
-def band(shape, lower, upper, *, blur=BLUR):
-    """Return the fraction of each pixel between two rows, over the full width."""
-    rows = (np.arange(shape[0] * FINE) + 0.5) / FINE - 0.5
-    sharp = np.clip(
-        0.5 - FINE * (np.abs(rows - 0.5 * (lower + upper)) - 0.5 * (lower - upper)), 0, 1
-    )
-    blurred = gaussian_filter(sharp, FINE * blur, mode='nearest')
-    pixels = blurred.reshape(-1, FINE).mean(axis=1)
-    return np.tile(pixels[:, None], (1, shape[1]))
-
-
 def exposed(levels, rng, *, noise=NOISE):
     """Return the noisy 8-bit picture of grey levels."""
     noisy = levels + noise * rng.normal(size=levels.shape)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import PLATE_POSITION, PROJECTILE_POSITION
-from soft_throw_ros.core.wave_stepper import WaveStepper
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -22,7 +22,7 @@ PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
 
 def states_at(rig: Rig, times: Iterable[float]) -> NDArray[np.float64]:
     """Return the states of a throw at increasing times since its start, before which it rests."""
-    model, states = WaveStepper(rig), []
+    model, states = make_stepper(rig), []
     for time in times:
         model.advance_to(max(time, 0.0))
         states.append(model.state.copy())

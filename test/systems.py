@@ -38,7 +38,6 @@ class Outcome(NamedTuple):
     heard: np.ndarray  # stamps of the states that the last subscriber received [ns]
     reported: int  # time of the last report of the twin [ns]
     ticks_skipped: int  # in that report
-    viewers: int  # starts of the viewer sink
 
     @property
     def published(self) -> np.ndarray:
@@ -104,11 +103,6 @@ class System:
         size = _size(self._heard) + 8 * count
         self._wait(lambda: _size(self._heard) >= size, 'no states are received')
 
-    def wait_for_viewer(self, *, not_pid: int) -> None:
-        """Wait until the recorder has a viewer with another process number."""
-        old = [], [not_pid]
-        self._wait(lambda: self.pids('viewer') not in old, 'no viewer was started again')
-
     def wait_for_states_of(self, moment: int) -> None:
         """Wait until the subscriber receives states published after a given time [ns]."""
         self._wait(
@@ -136,25 +130,19 @@ class System:
         missing = sum(map(int, re.findall(r'(\d+) of /twin/joint_states', last)))
         reports = processes.recorded_statuses(self.bags[-1])
         reported, timing = [item[::2] for item in reports if item[1] == '/twin: timing'][-1]
-        viewers = [
-            int(values['starts']) for _, name, values in reports if name == '/recorder: viewer'
-        ]
         return Outcome(
             [processes.recorded_states(bag) for bag in self.bags],
             missing,
             np.fromfile(self._heard, dtype='<i8'),
             reported,
             int(timing['ticks_skipped']),
-            max(viewers, default=0),
         )
 
 
-def missing(states: processes.RecordedStates, twins: int = 1) -> int:
-    """Count missing sequence numbers, which restart at 1 with each twin, after a long pause."""
-    pauses = np.argsort(np.diff(states.stamps))[::-1][: twins - 1]
-    runs = np.split(states.numbers, np.sort(pauses) + 1)
-    assert all((np.diff(run) > 0).all() for run in runs)
-    return sum(int(run[-1]) for run in runs) - states.numbers.size
+def missing(states: processes.RecordedStates) -> int:
+    """Count missing sequence numbers of a twin, which begin at 1."""
+    assert (np.diff(states.numbers) > 0).all()
+    return int(states.numbers[-1]) - states.numbers.size
 
 
 def _size(path: Path) -> int:

@@ -52,21 +52,17 @@ def test_example_of_a_layer_library_is_valid(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ('args', 'code'),
-    [
-        (['recommend', '--vary', 'thickness', '--objective', 'robust'], 0),
-        (['aim', '--target-speed', '2.5', '--vary', 'amplitude', '--max-strain', '0.1'], 1),
-    ],
+    'args',
+    ['recommend --vary thickness --objective robust', 'aim --target-height 0.15'],
 )
-def test_design_results_agree_with_the_page(capsys, args, code):
-    assert design.main(args) == code
-    result = capsys.readouterr().out.partition('; a layer of')[0].partition('\n')[0]
-    assert result in ' '.join(PAGES['docs/design.md'].split())
+def test_design_results_agree_with_the_page(capsys, args):
+    assert design.main(args.split()) == 0
+    assert capsys.readouterr().out.partition('\n')[0] in PAGES['docs/design.md']
 
 
 def test_example_of_throw_prints_a_result(capsys):
     (example,) = re.findall(r'soft-throw throw (--thickness [^#]+) #', PAGES['README.md'])
-    assert throw.main([*shlex.split(example), '--model', 'closed_form']) == 0
+    assert throw.main(shlex.split(example)) == 0
     assert 'energy transfer alpha' in capsys.readouterr().out
 
 

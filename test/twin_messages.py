@@ -27,7 +27,7 @@ from soft_throw_ros.nodes.conversions import (
     throw_result_to_msg,
     time_to_msg,
 )
-from soft_throw_ros.nodes.recommendations import other_models_values, recommend_for
+from soft_throw_ros.nodes.recommendations import recommend_for, uncertainty_values
 from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.recording.schemas import find_schema
 from soft_throw_ros.storage.cdr import encode_array, JointStateEncoder
@@ -48,10 +48,15 @@ _LATE = 40_000
 
 
 class TwinMessages(Run):
-    """A run of the session of a node, and the messages of its outputs so far."""
+    """
+    A run of the session of a node, and the messages of its outputs so far.
 
-    def __init__(self, node: str = '/twin', **request: Any) -> None:
+    The clock of the sensors is `behind_ns` [ns].
+    """
+
+    def __init__(self, node: str = '/twin', *, behind_ns: int = 0, **request: Any) -> None:
         self.node = node
+        self.behind_ns = behind_ns
         self.messages: list[Message] = []
         self._counts: Counter[str] = Counter()  # number of messages by topic
         self.channels = {
@@ -77,9 +82,10 @@ class TwinMessages(Run):
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
         for sample in samples:
-            data = self.encode_positions(sample.stamp_ns, (sample.plate, sample.projectile))
+            stamp_ns = sample.stamp_ns - self.behind_ns
+            data = self.encode_positions(stamp_ns, (sample.plate, sample.projectile))
             self._send('measured_joint_states', data, 0)
-        super().on_samples(samples)
+        self.session.measure(samples, clock_offset_ns=self.behind_ns)
 
     def on_step(self, outputs: Outputs) -> None:
         super().on_step(outputs)
@@ -135,7 +141,7 @@ class TwinMessages(Run):
                 axes = getattr(TWIN_TOPICS, name).axes
                 self._send(name, encode_array(axes, values), 5)
         for result in outputs.results:
-            beside = other_models_values(result.rig, self.settings)
+            beside = uncertainty_values(result.rig, self.settings)
             status = throw_result_to_msg(result, self.node, beside)
             self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
             values = {**result.values(), **beside} if result.is_valid else {}

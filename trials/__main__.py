@@ -39,15 +39,8 @@ def main(args: list[str] | None = None) -> int:
         '--rows', metavar='TEXT', nargs='+', default=[''],
         help='only rows whose names contain one of these texts',
     )
-    parser.add_argument('--list', action='store_true', help='print the names of all rows and exit')
     parser.add_argument(
         '--log', metavar='FILE', type=Path, help='write all verdicts to a file of JSON lines'
-    )
-    parser.add_argument(
-        '--keep',
-        metavar='FOLDER',
-        default='',
-        help='save the tracks of all trials, and the command lines that identify them',
     )
     add_executor_options(parser)
     parser.set_defaults(workers=usable_processors())
@@ -57,15 +50,12 @@ def main(args: list[str] | None = None) -> int:
     rows = [row for row in ROWS if any(text in row.name for text in arguments.rows)]
     if not rows:
         parser.error(f'argument --rows: no row has any of {", ".join(arguments.rows)} in its name')
-    if arguments.list:
-        print(*(row.name for row in rows), sep='\n')
-        return 0
     with open_executor(arguments) as executor:
         verdicts = _run(rows, arguments, executor)
     if arguments.log:
         lines = [json.dumps(asdict(verdict)) for verdict in verdicts]
         arguments.log.write_text('\n'.join(lines) + '\n', encoding='utf-8')
-    print('', *table.summary(verdicts, [row.name for row in rows if row.is_clean]), sep='\n')
+    print('', table.summary(verdicts, [row.name for row in rows if row.is_clean]), sep='\n')
     return 0
 
 
@@ -76,7 +66,7 @@ def _run(
     verdicts = []
     names = [row.name for row in rows for _ in range(arguments.rigs)]
     numbers = [number for _ in rows for number in range(arguments.rigs)]
-    run_trial = partial(judge, seed=arguments.seed, folder=arguments.keep)
+    run_trial = partial(judge, seed=arguments.seed)
     map_trials = map if executor is None else executor.map
     results = iter(map_trials(run_trial, names, numbers))
     print(*table.header(), sep='\n', flush=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +27,8 @@ RATES = 3000.0, 8000.0
 MODES = 3.0, 7.0
 """Range of the frequency of a second mode, over that of the plate. [-]"""
 
-MASS_ERROR = 0.01
-"""Relative standard error of masses, the default of the command. [-]"""
-
-LENGTH_ERROR = 1e-4
-"""Standard error of thickness and diameter, the default of the command. [m]"""
+ERRORS = {'mass': 0.01, 'thickness': 1e-4, 'diameter': 1e-4}
+"""Standard errors of the command by default: relative for the mass, of lengths in metres."""
 
 _START = (14e-3, 18e-3)
 """Range of the start of a throw in its record. [s]"""
@@ -49,39 +45,22 @@ _QUICK_CELLS = 32
 _DRAWS = 1000
 """Largest number of rigs that are drawn for one throw. [-]"""
 
-_LAWS: Mapping[str, Callable[[float], tuple[float, float]]] = {
-    'quadratic': lambda change: (change, 0.0),
-    'cubic': lambda change: (0.0, change),
-    'exponential': lambda change: (change, 2.0 * change**2 / 3.0),
-}
-"""Quadratic and cubic term of a law at the largest strain, for a relative change of stress."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
     """Simulated measurements with the true parameters."""
 
     records: tuple[Floats, ...]
-    """
-    Measurements, one array per throw or free layer, shape (n, 3).
-
-    The columns are times [s], and heights of plate and projectile or of bottom and top [m].
-    """
+    """Measurements, one array per throw: times [s], heights of plate and projectile [m]."""
     arguments: tuple[str, ...] = ()
     """Arguments of the command, without the files."""
     truth: Mapping[str, float] = field(default_factory=dict)
     """True values by the names of the results; `ejection.*` is the first release."""
-    thicknesses: tuple[float, ...] = ()
-    """Thicknesses of the free layers, one per record; empty for throws [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigRange:
-    """
-    Ranges of the parameters of random rigs.
-
-    Damping ratio and loss tangent are uniform, the logarithms of all others are.
-    """
+    """Ranges of random rigs; damping and loss are uniform, the logarithms of all others are."""
 
     frequency: tuple[float, float] = (40.0, 100.0)
     amplitude: tuple[float, float] = (1e-3, 3e-3)
@@ -120,9 +99,9 @@ class Bench:
     noise: float | None = None
     """Standard deviation of heights; drawn from `NOISES` if None [m]."""
     stiffening: float = 0.0
-    """Relative change of the stress at the largest strain of the throw [-]."""
-    law: Literal['quadratic', 'cubic', 'exponential'] = 'quadratic'
-    """Law by which the layer stiffens."""
+    """Relative change of the stress at the largest strain of the throw, by a quadratic law [-]."""
+    cubic: float = 0.0
+    """The same by a cubic law [-]."""
     has_modes: bool = False
     """Whether the frequency of a second mode is drawn from `MODES`."""
     drift: float = 0.0
@@ -157,13 +136,12 @@ class Bench:
         if self.has_modes:
             frequency = random.uniform(*MODES) * rig.engine.frequency
             imperfections = replace(imperfections, second_mode_frequency=frequency)
-        if self.stiffening:
+        if self.stiffening or self.cubic:
             strain = throw(rig, until=0.02, cells=64).peak_strain
-            quadratic, cubic = _LAWS[self.law](self.stiffening)
             imperfections = replace(
                 imperfections,
-                stiffening=quadratic / strain,
-                cubic_stiffening=cubic / strain**2,
+                stiffening=self.stiffening / strain,
+                cubic_stiffening=self.cubic / strain**2,
             )
         return throw(rig, imperfections, until=until, start=start)
 
@@ -203,42 +181,30 @@ def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
     """Return the true parameters of rig and sensors, and the true first release."""
     rig, release = thrown.rig, thrown.changes[0]
     peak = Underdamped.of(rig.engine).peak_velocity
-    truth = {
+    return {
         **values_of(rig, PARAMETERS),
         'projectile.scale': faults.projectile_scale,
         'projectile.delay': faults.projectile_delay,
         'projectile.sticking': thrown.imperfections.sticking,
+        'ejection.time': release.time,
+        'ejection.speed': release.velocity,
+        'ejection.peak_plate_speed': peak,
+        'ejection.energy_transfer': (release.velocity / peak) ** 2,
     }
-    truth['ejection.time'] = release.time
-    truth['ejection.speed'] = release.velocity
-    truth['ejection.peak_plate_speed'] = peak
-    truth['ejection.energy_transfer'] = (release.velocity / peak) ** 2
-    return truth
 
 
 def measured_options(rig: Rig, random: np.random.Generator | None = None) -> tuple[str, ...]:
-    """
-    Return options of the command with the measured masses and lengths of a rig.
-
-    The values are exact without `random`; otherwise they have random errors, as large as those of
-    the paper.
-
-    """
-    if random is not None:
-        mass, thickness, diameter = random.standard_normal(3).tolist()
-        layer = replace(
-            rig.layer,
-            thickness=rig.layer.thickness + LENGTH_ERROR * thickness,
-            diameter=rig.layer.diameter + LENGTH_ERROR * diameter,
-        )
-        projectile = replace(rig.projectile, mass=rig.projectile.mass * (1.0 + MASS_ERROR * mass))
-        rig = replace(rig, layer=layer, projectile=projectile)
+    """Return options with the masses and lengths of a rig; `random` adds errors of the paper."""
     measured = {
         'thickness': rig.layer.thickness,
         'density': rig.layer.density,
         'diameter': rig.layer.diameter,
         'mass': rig.projectile.mass,
     }
+    if random is not None:
+        for name, error in ERRORS.items():
+            unit = measured[name] if name == 'mass' else 1.0
+            measured[name] += unit * error * float(random.standard_normal())
     return tuple(
         word for name, value in measured.items() for word in (f'--{name}', f'{value:.9g}')
     )

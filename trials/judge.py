@@ -11,19 +11,14 @@ import io
 import json
 import math
 from pathlib import Path
-import shlex
 import tempfile
 import time
 from typing import Any, NamedTuple
 import zlib
 
 import numpy as np
-from soft_throw_ros.commands import free_layers, identify
-from trials.bench import Trial
+from soft_throw_ros.commands import identify
 from trials.rows import ROWS_BY_NAME
-
-AMBIGUOUS = ('may as well be',)
-"""Parts of warnings about a second solution within the errors; clean tracks may have one, too."""
 
 FAR_OFF = 5.0
 """Deviation from which on a result is wrong. [standard errors]"""
@@ -67,16 +62,6 @@ class Verdict:
     """Duration of the command [s]."""
 
     @property
-    def alarms(self) -> list[str]:
-        """Refusal and warnings, except those about a second solution within the errors."""
-        refusals = [self.refusal] if self.refusal else []
-        return refusals + [
-            warning
-            for warning in self.warnings
-            if not any(text in warning for text in AMBIGUOUS)
-        ]
-
-    @property
     def wrong(self) -> list[str]:
         """Names of the results that are wrong."""
         return [name for name, result in self.results.items() if result.errors > FAR_OFF]
@@ -87,59 +72,33 @@ class Verdict:
         return not self.refusal and not self.warnings and bool(self.wrong)
 
 
-def judge(name: str, number: int, *, seed: int, folder: str = '') -> Verdict:
-    """
-    Draw a trial of a row, identify it by the command, and compare the results with the truth.
-
-    The same seed gives the same trials. With `folder`, the files and the command line are saved
-    in a new folder inside it.
-    """
+def judge(name: str, number: int, *, seed: int) -> Verdict:
+    """Draw a trial of a row, identify it, and compare the results with the truth."""
     random = np.random.default_rng([seed, zlib.crc32(name.encode()), number])
     trial = ROWS_BY_NAME[name].draw(random)
-    with contextlib.ExitStack() as stack:
-        if folder:
-            path = Path(folder) / f'{"".join(c if c.isalnum() else "_" for c in name)}_{number}'
-            path.mkdir(parents=True, exist_ok=True)
-        else:
-            path = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        arguments = [*trial.arguments, *_write(trial, path)]
-        if folder:
-            command = 'free_layers' if trial.thicknesses else 'identify'
-            lines = [shlex.join(['soft-throw', command, *arguments])]
-            lines += [f'# {key} {value:.9g}' for key, value in trial.truth.items()]
-            (path / 'command.sh').write_text('\n'.join(lines) + '\n', encoding='utf-8')
+    with tempfile.TemporaryDirectory() as folder:
+        files = [str(Path(folder, f'{index + 1}.csv')) for index in range(len(trial.records))]
+        for path, record in zip(files, trial.records, strict=True):
+            np.savetxt(path, record, '%.9g', ',', header='t,plate,projectile', comments='')
         start = time.perf_counter()
-        report, refusal = _identify(trial, [*arguments, '--json'])
+        report, refusal = _identify([*trial.arguments, *files, '--json'])
         seconds = time.perf_counter() - start
     return Verdict(
         row=name,
         number=number,
-        refusal=refusal.replace(str(path), ''),
+        refusal=refusal.replace(folder, ''),
         warnings=tuple(report.get('warnings', ())),
         results=compare(report, trial.truth),
         seconds=seconds,
     )
 
 
-def _write(trial: Trial, folder: Path) -> list[str]:
-    """Write the tracks to files; return the arguments of the command that name these files."""
-    arguments = []
-    bodies = 'bottom,top' if trial.thicknesses else 'plate,projectile'
-    for number, record in enumerate(trial.records):
-        path = folder / f'{number + 1}.csv'
-        np.savetxt(path, record, '%.9g', ',', header=f't,{bodies}', comments='')
-        if trial.thicknesses:
-            arguments.append(f'{trial.thicknesses[number]:.9g}')
-        arguments.append(str(path))
-    return arguments
-
-
-def _identify(trial: Trial, arguments: list[str]) -> tuple[dict[str, Any], str]:
+def _identify(arguments: list[str]) -> tuple[dict[str, Any], str]:
     """Run the command in this process; return its JSON output and its error message."""
     output, errors = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
         try:
-            (free_layers if trial.thicknesses else identify).main(arguments)
+            identify.main(arguments)
         except SystemExit:
             lines = errors.getvalue().strip().splitlines()
             return {}, lines[-1] if lines else 'refused without a message'
@@ -161,18 +120,16 @@ def compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Dev
             releases = [ejection, *ejection.get('alternatives', ())]
             results[name] = [release[key] for release in releases if key in release]
     deviations = {}
-    for name, values in results.items():
-        if name not in truth:
-            continue
+    for name in filter(truth.__contains__, results):
         candidates = [
-            Deviation(
-                value['value'],
-                math.inf if value['error'] is None else value['error'],
-                truth[name],
-            )
-            for value in values
+            Deviation(value['value'], _or_infinite(value['error']), truth[name])
+            for value in results[name]
             if value and value['value'] is not None
         ]
         if candidates:
             deviations[name] = min(candidates, key=lambda deviation: deviation.errors)
     return deviations
+
+
+def _or_infinite(error: float | None) -> float:
+    return math.inf if error is None else error

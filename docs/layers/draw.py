@@ -19,9 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
+from soft_throw_ros.core.models import LOSSES as LOSS_MODELS
 from soft_throw_ros.core.rig import Layer, Rig, Stack
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.design.recommendation import recommend
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
@@ -63,43 +65,28 @@ class Best(NamedTuple):
 
 def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float, float]:
     """Return energy transfer, peak strain and ejection speed [m/s] of the default rig."""
-    throw = throw_many(Rig(layer=layer), model='cells', loads=True, cells=cells)
+    throw = throw_many(Rig(layer=layer), loads=True, cells=cells)
     return float(throw.energy_transfer), float(throw.peak_strain), float(throw.ejection_speed)
 
 
-def find_best(
-    low: Sequence[float],
-    high: Sequence[float],
-    *,
-    max_strain: float = math.inf,
-    loss: str = 'kelvin_voigt',
-) -> Best:
+def find_best(sheets: int, max_strain: float) -> Best:
     """
     Find the best stack by a global random search, because alpha jumps.
 
     Parameters
     ----------
-    low, high : sequence of float
-        Bounds of thickness [m], wave speed [m/s], density [kg/m3] and loss tangent of each sheet.
+    sheets : int
+        Number of lossless sheets, each from `LOW` to `HIGH`.
     max_strain : float
         Largest strain of a sheet. [-]
-    loss : str
-        Loss model of all sheets.
 
     """
-    ends = np.reshape([low, high], (2, -1, 4))
-    free = (ends[0] < ends[1]).ravel()
 
     def stack(logs: Floats) -> Stack:
-        values = ends[0].ravel().copy()
-        values[free] = np.exp(logs)
         return Stack(
             sheets=tuple(
-                Layer(
-                    thickness=thickness, wave_speed=speed, density=density, loss_tangent=tangent,
-                    loss=loss,
-                )
-                for thickness, speed, density, tangent in values.reshape(-1, 4).tolist()
+                Layer(thickness=thickness, wave_speed=speed, density=density)
+                for thickness, speed, density in np.exp(logs).reshape(-1, 3).tolist()
             )
         )
 
@@ -112,7 +99,7 @@ def find_best(
             return 0.0
         return -alpha * min(1.0, max_strain / strain) ** 4
 
-    bounds = np.log(ends.reshape(2, -1)[:, free]).T
+    bounds = np.log(np.array([LOW, HIGH])).T.tolist() * sheets
     result = differential_evolution(
         objective, bounds, maxiter=20 * len(bounds), popsize=8, tol=1e-4, rng=1, polish=False
     )
@@ -120,33 +107,25 @@ def find_best(
     return Best(layer, *thrown(layer))
 
 
-def best_of_loss(loss: str, loss_tangent: float) -> Best:
-    """Find the best layer of one lossy material with the density of gelatin."""
-    low, high = (1e-3, 1.0, 1000.0, loss_tangent), (0.05, 50.0, 1000.0, loss_tangent)
-    return find_best(low, high, loss=loss)
-
-
 def best_stacks() -> Iterator[tuple[int, float, Best]]:
     """Find the best lossless stacks of one, two and three sheets for each largest strain."""
     for max_strain in STRAINS:
         for sheets in (1, 2, 3):
-            low, high = (*LOW, 0.0), (*HIGH, 0.0)
-            yield sheets, max_strain, find_best(low * sheets, high * sheets, max_strain=max_strain)
+            yield sheets, max_strain, find_best(sheets, max_strain)
 
 
 def loss_table() -> Iterator[tuple[str, ...]]:
     """Yield the rows on loss: the lossless optimum and the best layer for each loss tangent."""
-    lossless = best_of_loss('kelvin_voigt', 0.0).layer.sheets[0]
+    lossless = recommend(Rig()).rig.layer
     for tangent in LOSSES:
         row = [f'{tangent:g}']
-        for loss in ('kelvin_voigt', 'constant'):
-            best = best_of_loss(loss, tangent)
-            (sheet,), mass = best.layer.sheets, Rig().projectile.mass
+        for loss in LOSS_MODELS:
+            lossy = Layer(loss=loss, loss_tangent=tangent)
+            best = recommend(Rig(layer=lossy))
             alpha, _, _ = thrown(replace(lossless, loss=loss, loss_tangent=tangent))
-            kappa = sheet.wave_speed / (sheet.thickness * Rig().engine.frequency)
             row += [
-                f'{alpha:.3f}', f'{best.energy_transfer:.3f}', f'{mass / sheet.mass:.3f}',
-                f'{kappa:.2f}',
+                f'{alpha:.3f}', f'{best.energy_transfer:.3f}', f'{best.mass_ratio:.3f}',
+                f'{best.speed_ratio:.2f}',
             ]
         yield tuple(row)
 
@@ -204,7 +183,7 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
         levels = [sheet.impedance for sheet in best.layer.sheets]
         name = ('one sheet', 'two sheets', 'three sheets')[count - 1]
         left.stairs(levels, edges, color=colour, lw=2.0, baseline=None, label=name)
-        throw = simulate(Rig(layer=best.layer), model='cells', cells=_CELLS, until=times[-1])
+        throw = simulate(Rig(layer=best.layer), cells=_CELLS, until=times[-1])
         trajectory = throw.trajectory(times)
         right.plot(1e3 * times, trajectory.projectile_velocity, color=colour)
         release = throw.first_release

@@ -126,12 +126,12 @@ class Series:
 
     def throws(
         self, thickness: ArrayLike = THICKNESSES, *, damping_ratio: ArrayLike,
-        model: str = 'travelling_wave', loads: bool = False, **changes: ArrayLike,
+        loads: bool = False, **changes: ArrayLike,
     ) -> Throws:
         """Compute first releases; the arguments are those of `throw_many`."""
         rig = self.rig(THICKNESSES[0], damping_ratio=0.0)
         changes = {'thickness': thickness, 'damping_ratio': damping_ratio, **changes}
-        return throw_many(rig, changes, model=model, loads=loads)
+        return throw_many(rig, changes, loads=loads)
 
     def errors(self, *, damping_ratio: float) -> Errors:
         """

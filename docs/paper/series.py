@@ -8,6 +8,8 @@ from matplotlib.figure import Figure
 from models import DAMPING_RATIO, releases_of, SERIES, Series, THICKNESSES
 import numpy as np
 from numpy.typing import NDArray
+from scheme import releases
+from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine
 import style
 
@@ -27,7 +29,7 @@ def draw_series() -> Figure:
     figure, panels = style.new_figure(
         'Fig. 5   Sec. III: the six layers, two projectiles, two frequencies',
         "Harmonic plate, the rig's densities. Lines: exact, rigid projectile, first release. "
-        "Points: the paper's layers by\nfinite differences with an elastic projectile. "
+        "Points: the paper's layers by\nthe scheme of the paper with an elastic projectile. "
         'Bars: uncertainties of the rig. Dots: last release.',
         height=5.6, sharex=True,
     )
@@ -55,15 +57,17 @@ def _draw_one(
 ) -> None:
     """Draw the curve of a series and the points of the six layers."""
     _draw_curve(panels, series, damping_ratio, color, 1.4)
-    throws = series.throws(damping_ratio=damping_ratio, model='cells_elastic')
+    rigs = [series.rig(thickness, damping_ratio=damping_ratio) for thickness in THICKNESSES]
+    throws = [releases(rig, cells=200)[0] for rig in rigs]
+    transfers = [(throw.speed / peak_velocity_ratio(damping_ratio)) ** 2 for throw in throws]
     errors = series.errors(damping_ratio=damping_ratio)
     label = (
         f'$f$ = {series.frequency:g} Hz, $L_r$ = {1e3 * series.projectile_length:g} mm: '
         f'$c_s / L_r f$ = {series.speed:.3g} (paper: {series.printed})'
     )
     for axes, points, error in (
-        (panels[0], throws.ejection_time * series.frequency, errors.ejection_phase),
-        (panels[1], throws.energy_transfer, errors.energy_transfer),
+        (panels[0], [throw.phase for throw in throws], errors.ejection_phase),
+        (panels[1], transfers, errors.energy_transfer),
     ):
         axes.errorbar(
             series.x_of(THICKNESSES), points, xerr=errors.x, yerr=error, fmt=marker, color=color,

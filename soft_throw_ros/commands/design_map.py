@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Map ejection time and energy transfer over two axes: into files, a picture, a viewer."""
+"""Map ejection time and energy transfer over two axes: into a file and a picture."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 import math
 from pathlib import Path
 from typing import get_args, TYPE_CHECKING
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
+    MAIN_PARAMETERS,
     new_file,
     open_executor,
     read_settings,
@@ -25,12 +25,10 @@ from soft_throw_ros.commands.output import (
     CommandParser,
     print_lines,
     print_note,
-    require,
     slow_notice,
     written_file,
 )
 from soft_throw_ros.configuration import rig_of, TWIN
-from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.design.landscape import (
     AXES,
     check_axis,
@@ -39,19 +37,10 @@ from soft_throw_ros.design.landscape import (
     Release,
     RESULTS,
 )
-from soft_throw_ros.recording.rerun_output import (
-    check_viewer,
-    new_stream,
-    PORT,
-    save_recording,
-    send_recording,
-)
-from soft_throw_ros.recording.rerun_viewer import HOST, ViewerError
 from tqdm import tqdm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    import rerun as rr
 
 Floats = NDArray[np.float64]
 
@@ -60,9 +49,6 @@ _POINTS = 256
 
 _DPI = 150
 """Resolution of the picture. [pixel/inch]"""
-
-_SHOW_TIME = 20.0
-"""Longest time to send a map to a viewer. [s]"""
 
 _RANGES = {'x': '0.005:0.995', 'C': '0.05:14', 'mu': '0.01:10:log', 'kappa': '0.5:50:log'}
 """Ranges of ratios that are given by name alone."""
@@ -81,39 +67,26 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add('axes', metavar='AXIS', nargs='*', help='two axes (default: x and C, as in the paper)')
     add(
-        '--model', choices=tuple(MODELS), metavar='NAME',
-        help=f'one of {", ".join(MODELS)} '
-        '(default travelling_wave, or cells with loss)',
-    )
-    add(
         '--release', choices=get_args(Release), default='first',
         help='first or last release of a throw (default first)',
     )
     add(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
-        help='.nc (NetCDF), .png (picture) or .rrd (recording of Rerun)',
-    )
-    add(
-        '--rerun', action='store_true',
-        help=f'show the map in Rerun: in the viewer at {HOST}:{PORT}, or in a new one',
+        help='.nc (NetCDF) or .png (picture)',
     )
     add_executor_options(parser)
-    add_rig_options(parser)
+    add_rig_options(parser, MAIN_PARAMETERS)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute, save and show the map; return 0, 130 after Ctrl-C, or 1 if workers are lost."""
+    """Compute and save the map; return 0, 130 after Ctrl-C, or 1 if workers are lost."""
     rig = rig_of(read_settings(arguments))
     names = arguments.axes or ['x', 'C']
     if len(names) != 2:
         raise ValueError(f'AXIS must be given twice or not at all, got {" ".join(names)}')
     axes = dict(map(_read_axis, names))
-    has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
     total = math.prod(values.size for values in axes.values())
     try:
-        if arguments.rerun:
-            require('--rerun', 'rerun', 'rerun')
-            check_viewer(PORT, '--output FILE.rrd')
         with (
             slow_notice('design map'),
             open_executor(arguments) as executor,
@@ -122,7 +95,6 @@ def run(arguments: argparse.Namespace) -> int:
             landscape = compute_landscape(
                 rig,
                 axes,
-                model=arguments.model or ('cells' if has_cells else 'travelling_wave'),
                 release=arguments.release,
                 executor=executor,
                 progress=bar.update,
@@ -130,10 +102,6 @@ def run(arguments: argparse.Namespace) -> int:
         for path in arguments.output:
             with written_file(path) as unfinished:
                 _WRITERS[path.suffix](landscape, unfinished)
-        if arguments.rerun:
-            _view(landscape)
-    except ViewerError as error:
-        raise ValueError(f'--rerun: {error}') from None
     except KeyboardInterrupt:
         print_note('design map', 'stopped, and nothing written')
         return 130
@@ -172,7 +140,7 @@ def _read_axis(text: str) -> tuple[str, Floats]:
 def _summary(landscape: Landscape) -> Iterator[str]:
     """Describe the largest energy transfer and its position in a few lines."""
     size = ' x '.join(str(values.size) for values in landscape.axes.values())
-    yield f'{size} throws, {landscape.release} release by {landscape.model}'
+    yield f'{size} throws, {landscape.release} release'
     optimum = landscape.optimum
     if optimum is None:
         yield 'the projectile is released nowhere on the map'
@@ -187,9 +155,7 @@ def _summary(landscape: Landscape) -> Iterator[str]:
         )
     lost = int(np.isnan(landscape.energy_transfer).sum())
     if lost:
-        yield f'{lost} throws without a release, or with one that the model cannot resolve'
-    if landscape.left_out:
-        yield f'neglected by this model: {", ".join(landscape.left_out)}'
+        yield f'{lost} throws without a release, or with one that cannot be resolved'
 
 
 def _shown_axis(name: str) -> tuple[str, float]:
@@ -241,36 +207,6 @@ def _draw_file(landscape: Landscape, path: Path) -> None:
     path.write_bytes(to_png(draw(landscape), dpi=_DPI))
 
 
-def _record(landscape: Landscape, path: Path) -> None:
-    """Write a landscape as a recording of Rerun."""
-    stream = new_stream()
-    save_recording(stream, path, partial(_send, landscape, stream))
-
-
-def _view(landscape: Landscape) -> None:
-    """Show a landscape in a running viewer, or in a new one that outlives the command."""
-    stream = new_stream()
-    send_recording(stream, PORT, partial(_send, landscape, stream), within=_SHOW_TIME)
-    stream.disconnect()
-
-
-def _send(landscape: Landscape, stream: rr.RecordingStream) -> None:
-    """Log the picture of a landscape, and its values as tensors, into a recording of Rerun."""
-    import rerun as rr
-    import rerun.blueprint as rrb
-    from soft_throw_ros.recording.charts import to_png
-
-    stream.send_recording_name(str(landscape.attributes['title']))
-    image = rr.EncodedImage(contents=to_png(draw(landscape), dpi=_DPI), media_type='image/png')
-    stream.log('/map', image, static=True)
-    names = [title for title, _ in map(_shown_axis, landscape.axes)]
-    for name in RESULTS:
-        tensor = rr.Tensor(getattr(landscape, name), dim_names=names)
-        stream.log(f'/values/{name}', tensor, static=True)
-    view = rrb.Spatial2DView(origin='/map', name='Landscape')
-    stream.send_blueprint(rrb.Blueprint(view, collapse_panels=True))
-
-
 def _highest(landscape: Landscape, name: str) -> float | None:
     """Return the upper end of the colour scale of a result, None for its largest value."""
     if name == 'ejection_phase' and landscape.optimum is not None:
@@ -280,7 +216,7 @@ def _highest(landscape: Landscape, name: str) -> float | None:
 
 
 def _title(landscape: Landscape) -> str:
-    """Name the model, the release, and the values of the rig that are no axes."""
+    """Name the release, and the values of the rig that are no axes."""
     rig = landscape.rig
     fixed = [
         f'{AXES[name].symbol} = {value:g} {TWIN.by_name[name].unit}'.rstrip()
@@ -289,10 +225,9 @@ def _title(landscape: Landscape) -> str:
             ('layer.loss_tangent', rig.layer.loss_tangent),
             ('gravity', rig.gravity),
         )
-        if value > 0.0 and name not in (*landscape.axes, *landscape.left_out)
+        if value > 0.0 and name not in landscape.axes
     ]
-    model = landscape.model.replace('_', ' ')
-    return ', '.join([f'{landscape.release} release by the model {model}', *fixed])
+    return ', '.join([f'{landscape.release} release', *fixed])
 
 
 def _marks(landscape: Landscape) -> Iterator[tuple[str, tuple[float, float]]]:
@@ -308,5 +243,5 @@ def _marks(landscape: Landscape) -> Iterator[tuple[str, tuple[float, float]]]:
 
 
 _WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {
-    '.nc': Landscape.save, '.png': _draw_file, '.rrd': _record,
+    '.nc': Landscape.save, '.png': _draw_file,
 }

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from soft_throw_ros.commands.design_texts import motion_summary
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
+    MAIN_PARAMETERS,
     new_file,
     read_settings,
 )
@@ -25,29 +25,18 @@ from soft_throw_ros.commands.output import (
     write_predictions,
     written_file,
 )
-from soft_throw_ros.configuration import motions, TWIN
+from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
-from soft_throw_ros.core.plate import PlateMotion
-from soft_throw_ros.design.motion_design import MotionDesign, MotionVary
+from soft_throw_ros.core.plate import motion_of
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.plate_motion import PlateLimits
-from soft_throw_ros.design.requests import solve_motion_request
-from soft_throw_ros.recording.rerun_output import new_stream, save_recording
+from soft_throw_ros.design.prediction import PredictedThrow
+from soft_throw_ros.design.requests import solve_request
 import yaml
 
-_VARY = replace(
-    TWIN.by_name['recommendation.vary'],
-    default='motion',
-    meaning='Part of the layer that may change besides the motion',
-    choices=get_args(MotionVary),
-)
-_LIMITS = (
-    'plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel', 'vary', 'thickness_min',
-    'thickness_max', 'wave_speed_min', 'wave_speed_max', 'max_strain', 'max_acceleration',
-)
-_HEADS = {
-    'best': 'best_motion', 'layer': 'best_layer', 'both': 'motion_and_layer',
-    'linear': 'linear_layer',
-}
+_LIMITS = ('plate_speed', 'plate_acceleration', 'plate_travel')
+"""Limits that are options."""
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -56,20 +45,20 @@ def add_arguments(parser: CommandParser) -> None:
     parser.add_json_option()
     parser.add_argument(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
-        help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory), .png (picture) '
-        'or .rrd (recording of Rerun)',
+        help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory) or .png (picture)',
     )
     names = [f'recommendation.{name}' for name in _LIMITS]
-    add_options(parser, names, title='limits of the actuator and the layer', entries=[_VARY])
-    add_rig_options(parser)
+    add_options(parser, names, title='limits of the actuator')
+    add_rig_options(parser, MAIN_PARAMETERS)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Design a motion, print its predictions, and write it to files; return 0."""
     settings = read_settings(arguments)
+    settings |= {'recommendation.objective': 'peak', 'recommendation.vary': 'motion'}
     with slow_notice('design'):
-        vary = vars(arguments).get('recommendation.vary', _VARY.default)
-        design = solve_motion_request(settings, vary=vary)
+        design = solve_request(settings)
+        assert isinstance(design, MotionDesign)  # by the settings above
         for path in arguments.output:
             with written_file(path) as unfinished:
                 _WRITERS[path.suffix](design, unfinished)
@@ -81,28 +70,31 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _cases(design: MotionDesign) -> Iterator[tuple[str, Rig, PredictedThrow]]:
+    """Yield the name, the rig and the throw of the present motion and of the best one."""
+    if design.now is not None:
+        yield 'now', design.present, design.now
+    yield 'best_motion', design.rig, design
+
+
 def _lines(design: MotionDesign, max_strain: Any) -> Iterator[str]:
-    """Yield the summary, and a table that compares all cases."""
+    """Yield the summary, and a table that compares both throws."""
     yield motion_summary(design)
     yield ''
-    rigs = {**design.others, 'best': design.rig, 'both': design.rig}
     columns: dict[str, Mapping[str, float] | None] = {}
-    for name, throw in design.throws.items():
-        rig = rigs[name]
-        column = {**vars(throw), 'max_strain': rig.layer.linear_range(max_strain)}
-        if name != 'best' or 'both' not in design.throws:
-            peaks = PlateLimits.of(rig.engine)
-            column |= {
-                'plate_speed': peaks.speed,
-                'plate_acceleration': peaks.acceleration,
-                'plate_travel': peaks.travel,
-            }
-        columns[_HEADS.get(name, name)] = column
-    yield from write_predictions(columns, max_strain)
-    if 'now' in design.others and design.limits == PlateLimits.of(design.others['now'].engine):
+    for name, rig, throw in _cases(design):
+        peaks = PlateLimits.of(rig.engine)
+        columns[name] = {
+            **vars(throw),
+            'plate_speed': peaks.speed,
+            'plate_acceleration': peaks.acceleration,
+            'plate_travel': peaks.travel,
+        }
+    yield from write_predictions(columns, design.rig.layer.linear_range(max_strain))
+    if design.limits == PlateLimits.of(design.present.engine):
         yield (
             'The limits of the plate are those of the present motion; set others by '
-            '--plate-speed, --plate-acceleration, --plate-jerk and --plate-travel.'
+            '--plate-speed, --plate-acceleration and --plate-travel.'
         )
 
 
@@ -117,25 +109,18 @@ def _write_trajectory(design: MotionDesign, path: Path) -> None:
     path.write_text(text, encoding='utf-8')
 
 
-def _curves(design: MotionDesign) -> Iterator[tuple[str, np.ndarray, PlateMotion]]:
-    """Yield title, times and motion of each case, all up to the same end time."""
-    end = max(design.motion.end_time, 1.2 * design.ejection_time)
-    for name, motion in design.motions.items():
-        throw = design.throws['both' if name == 'best' and 'both' in design.throws else name]
-        yield f'{name}: {throw.ejection_speed:.3g} m/s', np.linspace(0.0, end, 1001), motion
-
-
 def draw(design: MotionDesign, path: Path) -> None:
-    """Draw height and velocity of the plate in each case into a PNG file."""
+    """Draw height and velocity of the plate in both throws into a PNG file."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.6, 4.2), layout='constrained')
     above, below = figure.subplots(1, 2, sharex=True)
-    for title, times, motion in _curves(design):
-        is_best = title.startswith('best')
-        style = {'lw': 2.4 if is_best else 1.2, 'color': 'black' if is_best else None}
-        above.plot(1e3 * times, 1e3 * motion.position(times), label=title, **style)
-        below.plot(1e3 * times, motion.velocity(times), **style)
+    times = np.linspace(0.0, max(design.motion.end_time, 1.2 * design.ejection_time), 1001)
+    for (name, rig, throw), width in zip(_cases(design), (1.2, 2.4), strict=False):
+        motion = motion_of(rig.engine)
+        label = f'{name.replace("_", " ")}: {throw.ejection_speed:.3g} m/s'
+        above.plot(1e3 * times, 1e3 * motion.position(times), label=label, lw=width)
+        below.plot(1e3 * times, motion.velocity(times), lw=width)
     release = 1e3 * design.ejection_time
     for panel, name in ((above, 'height of the plate (mm)'), (below, 'velocity (m/s)')):
         panel.axvline(release, color='0.6', ls=':')
@@ -150,32 +135,6 @@ def draw(design: MotionDesign, path: Path) -> None:
     figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
 
 
-def _record(design: MotionDesign, path: Path) -> None:
-    """Write the motions side by side as a recording of Rerun; highlight the best one."""
-    import rerun as rr
-    import rerun.blueprint as rrb
-    from soft_throw_ros.recording.rerun_canvas import BLUE, GREEN, GREY, ORANGE, THROW_TIME, WHITE
-
-    stream, curves = new_stream(), list(_curves(design))
-    colours = (GREY, BLUE, ORANGE, GREEN)
-
-    def draw_curves() -> None:
-        views = []
-        for quantity, name in (('position', 'Height (m)'), ('velocity', 'Velocity (m/s)')):
-            for number, (title, times, motion) in enumerate(curves):
-                entity, colour, width = f'plate/{quantity}/{number}', colours[number % 4], 1.5
-                if number == len(curves) - 1:
-                    colour, width = WHITE, 3.0
-                style = rr.SeriesLines(colors=colour, names=title, widths=width)
-                stream.log(entity, style, static=True)
-                scalars = rr.Scalars.columns(scalars=getattr(motion, quantity)(times))
-                stream.send_columns(entity, [rr.TimeColumn(THROW_TIME, duration=times)], scalars)
-            views.append(rrb.TimeSeriesView(origin=f'plate/{quantity}', name=name))
-        stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(*views), collapse_panels=True))
-
-    save_recording(stream, path, draw_curves)
-
-
 _WRITERS: Mapping[str, Callable[[MotionDesign, Path], None]] = {
-    '.csv': _write_csv, '.yaml': _write_trajectory, '.png': draw, '.rrd': _record,
+    '.csv': _write_csv, '.yaml': _write_trajectory, '.png': draw,
 }

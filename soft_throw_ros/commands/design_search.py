@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 import contextlib
 from dataclasses import replace
 from itertools import chain
 from typing import get_args
 
-from soft_throw_ros.commands.design_texts import remarks_of, summary_of, uncertainty_text, UNITS
+from soft_throw_ros.commands.design_texts import summary_of, uncertainty_text
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
+    MAIN_PARAMETERS,
     read_settings,
     RECOMMENDATION_PARAMETERS,
     UNCERTAINTY_PARAMETERS,
@@ -33,15 +34,11 @@ from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.recommendation import Recommendation, Vary
 from soft_throw_ros.design.requests import RequestResult, solve_request
-from soft_throw_ros.design.sensitivity import Sensitivity, TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import (
     prediction_uncertainty,
     PredictionUncertainty,
     Uncertainties,
 )
-
-NOT_REACHED = 1
-"""Exit code if the target of an aim is out of reach."""
 
 Columns = dict[str, Mapping[str, float] | None]
 """Predictions by the titles of their columns."""
@@ -58,31 +55,28 @@ _VARY = replace(
 )
 
 
-_OF_MOTIONS = ('plate_speed', 'plate_acceleration', 'plate_jerk', 'plate_travel')
-
-
 def add_recommend_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design recommend`."""
-    without = ('max_amplitude', 'target_height', 'target_speed', *_OF_MOTIONS)
-    _add_arguments(parser, 'request', without, _OBJECTIVE, _VARY)
+    _add_arguments(
+        parser, 'request',
+        (_OBJECTIVE.name, _VARY.name, 'layer.library', 'recommendation.max_strain'),
+        _OBJECTIVE, _VARY,
+    )
 
 
 def add_aim_arguments(parser: CommandParser) -> None:
     """Add the arguments of `design aim`."""
-    parser.epilog = f'The exit code is {NOT_REACHED} if the target is out of reach.'
-    without = ('objective', 'quantile', 'masses', 'frequencies', *_OF_MOTIONS)
-    _add_arguments(parser, 'target and means', without)
+    names = [f'recommendation.{name}' for name in ('target_height', 'target_speed', 'max_strain')]
+    _add_arguments(parser, 'target and limit', names)
 
 
 def _add_arguments(
-    parser: CommandParser, title: str, without: tuple[str, ...], *entries: Entry
+    parser: CommandParser, title: str, names: Iterable[str], *entries: Entry
 ) -> None:
     parser.usage = '%(prog)s [OPTION ...]'
     parser.add_json_option()
-    names = [name for name in RECOMMENDATION_PARAMETERS if not name.endswith(without)]
     add_options(parser, names, title=title, entries=entries)
-    add_options(parser, UNCERTAINTY_PARAMETERS, title='uncertainties')
-    add_rig_options(parser)
+    add_rig_options(parser, MAIN_PARAMETERS)
 
 
 def run_recommend(arguments: argparse.Namespace) -> int:
@@ -99,19 +93,19 @@ def run_recommend(arguments: argparse.Namespace) -> int:
 
 
 def run_aim(arguments: argparse.Namespace) -> int:
-    """Print an aim; return 0 or `NOT_REACHED`, or raise ValueError for a bad request."""
+    """Print an aim; return 0, or raise ValueError for a bad request."""
     settings = read_settings(arguments)
     targets = {'recommendation.target_height', 'recommendation.target_speed'}
     # Only a file with the objective 'aim' has a target; otherwise an option must give it.
     if settings['recommendation.objective'] != 'aim' and not vars(arguments).keys() & targets:
         raise ValueError('no target: give --target-height M or --target-speed M/S')
     settings['recommendation.objective'] = 'aim'
-    best = _print_answer(settings, 'aim', arguments.json)
-    return 0 if isinstance(best, Aim) and best.is_reached else NOT_REACHED
+    _print_answer(settings, 'aim', arguments.json)
+    return 0
 
 
-def _print_answer(settings: Settings, name: str, as_json: bool) -> RequestResult:
-    """Compute a recommendation or an aim, print the result, and return it."""
+def _print_answer(settings: Settings, name: str, as_json: bool) -> None:
+    """Compute a recommendation or an aim, and print the result."""
     with slow_notice('design'):
         best = solve_request(settings)
         uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
@@ -125,7 +119,6 @@ def _print_answer(settings: Settings, name: str, as_json: bool) -> RequestResult
         print_result(
             data, chain([summary, ''], _lines(settings, best, uncertainty)), as_json=as_json
         )
-    return best
 
 
 def _lines(
@@ -139,24 +132,19 @@ def _lines(
         assert isinstance(best, Recommendation)  # other requests are refused
         columns, more = _recommendation_columns(best), _recommendation_lines(best)
     yield from write_predictions(columns, best.rig.layer.linear_range(settings['max_strain']))
-    yield f'With the uncertainties (--uncertain-...): {uncertainty_text(uncertainty)}'
+    yield f'With the uncertainties (uncertainty.*): {uncertainty_text(uncertainty)}'
     yield from more
 
 
 def _aim_columns(settings: Settings, best: Aim) -> Columns:
-    """Return the present throw, the aimed one, and the aimed one with the present layer."""
+    """Return the present throw and the aimed one."""
     rig = rig_of(settings)
     columns: Columns = {'now': None}
     with contextlib.suppress(ThrowUnresolvedError):  # the present rig does not throw
         now, last = predict(rig), last_release(rig)
         reached = {'amplitude': rig.engine.amplitude, 'speed': last.speed, 'height': last.height}
         columns['now'] = {**vars(now), **reached}
-    columns['aimed' if best.is_reached else 'the_most'] = vars(best)
-    if best.rig.layer != rig.layer:
-        with contextlib.suppress(ThrowUnresolvedError):  # no amplitude throws the present layer
-            with_present_layer = solve_request({**settings, 'recommendation.vary': 'amplitude'})
-            if isinstance(with_present_layer, Aim) and with_present_layer.is_reached:
-                columns['with_this_layer'] = vars(with_present_layer)
+    columns['aimed'] = vars(best)
     return columns
 
 
@@ -171,25 +159,9 @@ def _recommendation_columns(best: Recommendation) -> Columns:
 
 
 def _recommendation_lines(best: Recommendation) -> Iterator[str]:
-    """List the sensitivities, the best layers of the library, and remarks."""
-    yield ''
-    yield (
-        f'around the recommended layer{"best":>11}{f"{100.0 * TOLERATED_LOSS:g} % within +-":>18}'
-        f'{"1 % more":>12}'
-    )
-    yield from map(_sensitivity_line, best.sensitivities)
+    """List the best layers of the library."""
     if best.candidates:
         width = max(22, *(len(item.layer) for item in best.candidates))
         yield from ('', f'{"from the library":{width}}{"mm":>6}{"score":>11}')
         for item in best.candidates:
             yield f'{item.layer:{width}}{1e3 * item.thickness:6.1f}{item.score:11.3f}'
-    yield from ('', remarks_of(best))
-
-
-def _sensitivity_line(item: Sensitivity) -> str:
-    unit, scale = UNITS[item.name]
-    title = item.name.replace('_', ' ')
-    return (
-        f'{title:22}{unit:>6}{scale * item.value:11.4g}{scale * item.tolerance:18.2g}'
-        f'{item.sensitivity:+10.2f} %'
-    )

@@ -12,22 +12,9 @@ from soft_throw_ros.core.throws import STRONG_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
 from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.recommendation import Recommendation
-from soft_throw_ros.design.requests import limits_of, objective_of, RequestResult
-from soft_throw_ros.design.sensitivity import TOLERATED_LOSS
+from soft_throw_ros.design.recommendation import Recommendation, TOLERATED_LOSS
+from soft_throw_ros.design.requests import limits_of, RequestResult
 from soft_throw_ros.design.uncertainty import PredictionUncertainty
-
-UNITS = {
-    'thickness': ('mm', 1e3),
-    'wave_speed': ('m/s', 1.0),
-    'mass': ('g', 1e3),
-    'frequency': ('Hz', 1.0),
-    'damping_ratio': ('', 1.0),
-}
-"""Units of the parameters of a `Sensitivity` in tables, and their factors from SI."""
-
-_VARIED = {'both': ('thickness', 'wave_speed'), 'library': ('thickness',)}
-"""Varied parameters for the values of `vary` that are not parameter names themselves."""
 
 
 def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
@@ -45,18 +32,18 @@ def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
 
     """
     if isinstance(best, Aim):
-        return _aim_summary(best, rig)
+        return _aim_summary(best, settings)
     if isinstance(best, MotionDesign):
         return motion_summary(best)
-    return _recommendation_summary(
-        best, rig.layer, limits_of(settings), objective_of(settings).summary
-    )
+    is_peak = settings['recommendation.objective'] == 'peak'
+    score_name = 'alpha' if is_peak else 'worst alpha'
+    return _recommendation_summary(best, rig.layer, limits_of(settings), score_name)
 
 
 def _recommendation_summary(
     best: Recommendation, old: Layer, limits: Limits, score_name: str
 ) -> str:
-    """Describe the new layer, the gain of energy, and the tolerances."""
+    """Describe the new layer, the gain of energy, the tolerances, and doubts."""
     if best.rig.layer == old:
         text = (
             f'no layer within the limits is better than the present one '
@@ -68,12 +55,21 @@ def _recommendation_summary(
             f'{_changes(best, old, limits)}: {_gain(best.gain)} '
             f'({score_name} {now} -> {best.score:.2f})'
         )
-    tolerances = []
-    for item in best.sensitivities:
-        if item.name in _VARIED.get(best.vary, (best.vary,)):
-            unit, scale = UNITS[item.name]
-            tolerances.append(f'+-{scale * item.tolerance:.2g} {unit}')
-    return f'{text}; {" or ".join(tolerances)} costs {100.0 * TOLERATED_LOSS:g} %'
+    text += (
+        f'; +-{1e3 * best.tolerances["thickness"]:.2g} mm or '
+        f'+-{best.tolerances["wave_speed"]:.2g} m/s costs {100.0 * TOLERATED_LOSS:g} %'
+    )
+    if best.rig.gravity_ratio > STRONG_GRAVITY:
+        text += (
+            f'; gravity is {best.rig.gravity_ratio:.2g} of the largest acceleration of the plate, '
+            'so that later swings of the plate throw as well'
+        )
+    if best.peak_strain >= 1.0:
+        text += (
+            f'; no layer can be compressed by {100.0 * best.peak_strain:.0f} %: lower the '
+            'amplitude or limit the strain'
+        )
+    return text
 
 
 def _changes(best: Recommendation, old: Layer, limits: Limits) -> str:
@@ -108,84 +104,30 @@ def _gain(gain: float) -> str:
         return f'{1.0 + gain:.3g} times the energy'
     if gain >= 0.0:
         return f'{100.0 * gain:.2g} % more energy'
-    return f'{-100.0 * gain:.2g} % less energy, because the present layer exceeds the limits'
+    return f'{-100.0 * gain:.2g} % less energy, because the present throw exceeds the limits'
 
 
-def remarks_of(best: Recommendation) -> str:
-    """Compare a recommendation with the best ratios, and warn of gravity and large strain."""
-    optimum, rig = best.optimum, best.rig
-    remarks = [
-        (
-            f'for a plate of damping {optimum.damping_ratio:g} the optimum without loss is a '
-            f'projectile of {optimum.mass_ratio:.3f} times the mass of the layer and '
-            f'c_s / (L_s f) = {optimum.speed_ratio:.3f}, with alpha {optimum.energy_transfer:.3f}'
-        )
-    ]
-    if rig.gravity_ratio > STRONG_GRAVITY:
-        remarks.append(
-            f'gravity is {rig.gravity_ratio:.2g} of the largest acceleration of the plate, so '
-            'that later swings of the plate throw as well'
-        )
-    if best.peak_strain >= 1.0:
-        remarks.append(
-            f'no layer can be compressed by {100.0 * best.peak_strain:.0f} %: lower the '
-            'amplitude or limit the strain'
-        )
-    return '; '.join(remarks)
-
-
-def _aim_summary(best: Aim, rig: Rig) -> str:
-    """Describe the throw that reaches a target or comes closest, and the active limits."""
-    height, speed = best.target_height, best.target_speed
-    target = f'{speed:g} m/s' if height is None else f'{height:g} m high'
-    amplitude = f'amplitude {1e3 * best.amplitude:.4g} mm'
-    strain = f'strain {1e2 * best.peak_strain:.3g} %'
-    acceleration = f'acceleration {best.peak_acceleration:.3g} m/s2'
-    layer = 'the present layer'
-    if best.layer or best.rig.layer != rig.layer:
-        name = f'{best.layer}, ' if best.layer else ''
-        layer = f'a layer of {name}{1e3 * best.thickness:.4g} mm and {best.wave_speed:.4g} m/s'
-    loads = f'{amplitude}, {strain}, {acceleration}'
-    if best.is_reached:
-        return f'{layer} reaches {target}: {loads}'
-    reached = f'{best.speed:.4g} m/s' if height is None else f'{best.height:.4g} m high'
-    texts = {'max_amplitude': amplitude, 'max_strain': strain, 'max_acceleration': acceleration}
-    limits = [texts[name] for name in best.limited_by.split(', ') if name]
-    reason = f'which {" and ".join(limits)} limits' if limits else 'no amplitude reaches it'
-    return f'{target} is not reached: {layer} reaches {reached}, {reason}; {loads}'
+def _aim_summary(best: Aim, settings: Settings) -> str:
+    """Describe the amplitude that reaches a target, and the loads."""
+    speed = settings['recommendation.target_speed']
+    height = settings['recommendation.target_height']
+    return (
+        f'amplitude {1e3 * settings["engine.amplitude"]:.4g} -> {1e3 * best.amplitude:.4g} mm '
+        f'reaches {f"{speed:g} m/s" if speed else f"{height:g} m high"}: strain '
+        f'{1e2 * best.peak_strain:.3g} %, acceleration {best.peak_acceleration:.3g} m/s2'
+    )
 
 
 def motion_summary(design: MotionDesign) -> str:
-    """Describe the gain of energy, and the changes that give it."""
-    throws = design.throws
-    if 'now' not in throws:
-        speed = throws['best'].ejection_speed
+    """Describe the gain of energy, and the way down of the plate."""
+    now, speed = design.now, design.ejection_speed
+    if now is None:
         return f'the present motion throws nothing; the designed one gives {speed:.3g} m/s'
-    now = throws['now'].kinetic_energy
-
-    def gain(name: str) -> str:
-        ratio = throws[name].kinetic_energy / now
-        if ratio < 1.0:  # the present motion exceeds a limit
-            return f'{100.0 * (1.0 - ratio):.2g} % less'
-        return f'{100.0 * (ratio - 1.0):.2g} % more' if ratio < 1.995 else f'{ratio:.3g} times the'
-
-    gains = [f'{gain("best")} energy by the best motion']
-    if 'layer' in throws:
-        layer = throws['layer']
-        gains.append(
-            f'{gain("layer").removesuffix(" more")} by a layer of {1e3 * layer.thickness:.4g} mm '
-            f'and {layer.wave_speed:.4g} m/s'
-        )
-    if 'both' in throws:
-        both = throws['both']
-        gains.append(
-            f'{gain("both").removesuffix(" more")} by both, with '
-            f'{1e3 * both.thickness:.4g} mm and {both.wave_speed:.4g} m/s'
-        )
-    text = f'with the same motor, {", ".join(gains)}'
-    if 'linear' in throws:
-        speed, linear = design.ejection_speed, throws['linear'].ejection_speed
-        text += f'; {speed:.3g} m/s from this layer, and from a linear one {linear:.3g} m/s'
+    gain = _gain(design.kinetic_energy / now.kinetic_energy - 1.0)
+    text = (
+        f'with the same motor, {gain} by the best motion (ejection speed '
+        f'{now.ejection_speed:.4g} -> {speed:.4g} m/s)'
+    )
     motion = design.motion
     lowest = int(motion.states[:, 0].argmin())
     depth, time = -motion.states[lowest, 0], motion.times[lowest]

@@ -12,12 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.commands.output import written_file
 from soft_throw_ros.identification.ejection import Ejection
-from soft_throw_ros.identification.least_squares import Estimate, TrackResidual
+from soft_throw_ros.identification.least_squares import TrackResidual
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.rig_model import Series
-from soft_throw_ros.identification.ringing import CommonValue, Ringing
-from soft_throw_ros.identification.tracks import Track
-from soft_throw_ros.identification.video import SpaceTime
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,13 +22,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 # Colours of Okabe and Ito, which colour-blind readers can distinguish
-_COLOURS = {'plate': '#000000', 'projectile': '#0072b2', 'layer': '#d55e00'}
+_COLOURS = {'plate': '#000000', 'projectile': '#0072b2'}
 _DATA: dict[str, Any] = {'ls': '', 'marker': '.', 'ms': 4.0, 'alpha': 0.5, 'mew': 0.0}
 _MILLI, _MICRO = 1e3, 1e6
 _PERIODS = 2.5  # length of the enlarged section [plate periods]
 _RISES = 2.2  # height of the enlarged section, as a multiple of the rise of the plate
 _POINTS = 2000  # number of points of a curve of the model
-_MAX_THROWS = 6  # largest number of throws or layers in one figure
+_MAX_THROWS = 6  # largest number of throws in one figure
 
 
 def draw_throws(
@@ -97,90 +94,6 @@ def _draw_track(
     band = 2.0 * _MICRO * track.noise
     panels[body].axhspan(-band, band, color='0.9', zorder=0)
     panels[body].plot(since, _MICRO * residual.values, color=colour, **_DATA)
-
-
-def draw_layers(
-    layers: Sequence[tuple[float, Ringing]], speed: CommonValue, thickness_error: float, path: Path
-) -> None:
-    """Draw the ringing of free layers, and their periods over their thicknesses [m]."""
-    figure = _figure(9.6, 6.0)
-    panels = figure.subplot_mosaic(
-        [['ring', 'line'], ['residual', 'deviation']], height_ratios=[2.6, 1.0], sharex=False
-    )
-    step = 0.0
-    for thickness, ringing in layers[:_MAX_THROWS]:
-        (residual,) = ringing.fit.residuals
-        track, rest_length = residual.track, ringing.fit['length'].value
-        step -= 2.2 * _MILLI * float(np.abs(track.position - rest_length).max())
-        since = _MILLI * (track.time - ringing.start_time)
-        data, model = (
-            _MILLI * (length - rest_length) + step for length in (track.position, residual.fitted)
-        )
-        panels['ring'].plot(since, data, color='black', **_DATA)
-        panels['ring'].plot(since, model, color=_COLOURS['layer'], lw=1.0)
-        panels['ring'].annotate(
-            f'{_MILLI * thickness:.3g} mm', xy=(since[-1], step), xytext=(0, 12),
-            textcoords='offset points', ha='right',
-        )
-        panels['residual'].plot(since, _MICRO * residual.values, color='black', **_DATA)
-    panels['ring'].set(ylabel='change of length (mm), one below the other', xticklabels=[])
-    panels['residual'].set(xlabel='time (ms)', ylabel='data - model (µm)')
-    thicknesses = np.array([thickness for thickness, _ in layers])
-    period = np.array([ringing.period.value for _, ringing in layers])
-    expected = 2.0 * thicknesses / speed.value.value
-    error = np.hypot(
-        [ringing.period.error for _, ringing in layers],
-        2.0 * thickness_error / speed.value.value,
-    )
-    ends = np.array([0.0, 1.08 * thicknesses.max()])
-    label = f'$2 L_s / c_s$, $c_s$ = {speed.value} m/s'.replace('+-', '±')
-    deviation = period - expected
-    for name, values, scale in (('line', period, _MILLI), ('deviation', deviation, _MICRO)):
-        panels[name].errorbar(
-            _MILLI * thicknesses, scale * values, yerr=scale * error, fmt='o', color='black',
-            ms=4.0, capsize=2.0,
-        )
-        line = 2.0 * ends / speed.value.value if name == 'line' else np.zeros(2)
-        panels[name].plot(
-            _MILLI * ends, scale * line, color=_COLOURS['layer'], lw=1.2, label=label
-        )
-        panels[name].set(xlim=_MILLI * ends)
-    panels['line'].set(ylabel='period $T_0$ (ms)', ylim=(0, None), xticklabels=[])
-    panels['line'].legend(loc='upper left')
-    panels['deviation'].set(xlabel='thickness $L_s$ (mm)', ylabel='deviation (µs)')
-    _save(figure, path)
-
-
-def draw_space_time(
-    line: SpaceTime, ends: tuple[Track, Track], ringing: Ringing, path: Path
-) -> None:
-    """Draw a line through a free layer over time, with its edges and its period."""
-    figure = _figure(9.6, 4.8)
-    panel = figure.add_subplot()
-    half, width = 0.5 / line.rate, line.levels.shape[1]
-    panel.imshow(
-        line.levels.T, cmap='gray', origin='lower', aspect='auto', interpolation='nearest',
-        extent=(
-            _MILLI * (line.time[0] - half), _MILLI * (line.time[-1] + half),
-            0.0, _MILLI * line.scale * width,
-        ),
-    )
-    colour = _COLOURS['layer']
-    for end in ends:
-        panel.plot(_MILLI * end.time, _MILLI * end.position, color=colour, lw=0.8)
-    start, period = _MILLI * ringing.start_time, _MILLI * ringing.period.value
-    height = _MILLI * float(np.mean([end.position.mean() for end in ends]))
-    panel.annotate(
-        '', xy=(start, height), xytext=(start + period, height),
-        arrowprops={'arrowstyle': '<->', 'color': colour, 'shrinkA': 0, 'shrinkB': 0},
-    )
-    shown = Estimate(period, _MILLI * ringing.period.error)
-    panel.annotate(
-        f' $T_0$ = {shown} ms'.replace('+-', '±'), xy=(start + period, height), color=colour,
-        va='center',
-    )
-    panel.set(xlabel='time (ms)', ylabel='height along the line (mm)')
-    _save(figure, path)
 
 
 def _figure(width: float, height: float) -> Figure:

@@ -21,11 +21,9 @@ from types import ModuleType
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
-from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.twin import engine_fit, outlier_filter
-from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 
 Say = Callable[[str], object]
@@ -37,10 +35,10 @@ _SOURCES = (  # of kernels
 )
 
 
-def _prepare(stepper: ModuleType, model: str) -> None:
-    """Run the kernels of a model once, with a plate driven by the engine and a measured one."""
-    settings: Settings = {**TWIN.defaults(), 'model': model}
-    PreparedRig.from_config(TwinConfig.from_settings(settings))
+def _prepare(stepper: ModuleType, **layer: float) -> None:
+    """Run the kernels of a stepper once, with a plate driven by the engine and a measured one."""
+    changes = {f'layer.{name}': value for name, value in layer.items()}
+    PreparedRig.from_config(TwinConfig.from_settings({**TWIN.defaults(), **changes}))
     stepper.warm_up()
 
 
@@ -51,11 +49,10 @@ def _measure() -> None:
 
 
 PARTS: dict[str, Callable[[], object]] = {
-    'travelling_wave': lambda: _prepare(wave_stepper, 'travelling_wave'),
+    'travelling_wave': lambda: _prepare(wave_stepper),
     'design': lambda: solve_request(TWIN.defaults()),
     'measured': _measure,
-    'cells': lambda: _prepare(cell_stepper, 'cells'),
-    'other_models': lambda: predict_by_other_models(Rig(), ''),
+    'cells': lambda: _prepare(cell_stepper, loss_tangent=0.1),
     'imperfect_rig': imperfect_rig.warm_up,
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""
@@ -64,8 +61,8 @@ PARTS: dict[str, Callable[[], object]] = {
 def needed_parts(settings: Settings) -> list[str]:
     """Return the names of the parts that a rig with these settings needs."""
     config = TwinConfig.from_settings(settings)
-    model = 'travelling_wave' if config.model == 'travelling_wave' else 'cells'
-    return [model, 'measured'] if config.is_measured else [model]
+    stepper = 'cells' if config.rig.layer.needs_cells else 'travelling_wave'
+    return [stepper, 'measured'] if config.is_measured else [stepper]
 
 
 def missing_parts() -> list[str]:

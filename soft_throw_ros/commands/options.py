@@ -13,12 +13,14 @@ import math
 import multiprocessing
 from pathlib import Path
 import signal
+from typing import Any
 
 from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.table import float_of, value_text
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
+import yaml
 
 
 class WorkersLostError(RuntimeError):
@@ -26,11 +28,9 @@ class WorkersLostError(RuntimeError):
 
 
 def option_of(name: str) -> str:
-    """Return the option of a parameter: the last part of its name, with a prefix."""
-    group, _, last = name.rpartition('.')
-    if name == 'layer.name':
-        return '--layer'
-    return ('--uncertain-' if group == 'uncertainty' else '--') + last.replace('_', '-')
+    """Return the option of a parameter: the last part of its name."""
+    last = 'layer' if name == 'layer.name' else name.rpartition('.')[2]
+    return f'--{last.replace("_", "-")}'
 
 
 RECOMMENDATION_PARAMETERS = tuple(TWIN.names_in('recommendation'))
@@ -39,10 +39,11 @@ RECOMMENDATION_PARAMETERS = tuple(TWIN.names_in('recommendation'))
 UNCERTAINTY_PARAMETERS = tuple(TWIN.names_in('uncertainty'))
 """Parameters with the uncertainties of a rig."""
 
-_WITH_OPTION = (
-    *RIG_PARAMETERS, *RECOMMENDATION_PARAMETERS, *UNCERTAINTY_PARAMETERS, 'max_strain'
+MAIN_PARAMETERS = (
+    'engine.motion', 'engine.frequency', 'engine.amplitude', 'layer.name', 'layer.stack',
+    'layer.thickness', 'layer.wave_speed', 'projectile.mass',
 )
-"""Parameters that are options of a command."""
+"""Parameters of a rig that are options of `throw` and `design`; `-p` sets the others."""
 
 _MOTION = replace(
     TWIN.by_name['engine.motion'],
@@ -53,6 +54,9 @@ _MOTION = replace(
 )
 """The option `--motion`; the value `measured` is missing, since commands have no sensors."""
 
+_NAMED = 'named'
+"""Attribute of the arguments with the names of the parameters that `-p` sets."""
+
 _NEEDED = {
     '.rrd': ('rerun', 'rerun'),
     **dict.fromkeys(('.png', '.pdf', '.svg'), ('plot', 'matplotlib')),
@@ -60,13 +64,36 @@ _NEEDED = {
 """Extra of this package and module that are required to write a file, by suffix."""
 
 
-def add_rig_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--config` and an option for each parameter of a rig; `read_settings` reads them."""
+class _SetParameter(argparse.Action):
+    """The option `-p NAME:=VALUE`, which stores a value as an option of the parameter would."""
+
+    def __call__(self, _parser: object, namespace: Any, text: Any, _option: object = None) -> None:
+        """Store the value, which is YAML, and the name of the parameter."""
+        name, sign, value = text.partition(':=')
+        if not sign or name not in TWIN.by_name:
+            raise argparse.ArgumentError(
+                self, f'must be NAME:=VALUE with a parameter of the twin, got {text!r}'
+            )
+        try:
+            setattr(namespace, name, yaml.safe_load(value))
+        except (yaml.YAMLError, ValueError):  # the latter for impossible dates
+            raise argparse.ArgumentError(self, f'{name} must be YAML, got {value!r}') from None
+        setattr(namespace, self.dest, [*getattr(namespace, self.dest, []), name])
+
+
+def add_rig_options(
+    parser: argparse.ArgumentParser, names: Iterable[str] = RIG_PARAMETERS
+) -> None:
+    """Add `--config`, `-p` and an option for each parameter; `read_settings` reads them."""
     parser.add_argument(
         '--config', metavar='FILE', default=argparse.SUPPRESS, help='parameter file of the twin'
     )
+    parser.add_argument(
+        '-p', dest=_NAMED, metavar='NAME:=VALUE', action=_SetParameter, default=argparse.SUPPRESS,
+        help='set any parameter of the twin (docs/parameters.md); may be repeated',
+    )
     title, text = 'parameters of the rig', 'as for the twin; options override the file'
-    add_options(parser, RIG_PARAMETERS, title=title, description=text)
+    add_options(parser, names, title=title, description=text)
 
 
 def _number_or_text(text: str) -> float | str:
@@ -100,7 +127,6 @@ def add_options(
             option_of(name),
             dest=name,
             metavar=entry.unit.upper() or ('NAME' if isinstance(entry.default, str) else 'NUMBER'),
-            nargs='+' if isinstance(entry.default, tuple) else None,
             type=str if isinstance(entry.default, str) else _number_or_text,
             choices=entry.choices or None,
             default=argparse.SUPPRESS,
@@ -121,7 +147,7 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
 
     """
     values = vars(arguments)
-    request = {name: values[name] for name in _WITH_OPTION if name in values}
+    request = {name: values[name] for name in TWIN.by_name if name in values}
     motion = request.get('engine.motion', 'harmonic')
     if motion in TWIN.by_name['engine.motion'].choices[2:]:
         raise ParameterError(f'argument --motion: must be {_MOTION.kind}, got {motion!r}')
@@ -131,14 +157,18 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     try:
         settings.update(TWIN.change(settings, request))
     except ParameterError as error:
-        options = (f'argument {option_of(name)}: ' for name in error.names if name in request)
+        options = (
+            f'argument {"-p" if name in values.get(_NAMED, ()) else option_of(name)}: '
+            for name in error.names
+            if name in request
+        )
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
     return settings
 
 
 def stated_parameters(arguments: argparse.Namespace) -> set[str]:
     """Return the parameters that the options or the file state; the others have defaults."""
-    values = {name: value for name, value in vars(arguments).items() if name in _WITH_OPTION}
+    values = {name: value for name, value in vars(arguments).items() if name in TWIN.by_name}
     if 'config' in arguments:
         sources = files.read_arguments(('--ros-args', '--params-file', arguments.config))
         items = files.select(sources, '/twin').items()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Repair a bag after a crash or disk error: copy its readable messages to a new bag."""
+"""Repair a bag after a crash or disk error: copy all before the first damage to a new bag."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from pathlib import Path
 from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 from soft_throw_ros.recording.recovery import recover, Recovery
 
-_SHOWN = 10  # number of unreadable ranges that are listed individually
-
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; exit code 0 if all messages were recovered, 1 if not, 2 if none were."""
     parser = CommandParser(
-        description='Repair a bag after a crash or disk error: copy its readable messages to a '
-        'new bag. The old bag is not changed.',
+        description='Repair a bag after a crash or disk error: copy all messages before the first '
+        'damage of each file to a new bag. The old bag is not changed.',
         epilog='Exit code: 0 if all messages were recovered, 1 if some were lost, 2 if all were.',
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
@@ -33,20 +31,12 @@ def _run(arguments: argparse.Namespace) -> int:
     name = path.name if path.is_dir() else path.name.partition('.')[0]
     recovery = recover(source, arguments.to or path.with_name(f'{name}_recovered'))
     print_lines(_lines(recovery))
-    return 1 if recovery.skipped or recovery.defects else 0
+    return 1 if recovery.omitted else 0
 
 
 def _lines(recovery: Recovery) -> list[str]:
-    """Return a report of the recovered messages and of the omitted ranges."""
+    """Return a report of the recovered messages and of the omitted parts."""
     width = max(map(len, recovery.saved))
     lines = [f'{recovery.target}: {recovery.message_count} messages recovered']
     lines += [f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()]
-    lines += [f'omitted: {defect}' for defect in recovery.defects]
-    skipped = recovery.skipped
-    if skipped:
-        ranges = '1 range' if len(skipped) == 1 else f'{len(skipped)} ranges'
-        lines.append(f'{sum(gap.size for gap in skipped)} bytes skipped, in {ranges}:')
-        lines += [f'  {gap}' for gap in skipped[:_SHOWN]]
-        if len(skipped) > _SHOWN:
-            lines.append(f'  and {len(skipped) - _SHOWN} more')
-    return lines
+    return lines + [f'omitted: {part}' for part in recovery.omitted]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Predict one throw by every model, as a table or as JSON; or many first releases, from a CSV file.
+Predict one throw, as a table or as JSON.
 
 The options are the parameters of the twin, with the same ranges.
 """
@@ -9,46 +9,33 @@ The options are the parameters of the twin, with the same ranges.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Mapping
-import sys
+from collections.abc import Callable, Iterator, Mapping
 from typing import TypedDict
 
-import numpy as np
 from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
-    add_options,
     add_rig_options,
-    number_type,
-    option_of,
-    positive,
+    MAIN_PARAMETERS,
     read_settings,
     UNCERTAINTY_PARAMETERS,
 )
 from soft_throw_ros.commands.output import (
     CommandParser,
-    print_note,
     print_result,
-    print_text,
-    report_io_errors,
     run_command,
     slow_notice,
     strain_warning,
     write_columns,
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
-from soft_throw_ros.configuration.csv_rows import read_rows
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
-from soft_throw_ros.core.models import MODELS
-from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
-from soft_throw_ros.storage.regular_file import read_regular_file
 
 ModelResult = Mapping[str, float]
-"""Predictions of a model by name, in SI units; predictions that it cannot make are absent."""
+"""Predictions by name, in SI units."""
 
 
 class Prediction(TypedDict):
@@ -56,7 +43,8 @@ class Prediction(TypedDict):
 
     parameters: dict[str, Value]
     rig: dict[str, float]
-    models: dict[str, ModelResult | None]
+    throw: ModelResult | None
+    spring: ModelResult | None
     uncertainty: dict[str, float | bool] | None
     notes: dict[str, str]
     leaves_linear_range: bool
@@ -69,88 +57,49 @@ def main(args: list[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
-        description='Predict one throw by every model, or many first releases from a CSV file.',
+        description='Predict one throw.',
         usage='%(prog)s [OPTION ...]',
-        argument_default=argparse.SUPPRESS,
     )
-    parser.add_argument(
-        '--model', metavar='NAME', action='append', choices=tuple(MODEL_NOTES),
-        help=f'only this model; may be repeated: {", ".join(MODEL_NOTES)} (default all)',
-    )
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        '--json', action='store_true', help='print one object: SI units, full precision'
-    )
-    group.add_argument(
-        '--cases', metavar='FILE',
-        help='CSV with the columns mu, kappa, zeta (- for standard input); '
-        'the columns te_f and alpha are added, computed without gravity',
-    )
-    add_options(parser, ['max_strain'], title='range of the linear models')
-    add_options(parser, UNCERTAINTY_PARAMETERS, title='uncertainties')
-    add_rig_options(parser)
+    parser.add_json_option()
+    add_rig_options(parser, MAIN_PARAMETERS)
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    options = vars(arguments)
-    if 'cases' in options:
-        for name in sorted(options.keys() - {'cases'}):
-            raise ValueError(f'argument {option_of(name)}: not allowed with argument --cases')
-        print_text(_compute_cases(options['cases']))
-    else:
-        settings = read_settings(arguments)
-        with slow_notice('throw'):
-            prediction = predict(settings, options.get('model', MODEL_NOTES))
-        print_result(prediction, _table(prediction), as_json='json' in options)
+    settings = read_settings(arguments)
+    with slow_notice('throw'):
+        prediction = predict(settings)
+    print_result(prediction, _table(prediction), as_json=arguments.json)
     return 0
 
 
-MODEL_NOTES: Mapping[str, str] = {
-    'closed_form': 'first release of a rigid projectile on a lossless layer, exact',
-    'travelling_wave': (
-        'rigid projectile, lossless layer, whole throw, as computed by the twin'
-    ),
-    'cells': 'rigid projectile, layer of cells with internal loss, to about 1e-4',
-    'cells_elastic': "cells of layer and projectile; speeds of the projectile's centre of mass",
-    'cells_glued': (
-        'layer glued to the projectile and released together; speeds of both together'
-    ),
-    'spring_mass': 'layer without mass and loss, harmonic plate, no gravity (App. A)',
-}
-"""Models of the command (those of the twin and the closed form), each with a note."""
-
-
-def predict(settings: Settings, names: Iterable[str]) -> Prediction:
+def predict(settings: Settings) -> Prediction:
     """
-    Predict a throw by several models.
+    Predict a throw.
 
     Parameters
     ----------
     settings : mapping of str to value
         Complete settings of the twin; only rig, uncertainties and `max_strain` matter.
-    names : iterable of str
-        Names of models, keys of `MODEL_NOTES`.
 
     Returns
     -------
     Prediction
         All values are in SI units. `parameters` are the settings, `rig` has the ratios and times
-        that govern a throw, `models` the predictions, and `uncertainty` the 95 % intervals of
-        the first release. `notes` explain models and uncertainty; a note `shocks` warns of
-        shocks in a neo-Hookean layer. A model that does not support this throw is None, and its
-        note contains the reason. `leaves_linear_range` is true if the strain is too large for
-        the linear models.
+        that govern a throw, `throw` the whole throw, `spring` the release from a layer without
+        mass (App. A), and `uncertainty` the 95 % intervals of the first release. A part that does
+        not support this throw is None, and its note contains the reason. `leaves_linear_range` is
+        true if the strain is too large for a linear layer.
 
     """
     rig = rig_of(settings)
-    models: dict[str, ModelResult | None] = {}
+    throws: dict[str, ModelResult | None] = {}
     notes: dict[str, str] = {}
-    for name in dict.fromkeys(names):
+    for name, (simulated, note) in _THROWS.items():
         try:
-            models[name], notes[name] = _predict_by(name, rig), MODEL_NOTES[name]
-        except (ValueError, RuntimeError) as error:  # the model does not support this rig
-            models[name], notes[name] = None, f'none, {error}'
+            throws[name], notes[name] = simulated(rig), note
+        except (ValueError, RuntimeError) as error:  # this rig is not supported
+            throws[name], notes[name] = None, f'none, {error}'
     uncertainty = None
     try:
         intervals = prediction_uncertainty(rig, Uncertainties.from_settings(settings))
@@ -158,17 +107,11 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
         notes['uncertainty'] = f'95 % of throws: {uncertainty_text(intervals)}'
     except ValueError as error:
         notes['uncertainty'] = f'none, {error}'
-    times = [
-        result['ejection_time']
-        for name, result in models.items()
-        if result and name in MODELS and MODELS[name].batch == 'cells'
-    ]
-    if max(times, default=0.0) > rig.shock_time:
+    if throws['throw'] and throws['throw']['ejection_time'] > rig.shock_time:
         notes['shocks'] = (
             f'the layer compresses into shocks after {1e3 * rig.shock_time:.3g} ms, before the '
-            'release: ejection time and speed of models with cells have errors up to 4e-3'
+            'release: ejection time and speed have errors up to 4e-3'
         )
-    strains = [(result or {}).get('peak_strain', 0.0) for result in models.values()]
     return {
         'parameters': {
             name: settings[name]
@@ -182,49 +125,27 @@ def predict(settings: Settings, names: Iterable[str]) -> Prediction:
             'crossing_time': rig.crossing_time,
             'relaxation_time': rig.relaxation_time,
         },
-        'models': models,
+        'throw': throws['throw'],
+        'spring': throws['spring'],
         'uncertainty': uncertainty,
         'notes': notes,
-        'leaves_linear_range': max(strains, default=0.0)
+        'leaves_linear_range': (throws['throw'] or {}).get('peak_strain', 0.0)
         > rig.layer.linear_range(settings['max_strain']),
     }
 
 
-def _predict_by(model: str, rig: Rig) -> ModelResult:
-    """Predict the first release, or the whole throw, with one model."""
+def _spring(rig: Rig) -> ModelResult:
+    """Predict the first release from a layer without mass by the formula of App. A."""
     engine = rig.engine
-    if engine.motion and model in ('closed_form', 'spring_mass'):
-        raise ValueError('this formula is for underdamped and harmonic plates, got a file')
-    if model == 'closed_form':
-        rig.check_for_waves()
-        first = first_release(
-            mass_ratio=rig.mass_ratio,
-            speed_ratio=rig.speed_ratio,
-            damping_ratio=engine.damping_ratio,
-            gravity_ratio=rig.gravity_ratio,
-        )
-        fastest = Underdamped.of(engine).peak_velocity
-        return _release(engine, float(first.ejection_phase), float(first.speed), fastest)
-    if model == 'spring_mass':
-        # The formula of App. A neglects damping and gravity
-        spring = spring_mass.first_release(
-            frequency_ratio=rig.natural_frequency / engine.frequency
-        )
-        return _release(
-            engine, float(spring.ejection_phase), float(spring.speed), engine.speed_scale
-        )
-    return _simulated(model, rig)
-
-
-def _release(engine: Engine, phase: float, speed_ratio: float, fastest: float) -> dict[str, float]:
-    """Describe a first release at a phase t_e f with a speed V_e / (A w)."""
-    speed = speed_ratio * engine.speed_scale
+    if engine.motion:
+        raise ValueError('this formula is for a harmonic plate, got a file')
+    release = spring_mass.first_release(frequency_ratio=rig.natural_frequency / engine.frequency)
     return {
-        'ejection_time': phase / engine.frequency,
-        'ejection_phase': phase,
-        'ejection_speed': speed,
-        'peak_plate_speed': fastest,
-        'energy_transfer': (speed / fastest) ** 2,
+        'ejection_time': float(release.ejection_phase) / engine.frequency,
+        'ejection_phase': float(release.ejection_phase),
+        'ejection_speed': float(release.speed) * engine.speed_scale,
+        'peak_plate_speed': engine.speed_scale,
+        'energy_transfer': float(release.energy_transfer),
     }
 
 
@@ -235,9 +156,12 @@ _OF_THROW = (
 """Predictions with the name of an attribute of `Throw`."""
 
 
-def _simulated(model: str, rig: Rig) -> ModelResult:
+def _simulated(rig: Rig) -> ModelResult:
     """Simulate a throw to its end."""
-    throw = simulate(rig, model=model)
+    throw = simulate(rig)
+    projectile, release = rig.projectile, throw.first_release
+    rise = release.position - throw.rest_height
+    energy = projectile.mass * (0.5 * release.velocity**2 + rig.gravity * rise)
     result: dict[str, float] = {name: getattr(throw, name) for name in _OF_THROW}
     result |= {
         'ejection_phase': throw.ejection_time * rig.engine.frequency,
@@ -248,20 +172,21 @@ def _simulated(model: str, rig: Rig) -> ModelResult:
         'peak_acceleration': throw.loads.acceleration,
         'peak_plate_force': throw.loads.plate_force,
         'plate_work': throw.energies.plate_work,
+        'layer_energy': throw.energies.stored - energy,
+        'projectile_energy': energy,
     }
-    if not MODELS[model].is_on_projectile:  # where the layer is thrown, too
-        projectile, release = rig.projectile, throw.first_release
-        rise = release.position - throw.rest_height
-        energy = projectile.mass * (0.5 * release.velocity**2 + rig.gravity * rise)
-        result |= {
-            'layer_energy': throw.energies.stored - energy,
-            'projectile_energy': energy,
-        }
     if rig.gravity:
         result['apex_height'] = throw.apex_height
     if throw.energies.heat:
         result['heat'] = throw.energies.heat
     return result
+
+
+_THROWS: Mapping[str, tuple[Callable[[Rig], ModelResult], str]] = {
+    'throw': (_simulated, 'whole throw of a rigid projectile, as the twin computes it'),
+    'spring': (_spring, 'layer without mass and loss, harmonic plate, no gravity (App. A)'),
+}
+"""Columns of the table, each with its function and a note."""
 
 
 def _table(prediction: Prediction) -> Iterator[str]:
@@ -272,68 +197,12 @@ def _table(prediction: Prediction) -> Iterator[str]:
         f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
     )
     yield ''
-    yield from write_columns(prediction['models'])
+    yield from write_columns({'throw': prediction['throw'], 'spring': prediction['spring']})
     yield ''
     for name, note in prediction['notes'].items():
-        yield f'{name.replace("_", " ")}: {note}'
+        yield f'{name}: {note}'
     if prediction['leaves_linear_range']:
         settings = prediction['parameters']
         max_strain = float(settings['max_strain'])  # type: ignore[arg-type]
         limit = rig_of(settings).layer.linear_range(max_strain)
-        yield strain_warning(limit, '--max-strain')
-
-
-_CASES: Mapping[str, Callable[[str], float]] = {
-    'mu': positive,
-    'kappa': positive,
-    'zeta': number_type('at least 0 and below 1', lambda value: 0.0 <= value < 1.0),
-}
-"""Columns of a CSV file of cases, each with the function that reads its cells."""
-
-_MAX_BYTES = 1 << 26
-"""Size of a CSV file of cases [byte]: a million rows."""
-
-
-def _compute_cases(path: str) -> str:
-    """Compute the first release for every row of a CSV file; return the results as CSV."""
-    name = 'standard input' if path == '-' else path
-    with report_io_errors(name):
-        if path == '-':
-            text = sys.stdin.read()
-        else:
-            text = read_regular_file(path, max_bytes=_MAX_BYTES).decode()
-    rows = _read_cases(text.split('\n'), name)
-    if not rows:
-        print_note('throw', f'{name} has no rows below its header')
-    mu, kappa, zeta = np.array(list(rows.values())).reshape(-1, len(_CASES)).T
-    with slow_notice('throw'):
-        releases = first_releases(mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta)
-    for i in np.flatnonzero(np.isnan(releases.ejection_phase)):
-        try:
-            first_release(mass_ratio=mu[i], speed_ratio=kappa[i], damping_ratio=zeta[i])
-        except ThrowUnresolvedError as error:
-            raise ValueError(f'{name}:{list(rows)[i]}: {error}') from None
-    columns = np.array([mu, kappa, zeta, releases.ejection_phase, releases.energy_transfer])
-    lines = [[*_CASES, 'te_f', 'alpha'], *columns.T.tolist()]
-    return ''.join(','.join(map(str, line)) + '\n' for line in lines)
-
-
-def _read_cases(lines: Iterable[str], name: str) -> dict[int, list[float]]:
-    """Return the values of every row by its line number; the first row names the columns."""
-    rows = list(read_rows(lines))
-    header = rows[0][1] if rows else []
-    if any(header.count(column) != 1 for column in _CASES):
-        raise ValueError(
-            f'{name}: the first row must name the columns {", ".join(_CASES)}, '
-            f'got {",".join(header)!r}'
-        )
-    cases: dict[int, list[float]] = {}
-    for number, cells in rows[1:]:
-        named_cells = dict(zip(header, cells, strict=False))
-        cases[number] = []
-        for column, read in _CASES.items():
-            try:
-                cases[number].append(read(named_cells.get(column, '')))
-            except argparse.ArgumentTypeError as error:
-                raise ValueError(f'{name}:{number}: {column} {error}') from None
-    return cases
+        yield strain_warning(limit, 'max_strain')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Track round spots, or the edges of a layer, through a high-speed video into a CSV file."""
+"""Track round spots through a high-speed video into a CSV file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.options import new_file, positive
 from soft_throw_ros.commands.output import (
     CommandParser,
@@ -23,7 +22,6 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.commands.track_overlay import draw_overlay, PICTURES, VIDEOS
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.identification.ringing import change_of_length, fit_ringing
 from soft_throw_ros.identification.spots import BODIES, follow_spots, FollowedSpots, tracks_of
 from soft_throw_ros.identification.track_csv import csv_lines
 from soft_throw_ros.identification.tracks import (
@@ -32,7 +30,7 @@ from soft_throw_ros.identification.tracks import (
     Track,
     TrackError,
 )
-from soft_throw_ros.identification.video import camera_rate, read_pictures, space_time
+from soft_throw_ros.identification.video import camera_rate, read_pictures
 
 _GRAVITY = 9.81
 """Acceleration by gravity where rigs are filmed. [m/s2]"""
@@ -89,20 +87,10 @@ def _parser() -> CommandParser:
         help=f'picture ({", ".join(PICTURES)}) or video ({", ".join(VIDEOS)}) of the spots and '
         'their paths',
     )
-    add(
-        '--line', metavar=('COLUMN', 'FIRST', 'LAST'), type=int, nargs=3,
-        help='follow the edges of a free layer instead of spots, along the pixels of this column '
-        'from row to row',
-    )
-    add(
-        '--space-time', metavar='FILE', type=new_file(*PICTURES),
-        help='picture of the line --line over time',
-    )
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    _check(arguments)
     require('a video', 'video', 'imageio', 'av', 'skimage')
     notes: list[str] = []
     with report_io_errors(arguments.video, ValueError):
@@ -112,7 +100,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 f'--rate is {arguments.rate:g}, but the file gives '
                 f'{recorded:g} pictures per second'
             )
-        tracks = (_track_edges if arguments.line else _track_spots)(arguments, notes)
+        tracks = _track_spots(arguments, notes)
     lines = [_title(arguments, tracks), *(f'# {note}' for note in notes), *csv_lines(tracks)]
     text = '\n'.join(lines) + '\n'
     if arguments.output:
@@ -125,17 +113,6 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    """Refuse options that exclude each other by a ValueError that names one."""
-    if arguments.line:
-        for name in ('spots', 'light_spots', 'overlay'):
-            if getattr(arguments, name):
-                option = name.replace('_', '-')
-                raise ValueError(f'argument --{option}: is for spots, not allowed with --line')
-    elif arguments.space_time:
-        raise ValueError('argument --space-time: needs --line')
-
-
 def _title(arguments: argparse.Namespace, tracks: Mapping[str, Track]) -> str:
     """Return the comment on how the tracks were made."""
     length, pixels = arguments.scale
@@ -144,24 +121,6 @@ def _title(arguments: argparse.Namespace, tracks: Mapping[str, Track]) -> str:
         f'# From {Path(arguments.video).name}: {arguments.rate:g} pictures per second, '
         f'{pixels:g} pixels are {length:g} m.\n# Noise: {noises}'
     )
-
-
-def _track_edges(arguments: argparse.Namespace, _: list[str]) -> dict[str, Track]:
-    """Follow bottom and top of a free layer along a line."""
-    (column, first, last), (length, pixels) = arguments.line, arguments.scale
-    line = space_time(
-        read_pictures(arguments.video),
-        column=column,
-        first=first,
-        last=last,
-        rate=arguments.rate,
-        scale=length / pixels,
-    )
-    ends = line.edges()
-    if arguments.space_time:
-        ringing = fit_ringing(change_of_length(*ends))
-        identify_figure.draw_space_time(line, ends, ringing, arguments.space_time)
-    return dict(zip(('bottom', 'top'), ends, strict=True))
 
 
 def _track_spots(arguments: argparse.Namespace, notes: list[str]) -> dict[str, Track]:

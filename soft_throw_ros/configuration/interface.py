@@ -272,8 +272,6 @@ class ReplayServices(NamedTuple):
 
     pause: Service = Service('~/pause', TRIGGER, 'Pause playback')
     resume: Service = Service('~/resume', TRIGGER, 'Resume playback')
-    step: Service = Service(
-        '~/step', TRIGGER, 'Play the messages of the next time stamp while paused')
 
 
 TWIN_TOPICS = TwinTopics()

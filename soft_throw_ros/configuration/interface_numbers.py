@@ -6,7 +6,7 @@ Table of the numbers in results and recommendations that have a topic of their o
 A new number is one row. Its topic, its publication and docs/topics.md follow from the row.
 
 The table leaves out the numbers of the rig, which are parameters of the twin; step numbers and
-stamps; and the numbers of other throws than the recommended one except their energy transfer. A
+stamps; and most numbers of a recommendation, which are in its message. A
 recorder needs 0.1 % of a core for every topic, also for a topic without messages.
 """
 
@@ -24,8 +24,6 @@ class Number(NamedTuple):
     unit: str = ''
     stage: str = 'release'
     """Stage of the result at which the number is published: 'release' or 'final'."""
-    is_repeatable: bool = True
-    """Whether a repeated session gives the number; the node adds the other ones."""
 
 
 _RELEASE = {
@@ -35,21 +33,6 @@ _RELEASE = {
 }
 """Meaning and unit of the numbers of a release."""
 
-OTHER_MODELS = ('spring_mass', 'travelling_wave', 'cells_elastic', 'cells_glued')
-"""Models that predict the same throw, except the model of the twin, in the order of results."""
-
-_OTHER_THROWS = {
-    'now': 'the present layer and motion',
-    'by_thickness': 'the best thickness alone',
-    'by_wave_speed': 'the best wave speed alone',
-    'optimum': 'the best layer without limits and loss',
-    'harmonic': 'the best harmonic motion',
-    'step': 'the best step of the plate',
-    'layer': 'the best layer, without another motion',
-    'linear': 'a linear layer with the designed motion',
-    'both': 'the designed motion with the best layer',
-}
-"""Throws to compare a recommendation with."""
 
 THROW_NUMBERS = (
     Number('throw', 'Number of the throw, from 1'),
@@ -72,18 +55,12 @@ THROW_NUMBERS = (
     Number('accuracy.samples', 'Samples of the plate since the start'),
     Number('accuracy.samples_left_out', 'Outliers among these samples'),
     *(
-        Number(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit,
-               is_repeatable=False)
+        Number(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit)
         for name, (meaning, unit) in _RELEASE.items()
         for end, side in (('low', 'lower'), ('high', 'upper'))
     ),
     Number('uncertainty.stuck_fraction', 'Fraction of throws without release within the '
-           'uncertainties', is_repeatable=False),
-    *(
-        Number(f'{model}.{name}', f'{meaning}, by the model {model}', unit, is_repeatable=False)
-        for model in OTHER_MODELS
-        for name, (meaning, unit) in _RELEASE.items()
-    ),
+           'uncertainties'),
     Number('last_ejection_time', 'Time from the start of the throw to the last release before the '
            'projectile falls back', 's', 'final'),
     Number('last_ejection_speed', 'Speed at this release', 'm/s', 'final'),
@@ -110,30 +87,10 @@ RECOMMENDED_NUMBERS = (
     Number('thickness', 'Best thickness', 'm'),
     Number('wave_speed', 'Best wave speed', 'm/s'),
     Number('density', 'Density of the best layer', 'kg/m3'),
-    Number('youngs_modulus', 'Modulus of the best layer', 'Pa'),
     Number('loss_tangent', 'Loss tangent of the best layer'),
-    Number('mass_ratio', 'Mass ratio mu of projectile and best layer'),
-    Number('speed_ratio', 'Speed ratio kappa = c_s / (L_s f) of the best layer'),
-    Number('ejection_time', 'Ejection time of the recommended throw', 's'),
-    Number('ejection_speed', 'Ejection speed of the recommended throw', 'm/s'),
     Number('energy_transfer', 'Energy transfer factor alpha of the recommended throw'),
-    Number('peak_strain', 'Largest strain of the layer up to the release'),
-    Number('peak_acceleration', 'Largest acceleration of the projectile up to the release',
-           'm/s2'),
-    Number('g_load', 'The same acceleration over standard gravity'),
-    Number('peak_plate_force', 'Largest force of the layer on the plate up to the release', 'N'),
-    Number('plate_work', 'Work of the plate up to the release', 'J'),
-    Number('kinetic_energy', 'Kinetic energy of the projectile at the release', 'J'),
-    Number('score', 'Energy transfer factor that counts for the objective'),
-    Number('now_score', 'The same factor of the present layer'),
+    Number('ejection_speed', 'Ejection speed of the recommended throw', 'm/s'),
     Number('amplitude', 'Amplitude that reaches the target', 'm'),
-    Number('height', 'Rise of the projectile with this amplitude', 'm'),
-    Number('speed', 'Speed at the last release with this amplitude', 'm/s'),
-    Number('target_height', 'Target of an aim', 'm'),
-    Number('target_speed', 'Target of an aim', 'm/s'),
-    *(
-        Number(f'{name}.energy_transfer', f'Energy transfer factor alpha of {meaning}')
-        for name, meaning in _OTHER_THROWS.items()
-    ),
+    Number('peak_strain', 'Largest strain of the layer up to the release'),
 )
-"""Numbers of `~/recommendation`, below `~/recommended`."""
+"""Numbers of `~/recommendation`, below `~/recommended`; they are parameters, too."""

@@ -76,8 +76,8 @@ CALIBRATOR = Table(
             'layer',
             kind='the name of a node, or empty', pattern=f'|{NAME}'),
         row('throws', 3,
-            'Number of throws in a row beyond `measured.residual_threshold` of the twin after '
-            'which the rig is identified from them', low=1, high=100),
+            'Number of throws in a row that are beyond `measured.residual_threshold` of the twin, '
+            'or too noisy for it, after which the rig is identified from them', low=1, high=100),
         row('motion_after', 0,
             'Number of throws in a row within `measured.residual_threshold` after which the twin '
             'commands the best motion of the plate, and the gain is measured; 0 for never',

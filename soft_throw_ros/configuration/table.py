@@ -102,7 +102,7 @@ class Entry:
     @property
     def is_of_rig(self) -> bool:
         """Whether a change waits for the next throw, because it ends the wave in the layer."""
-        return self.group in ('engine', 'layer', 'projectile', 'gravity', 'model')
+        return self.group in ('engine', 'layer', 'projectile', 'gravity')
 
     @property
     def rule(self) -> str:

@@ -31,7 +31,7 @@ from soft_throw_ros.configuration.table import (
     Table,
     Value,
 )
-from soft_throw_ros.core.models import LOSSES, MODELS, STRESS_STRAIN_LAWS
+from soft_throw_ros.core.material import LOSSES, STRESS_STRAIN_LAWS
 from soft_throw_ros.core.rig import Engine, Layer, LINEAR_STRAIN, Projectile, Rig, Stack
 
 _INSTALLED = library()
@@ -41,7 +41,7 @@ OBJECTIVES: Mapping[str, str] = {
     'robust': 'the most in the worst case of the uncertainties',
     'versatile': 'the most in the worst of several throws',
 }
-"""Objectives and their meanings; `design/objectives/NAME.py` has the class `Name`."""
+"""Objectives and their meanings; `design.objective` has the functions."""
 
 _RIG = Rig()
 
@@ -93,13 +93,6 @@ MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
     'measured': _engine,
 }
 """Motions of the plate, each with the function that makes the engine of complete settings."""
-
-_RECOMMENDED = (
-    'thickness', 'wave_speed', 'density', 'youngs_modulus', 'loss_tangent', 'mass_ratio',
-    'speed_ratio', 'ejection_time', 'ejection_speed', 'energy_transfer', 'peak_strain',
-    'peak_acceleration', 'peak_plate_force', 'plate_work', 'score', 'amplitude',
-)
-"""Numbers of a recommendation that are parameters, too."""
 
 _ENTRIES = (
     row('engine.motion', 'underdamped',
@@ -177,16 +170,9 @@ _ENTRIES = (
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
         unit='kg', low=1e-5, high=1.0),
     row('projectile.length', _RIG.projectile.length,
-        'Length L_r of the projectile, for the model `cells_elastic`',
+        'Length L_r of the projectile, for pictures and for tracks of its centre',
         unit='m', low=1e-4, high=0.5),
-    row('projectile.youngs_modulus', _RIG.projectile.youngs_modulus,
-        'Modulus E_r of the projectile, for the model `cells_elastic`',
-        unit='Pa', low=1e6, high=1e12),
     row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
-    row('model', 'travelling_wave',
-        'Model of layer and projectile; cells replace the travelling wave for internal loss, '
-        'large strain or a stack',
-        choices=tuple(MODELS)),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
         unit='s', low=0.05, high=3600.0, or_zero=True),
     row('throw.max_events', 20,
@@ -222,9 +208,9 @@ _ENTRIES = (
         choices=(*OBJECTIVES, 'aim')),
     row('recommendation.vary', 'both',
         'Properties that may change: thickness or wave speed of the layer, both, or the layer as '
-        'one of the library; or the motion of the plate, for the most energy per throw; '
-        '`amplitude` for aiming alone, which always changes the amplitude',
-        choices=('thickness', 'wave_speed', 'both', 'library', 'motion', 'amplitude')),
+        'one of the library; or the motion of the plate, for the most energy per throw; aiming '
+        'changes the amplitude only',
+        choices=('thickness', 'wave_speed', 'both', 'library', 'motion')),
     row('recommendation.plate_speed', 0.0,
         'Largest speed of a plate whose motion is designed; 0 is that of its motion now',
         unit='m/s', low=1e-3, high=100.0, or_zero=True),
@@ -248,14 +234,6 @@ _ENTRIES = (
     row('recommendation.max_acceleration', 0.0,
         'Largest acceleration of the projectile to allow; 0 does not limit it',
         unit='m/s2', low=1.0, high=1e6, or_zero=True),
-    row('recommendation.max_loss_tangent', 0.0,
-        'Largest loss tangent of a material to pick; 0 does not limit it',
-        low=1e-3, high=2.0, or_zero=True),
-    row('recommendation.max_amplitude', 0.1, 'Largest amplitude to aim with',
-        unit='m', low=1e-5, high=0.1),
-    row('recommendation.quantile', 0.0,
-        'Which case counts when robust: 0 is the worst, 0.05 is worse than 95 % of all',
-        low=0.0, high=0.5),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
         unit='kg', low=1e-5, high=1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',
@@ -270,7 +248,6 @@ _ENTRIES = (
     *(
         row(f'recommended.{number.name}', math.nan, number.meaning, unit=number.unit)
         for number in RECOMMENDED_NUMBERS
-        if number.name in _RECOMMENDED
     ),
 )
 
@@ -441,9 +418,7 @@ TWIN = Table(
 )
 """The parameters of the twin."""
 
-RIG_PARAMETERS = tuple(
-    entry.name for entry in TWIN.entries if entry.is_of_rig and entry.name != 'model'
-)
+RIG_PARAMETERS = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig)
 """Parameters that describe a rig, and require a new one when they change."""
 
 

@@ -15,7 +15,7 @@ from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import rig_of, RIG_PARAMETERS
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import model_for, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.message import SECOND
 
 BOUND_PER_DEVIATION = math.sqrt(3.0)
@@ -51,7 +51,6 @@ class TwinConfig:
 
     settings: Settings  # complete, the source of all other fields
     rig: Rig
-    model: str  # the set one, or its fallback for the rig
     motion: str  # kind of the plate's motion: a name of `configuration.twin.MOTIONS`
     measurement: MeasurementConfig  # for a measured plate
     state_rate: float  # steps per second of the clock [Hz]
@@ -103,7 +102,6 @@ class TwinConfig:
         return cls(
             settings=settings,
             rig=rig,
-            model=model_for(rig, settings['model']),
             motion=motion,
             measurement=MeasurementConfig(
                 smoothing_window_ns=round(settings['measured.smoothing_window'] * SECOND),

@@ -5,9 +5,8 @@ A rig cut into cells.
 
 Each sheet is cut into cells that its fastest wave crosses in one time step, or a little more,
 which is the longest step that is stable. At one step exactly, as in a linear layer of one
-material, the scheme has no dispersion. Sheets begin and end with a node; a sheet or projectile
-that is too thin or too stiff for one cell (two, of a projectile) and an explicit step gets one
-that is implicit.
+material, the scheme has no dispersion. Sheets begin and end with a node; a sheet that is too thin
+or too stiff for one cell and an explicit step gets one that is implicit.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Floats = NDArray[np.float64]
 BODY = np.dtype(
     [
         ('count', 'i8'),  # number of cells
-        ('thickness', 'f8'),  # 0 if its strain does not matter [m]
+        ('thickness', 'f8'),  # [m]
         ('mass', 'f8'),  # [kg]
         ('stiffness', 'f8'),  # at the plate's frequency [N/m]
         ('lag', 'f8'),  # viscosity over stiffness [s]
@@ -34,7 +33,7 @@ BODY = np.dtype(
         ('maxwell', 'f8', (3,)),  # shares of the Maxwell elements in the stiffness [-]
     ]
 )
-"""A sheet or an elastic projectile, to be cut into cells of one kind."""
+"""A sheet, to be cut into cells of one kind."""
 
 POINT = np.dtype(
     [
@@ -46,12 +45,6 @@ POINT = np.dtype(
 )
 """A height at which the layer is read."""
 
-MAX_PROJECTILE_CELLS = 1 << 15
-"""Most cells of an elastic projectile."""
-
-MIN_PROJECTILE_CELLS = 2
-"""Fewest cells of an elastic projectile."""
-
 ROUNDING = 1e-9
 """Relative rounding error of a crossing time. [-]"""
 
@@ -60,27 +53,24 @@ _SHOCK_SPEED = 1.055
 
 
 class Grid(NamedTuple):
-    """A rig to be cut into cells."""
+    """A layer to be cut into cells."""
 
     step: float
     """Time step. [s]"""
     bodies: NDArray[np.void]
-    """A `BODY` for each sheet from the plate up, and for an elastic projectile."""
-    projectile_cells: int
-    """Cells of the projectile, 0 if it is rigid."""
+    """A `BODY` for each sheet from the plate up."""
 
     @property
     def counts(self) -> NDArray[np.int64]:
         """Cells of each sheet."""
-        sheets = self.bodies.size - (self.projectile_cells > 0)
-        counts: NDArray[np.int64] = self.bodies['count'][:sheets]
+        counts: NDArray[np.int64] = self.bodies['count']
         return counts
 
     def points(self, count: int) -> NDArray[np.void]:
         """Return a `POINT` for each of some even heights from plate to top."""
         counts = self.counts
         sheets = np.repeat(np.arange(counts.size), counts)
-        lengths = (self.bodies['thickness'][: counts.size] / counts)[sheets]
+        lengths = (self.bodies['thickness'] / counts)[sheets]
         bounds = np.append(0.0, np.cumsum(lengths))
         heights = np.linspace(0.0, bounds[-1], count)
         cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
@@ -150,11 +140,6 @@ def make_bodies(ratios: Ratios, layer: Layer) -> tuple[NDArray[np.void], Floats]
     return bodies, crossing / _fastest_waves(bodies)
 
 
-def make_projectile(cells: int, mass: float, stiffness: float) -> NDArray[np.void]:
-    """Return an elastic projectile as an array of one `BODY`."""
-    return np.array([(cells, 0.0, mass, stiffness, 0.0, 0.0, 1.0, (0.0, 0.0, 0.0))], BODY)
-
-
 def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
     """Return a `BODY` for each sheet, and the crossing times of its fastest wave [s]."""
     layer, time = rig.layer, rig.crossing_time
@@ -178,65 +163,9 @@ def crossing_time(rig: Rig) -> float:
     return float(_make_sheets(rig)[1].sum())
 
 
-def make_grid(rig: Rig, *, cells: int, is_elastic: bool = False) -> Grid:
-    """
-    Cut a rig into cells; sheets get whole numbers of cells, and at least one.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    cells : int
-        Number of cells of the layer, about. [-]
-    is_elastic : bool
-        Whether the projectile is cut, too.
-
-    Raises
-    ------
-    ValueError
-        If an elastic projectile takes more than `MAX_PROJECTILE_CELLS`; with the number.
-
-    """
+def make_grid(rig: Rig, *, cells: int) -> Grid:
+    """Cut the layer of a rig into about so many cells, whole numbers and at least 1 per sheet."""
     bodies, crossings = _make_sheets(rig)
     step = float(crossings.sum()) / cells
     bodies['count'] = count_cells(crossings, step)
-    if not is_elastic:
-        return Grid(step, bodies, 0)
-    projectile, count = rig.projectile, _count_projectile_cells(rig, step)
-    stiffness = projectile.youngs_modulus * rig.layer.section / projectile.length
-    elastic = make_projectile(count, projectile.mass, stiffness)
-    return Grid(step, np.concatenate([bodies, elastic]), count)
-
-
-def make_massless_grid(rig: Rig, *, step: float) -> Grid:
-    """
-    Make one cell without mass, a spring and a dashpot (App. A).
-
-    Raises
-    ------
-    ValueError
-        If the layer is not linear, or its loss not Kelvin and Voigt's.
-
-    """
-    layer = rig.layer
-    if layer.stress_strain_law != 'linear' or layer.loss == 'constant':
-        raise ValueError(
-            'the model spring_mass needs layer.stress_strain_law linear and layer.loss '
-            f'kelvin_voigt, got {layer.stress_strain_law} and {layer.loss}'
-        )
-    lag = layer.loss_tangent / rig.engine.angular_frequency
-    spring = (1, layer.thickness, 0.0, layer.stiffness, lag, 0.0, 1.0, (0.0, 0.0, 0.0))
-    return Grid(step, np.array([spring], BODY), 0)
-
-
-def _count_projectile_cells(rig: Rig, step: float) -> int:
-    """Count the cells of an elastic projectile, or refuse too many."""
-    count = rig.crossing_ratio * rig.crossing_time / step * (1.0 + ROUNDING)
-    if count > MAX_PROJECTILE_CELLS:
-        modulus = rig.projectile.youngs_modulus
-        stiffer = modulus * (count / MAX_PROJECTILE_CELLS) ** 2
-        raise ValueError(
-            f'projectile.youngs_modulus {modulus:g} Pa takes {count:.0f} cells, the limit is '
-            f'{MAX_PROJECTILE_CELLS}; feasible: {1.001 * stiffer:.4g} Pa or more'
-        )
-    return max(MIN_PROJECTILE_CELLS, int(count))
+    return Grid(step, bodies)

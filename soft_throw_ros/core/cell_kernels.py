@@ -8,7 +8,8 @@ Notes
 Eqs. (2)-(3) of [1]_, :math:`\rho u_{tt} = \sigma_y`, with the Kelvin-Voigt stress
 :math:`\sigma = E u_y + \eta u_{ty}`. Nodes are numbered from the plate up, and link j is between
 nodes j and j + 1. A link is a cell (a spring beside a dashpot and Maxwell elements, with half of
-its mass on each of its nodes) or the contact, whose two nodes move as one while it lasts.
+its mass on each of its nodes) or, as the last one, the contact, whose two nodes move as one while
+it lasts. The last node is the projectile.
 Displacements u belong to whole steps, velocities v to half steps, so that semi-implicit Euler is
 of second order,
 
@@ -20,13 +21,12 @@ of second order,
 :math:`\beta` is 0 but in cells that a wave crosses in less than a step h, where 1/4 (average
 acceleration) keeps the scheme stable. The implicit part is one tridiagonal system with constant
 coefficients, whose factors are computed once. All counts from the static equilibrium; the weight
-of the layer is left out as in [1]_, unless it is thrown along.
+of the layer is left out as in [1]_.
 
-The contact force is inertia and stress of the nodes above the contact, and the projectile leaves
-when it falls below zero, at the root of the cubic through four steps. After that the nodes are
-free of each other, and of the weight. In the cell at each free end a dashpot takes away the
-velocity that alternates from step to step after the release; in one cell it is a change of second
-order.
+The contact force is the inertia of the projectile, which leaves when the force falls below zero,
+at the root of the cubic through four steps. After that the nodes are free of each other, and of
+the weight. In the top cell a dashpot takes away the velocity that alternates from step to step
+after the release; in one cell it is a change of second order.
 
 The nodes meet again when the gap is closed at the end of a step; from there on they are where
 momentum puts them, at the common velocity. That is how two waves meet half a cell later, so that
@@ -104,21 +104,20 @@ class Row(NamedTuple):
     inverse_pivot: int = 25  # velocity over momentum of an eliminated node [1/kg]
     momentum_factor: int = 27  # mass of a node if it is coupled, otherwise 1 [kg]
     impulse_factor: int = 29  # half a step, over the mass if it is not coupled [s]
-    inverse_length: int = 31  # of a cell of the layer, 0 for other links [1/m]
+    inverse_length: int = 31  # of a cell, 0 for the contact [1/m]
     rest_height: int = 32  # of a node of the layer [m]
-    static_load: int = 33  # weight that a cell of the layer carries at rest [N]
-    static_strain: int = 34  # compression of a cell at rest [-]
-    peak_strain: int = 35  # largest magnitude of the strain of a cell [-]
-    implicit_stiffness: int = 36  # of a cell that is too fast for the step [kg]
-    position: int = 37  # displacement at the requested time [m]
-    speed: int = 38  # velocity at the requested time [m/s]
-    force: int = 39  # force through a cell at the requested time, positive in compression [N]
+    static_strain: int = 33  # compression of a cell at rest [-]
+    peak_strain: int = 34  # largest magnitude of the strain of a cell [-]
+    implicit_stiffness: int = 35  # of a cell that is too fast for the step [kg]
+    position: int = 36  # displacement at the requested time [m]
+    speed: int = 37  # velocity at the requested time [m/s]
+    force: int = 38  # force through a cell at the requested time, positive in compression [N]
 
 
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-ROWS, STATE_ROWS = 40, 10
+ROWS, STATE_ROWS = 39, 10
 """Number of rows, and of the first ones, which are the state and 0 at rest."""
 
 # A stepper has three records. The first is the state at a step of the grid, the second is the
@@ -129,28 +128,22 @@ RECORD = np.dtype(
         # constants
         ('step', 'f8'),  # [s]
         ('rate', 'f8'),  # 2 / step [1/s]
-        ('cells', 'i8'),  # number of cells of the layer
-        ('first_node', 'i8'),  # lowest node of the layer
-        ('contact_link', 'i8'),
+        ('cells', 'i8'),  # number of cells, and of the link that is the contact
         ('is_curved', '?'),  # a sheet is neo-Hookean
         ('has_maxwell', '?'),
         ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
         ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
         ('maxwell_decay', 'f8', (3,)),  # share of the stretch that is left after a step
         ('maxwell_gain', 'f8', (3,)),  # share of a new stretch that an element takes
-        ('relaxation_rate', 'f8'),  # E / eta of a layer without mass, 0 for others [1/s]
         ('mass', 'f8'),  # of the projectile [kg]
-        ('face_node_mass', 'f8'),  # share of the projectile in the mass of its lowest node [kg]
-        ('carried_mass', 'f8'),  # above the contact [kg]
         ('gravity', 'f8'),  # [m/s2]
         ('release_threshold', 'f8'),  # contact force below which the projectile leaves [N]
         ('rest_height', 'f8'),  # of the projectile's lower face [m]
         ('edge_cells', 'i8', (2, 2)),  # cells that extrapolate the strain to plate and top
         ('edge_weights', 'f8', (2,)),
-        ('collision_nodes', 'i8', (2,)),  # outermost nodes that meet as one in a landing
-        ('collision_masses', 'f8', (2,)),  # [kg]
+        ('collision_node', 'i8'),  # lowest of the nodes that meet the projectile as one
+        ('collision_mass', 'f8'),  # of these nodes [kg]
         # the linear system of the mean velocities, see `factorise`
-        ('known', 'i8', (2,)),  # highest node whose motion is given, in flight and in contact
         ('first', 'i8', (2,)),  # first and last of the nodes that are coupled
         ('end', 'i8', (2,)),
         ('middle', 'i8', (2,)),  # node at which the eliminations from both ends meet
@@ -201,15 +194,12 @@ RECORD = np.dtype(
 
 @subroutine
 def cut(s: Record, nodes: Any, bodies: Any) -> None:
-    """Cut bodies into cells; without cells of its own the projectile is a point."""
-    top = s.first_node + s.cells
-    first, projectile_node = s.first_node, s.cells + 1
+    """Cut sheets into cells; the projectile is a point."""
+    first = 0
     for n in range(bodies.size):
         body = bodies[n]
-        if first == top:
-            first = projectile_node
         mass, spring = body.mass / body.count, body.stiffness * body.count
-        inverse = body.count / body.thickness if body.thickness > 0.0 else 0.0
+        inverse = body.count / body.thickness
         tangent = body.relaxed  # of the stiffest state
         if body.max_compression > 0.0:
             tangent *= (1.0 + 2.0 / (1.0 - body.max_compression) ** 3) / 3.0
@@ -232,14 +222,13 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
             nodes[ROW.viscosity, j] = nodes[ROW.viscosity + 1, j] = body.lag * spring
             nodes[ROW.implicit_stiffness, j] = implicit
         first += body.count
-    if first == top:
-        nodes[ROW.mass, projectile_node] += s.mass
+    nodes[ROW.mass, s.cells + 1] = s.mass
 
 
 @subroutine
-def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
+def factorise(s: Record, nodes: Any, case: int) -> None:
     """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
-    step, rigid = s.step, s.contact_link if case == 1 else -1
+    step, rigid = s.step, s.cells if case == 1 else -1
     last = nodes.shape[1] - 1
     mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
     low, high = last, -1
@@ -251,8 +240,7 @@ def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
         coupling[j] = nodes[ROW.implicit_stiffness, j] + viscous
         if coupling[j] > 0.0 or j == rigid:
             low, high = min(low, j), max(high, j)
-    first = known + 1 if low <= known else low
-    end = high + 1
+    first, end = max(low, 1), high + 1  # the motion of node 0 is given
     if end < first:  # nothing is coupled
         first, end = last + 1, last
     for j in range(1, last + 1):
@@ -262,7 +250,7 @@ def factorise(s: Record, nodes: Any, known: int, case: int) -> None:
         if not is_coupled:
             nodes[ROW.impulse_factor + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
     middle = first + 2 * ((end - first) // 4)
-    s.known[case], s.first[case], s.end[case], s.middle[case] = known, first, end, middle
+    s.first[case], s.end[case], s.middle[case] = first, end, middle
     if first <= end:
         _eliminate(nodes, case, first, middle, end, rigid)
 
@@ -343,7 +331,7 @@ def _substitute(nodes, x, case, first, middle, end):
 @inlined
 def solve(s: Record, nodes: Any) -> None:
     """
-    Compute the mean velocities w of all nodes with unknown motion.
+    Compute the mean velocities w of all nodes above the plate.
 
     They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the tensions, with the
     matrix B of implicit cells.
@@ -351,19 +339,17 @@ def solve(s: Record, nodes: Any) -> None:
     now, case = s.index & 1, 1 if s.contact else 0
     w, tension = ROW.mean_velocity + now, ROW.tension + now
     momentum_factor, impulse_factor = ROW.momentum_factor + case, ROW.impulse_factor + case
-    known, first, end = s.known[case], s.first[case], s.end[case]
-    known_velocity = nodes[w, known]
+    first, end = s.first[case], s.end[case]
     for j in range(1, nodes.shape[1]):
         force = nodes[tension, j] - nodes[tension, j - 1]
         start = nodes[momentum_factor, j] * nodes[ROW.velocity, j]
         nodes[w, j] = start + nodes[impulse_factor, j] * force
-    nodes[w, known] = known_velocity
     if end < first:
         return
     for j in range(s.first_stiff, s.last_stiff + 1):
         momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
         nodes[w, j + 1] += momentum
-        if j > known:
+        if j > 0:
             nodes[w, j] -= momentum
     nodes[w, first] += nodes[ROW.coupling + case, first - 1] * nodes[w, first - 1]
     _substitute(nodes, w, case, first, s.middle[case], end)
@@ -385,31 +371,20 @@ def _prepare_links(s, nodes, omega):
 
 @subroutine
 def _prepare_contact(s, nodes):
-    """Prepare free ends, the equations of flight and contact, and the nodes that land as one."""
-    last, link = nodes.shape[1] - 1, s.contact_link
-    is_massless = link > 0 and nodes[ROW.mass, link] == 0.0
-    if is_massless:  # infinite without loss
-        s.relaxation_rate = nodes[ROW.stiffness, 0] / nodes[ROW.viscosity, 0]
-    # A dashpot that takes half of the momentum of a free end in half a step ends its alternation
-    if link > 0:
-        nodes[ROW.viscosity, link - 1] += s.rate * nodes[ROW.mass, link]
-    if link + 2 <= last:
-        nodes[ROW.viscosity, link + 1] += s.rate * nodes[ROW.mass, link + 1]
-    factorise(s, nodes, 1 if is_massless else 0, 0)
-    factorise(s, nodes, 1 if link == 0 else 0, 1)
+    """Prepare the free top, the equations of flight and contact, and the nodes of a landing."""
+    top = s.cells
+    # A dashpot that takes half of the momentum of the top in half a step ends its alternation
+    nodes[ROW.viscosity, top - 1] += s.rate * nodes[ROW.mass, top]
+    factorise(s, nodes, 0)
+    factorise(s, nodes, 1)
     s.contact = True
     # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
     # such cells part meet as one.
-    below, above = link, link + 1
-    while below > 1 and nodes[ROW.implicit_stiffness, below - 1] > 0.0:
-        below -= 1
-    while above < last and nodes[ROW.implicit_stiffness, above] > 0.0:
-        above += 1
-    s.collision_nodes[0], s.collision_nodes[1] = below, above
-    for j in range(below, above + 1):
-        s.collision_masses[0 if j <= link else 1] += nodes[ROW.mass, j]
-    for j in range(link + 1, last + 1):
-        s.carried_mass += nodes[ROW.mass, j]
+    s.collision_node = top
+    while s.collision_node > 1 and nodes[ROW.implicit_stiffness, s.collision_node - 1] > 0.0:
+        s.collision_node -= 1
+    for j in range(s.collision_node, top + 1):
+        s.collision_mass += nodes[ROW.mass, j]
 
 
 @inlined
@@ -422,14 +397,9 @@ def _neo_hookean_stress(ratio, min_stretch):
 
 @subroutine
 def _prepare_rest(s, nodes):
-    """Compute loads, strains and heights at rest: each cell carries the weight above it."""
-    top = s.first_node + s.cells
-    carried = s.mass * s.gravity
-    for j in range(top - 1, s.first_node - 1, -1):
-        if s.first_node > 0:
-            own = nodes[ROW.mass, j + 1] - (s.face_node_mass if j + 1 == top else 0.0)
-            carried += own * s.gravity
-        nodes[ROW.static_load, j] = carried
+    """Compute strains and heights at rest: each cell carries the weight of the projectile."""
+    top, carried = s.cells, s.mass * s.gravity
+    for j in range(top):
         inverse, modulus = nodes[ROW.inverse_length, j], nodes[ROW.third_modulus, j]
         if modulus > 0.0:
             ratio = _static_stretch(carried / modulus)
@@ -438,33 +408,29 @@ def _prepare_rest(s, nodes):
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
         else:
             nodes[ROW.static_strain, j] = carried / nodes[ROW.stiffness, j] * inverse
-    for j in range(s.first_node, top):
         length = (1.0 - nodes[ROW.static_strain, j]) / nodes[ROW.inverse_length, j]
         nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + length
     s.rest_height = nodes[ROW.rest_height, top]
-    s.edge_strains[0] = nodes[ROW.static_strain, s.first_node]
+    s.edge_strains[0] = nodes[ROW.static_strain, 0]
     s.edge_strains[1] = nodes[ROW.static_strain, top - 1]
-    s.plate_force = s.carried_mass * s.gravity
+    s.plate_force = carried
 
 
 @kernel
 def prepare(
     core: Any, nodes: Any, bodies: Any, step: float, mass: float, gravity: float, omega: float,
-    peak_force: float, is_elastic: bool, is_on_projectile: bool,
+    peak_force: float,
 ) -> None:
     """Complete the third record, which has the plate's motion already, and cut the bodies."""
     s = core[2]
     s.step, s.rate, s.mass, s.gravity = step, 2.0 / step, mass, gravity
     s.release_threshold = -_FORCE_NOISE * peak_force
-    sheets = bodies.size - (1 if is_elastic else 0)
-    for n in range(sheets):
+    for n in range(bodies.size):
         s.cells += bodies[n].count
-    s.first_node, s.contact_link = (1, 0) if is_on_projectile else (0, s.cells)
-    s.face_node_mass = 0.5 * mass / bodies[sheets].count if is_elastic else mass
     for end in range(2):
-        edge = s.first_node + (s.cells - 1 if end == 1 else 0)
+        edge = s.cells - 1 if end == 1 else 0
         s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
-        if bodies[sheets - 1 if end == 1 else 0].count > 1:
+        if bodies[bodies.size - 1 if end == 1 else 0].count > 1:
             s.edge_cells[end, 1] = edge + (1 - 2 * end)
             s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
@@ -551,37 +517,10 @@ def _underdamped_motion(s, path):
 
 @inlined
 def _move_first_node(s, nodes, height, speed, acceleration):
-    """Move the lowest node, and the node above it if the contact or the spring ties it."""
-    now, step = s.index & 1, s.step
-    before = nodes[ROW.displacement, 0] - step * nodes[ROW.velocity, 0]  # a step ago
+    """Move the lowest node, which is the plate."""
     s.plate_acceleration = acceleration
-    nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + now, 0] = height, speed
-    nodes[ROW.velocity, 0] = speed - 0.5 * step * acceleration
-    if s.contact_link == 0 and s.contact:
-        nodes[ROW.displacement, 1], nodes[ROW.mean_velocity + now, 1] = height, speed
-        nodes[ROW.velocity, 1] = nodes[ROW.velocity, 0]
-    elif s.relaxation_rate > 0.0 and not s.contact:
-        _relax_free_end(s, nodes, now, s.below_before - before)
-
-
-@subroutine
-def _relax_free_end(s, nodes, now, stretch):
-    """Move the free end of a layer without mass towards its length without load."""
-    free = s.carried_mass * s.gravity / nodes[ROW.stiffness, 0]
-    stretch = (stretch - free) * math.exp(-s.relaxation_rate * s.step)
-    nodes[ROW.displacement, 1] = nodes[ROW.displacement, 0] + free + stretch
-    nodes[ROW.velocity, 1] = (nodes[ROW.displacement, 1] - s.below_before) / s.step
-    rate = s.relaxation_rate * stretch if s.relaxation_rate < math.inf else 0.0
-    nodes[ROW.mean_velocity + now, 1] = nodes[ROW.mean_velocity + now, 0] - rate
-
-
-@subroutine
-def _carried_speed(s, nodes):
-    """Compute the speed of the common centre of mass above the contact, at the half step."""
-    momentum = 0.0
-    for j in range(s.contact_link + 1, nodes.shape[1]):
-        momentum += nodes[ROW.mass, j] * nodes[ROW.velocity, j]
-    return momentum / s.carried_mass
+    nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + (s.index & 1), 0] = height, speed
+    nodes[ROW.velocity, 0] = speed - 0.5 * s.step * acceleration
 
 
 @subroutine
@@ -593,32 +532,17 @@ def _record_event(s, events, kind, fraction, height, velocity):
 
 @inlined
 def _contact_forces(s, nodes):
-    """Compute the forces of the layer on plate and projectile, and that in the contact."""
-    now, last = s.index & 1, nodes.shape[1] - 1
-    j, projectile_node, case = s.contact_link + 1, s.cells + 1, 1 if s.contact else 0
+    """Compute the forces of the layer on plate and projectile."""
+    now, j, case = s.index & 1, s.cells + 1, 1 if s.contact else 0
     weight = s.mass * s.gravity
-    change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
-    force = s.carried_mass * s.gravity + nodes[ROW.mass, j] * s.rate * change
-    if j < last:
-        force -= _link_tension(nodes, j, now, case, s.rate)
+    s.on_projectile_now = 0.0
     if s.contact:
         s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
-        s.force = force
+        change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
+        s.force = s.on_projectile_now = weight + s.mass * s.rate * change
         s.known_forces += 1
-    pushed = 0.0
-    if s.contact or s.contact_link == 0:
-        change = nodes[ROW.mean_velocity + now, projectile_node]
-        change -= nodes[ROW.velocity, projectile_node]
-        pushed = weight + s.face_node_mass * s.rate * change
-        if projectile_node < last:
-            pushed -= _link_tension(nodes, projectile_node, now, case, s.rate)
-    s.on_projectile_now = pushed
-    if s.contact_link == 0:
-        s.on_plate_now = -force if s.contact else 0.0
-    else:
-        inertia = nodes[ROW.mass, 0] * s.plate_acceleration
-        tension = _link_tension(nodes, s.first_node, now, case, s.rate)
-        s.on_plate_now = tension - inertia - weight
+    inertia = nodes[ROW.mass, 0] * s.plate_acceleration
+    s.on_plate_now = _link_tension(nodes, 0, now, case, s.rate) - inertia - weight
 
 
 @subroutine
@@ -647,10 +571,10 @@ def _handle_release(s, nodes, events):
     t = _first_root(before, slope, second, third)
     # Impulse of the force less the weight from half of the step on; the mean velocity of the step
     # is that at its middle and a 24th of its curvature
-    impulse = (before - s.carried_mass * s.gravity) * (t - 0.5) + slope * (t**2 - 0.25) / 2.0
+    impulse = (before - s.mass * s.gravity) * (t - 0.5) + slope * (t**2 - 0.25) / 2.0
     impulse += second * (t**3 - 0.125) / 3.0 + third * (t**4 - 0.0625) / 4.0
     impulse -= (after - before) / 24.0
-    velocity = _carried_speed(s, nodes) + s.step * impulse / s.carried_mass
+    velocity = nodes[ROW.velocity, s.cells + 1] + s.step * impulse / s.mass
     s.contact = False
     height, _ = _motion(s, nodes, s.cells + 1, t)
     _record_event(s, events, stepper.RELEASE, t, height, velocity)
@@ -659,26 +583,22 @@ def _handle_release(s, nodes, events):
 @subroutine
 def _handle_landing(s, nodes, events):
     """Land the projectile at the root of the gap, which is negative now."""
-    j = s.contact_link
+    j, projectile_node = s.cells, s.cells + 1
     u, v = nodes[ROW.displacement], nodes[ROW.velocity]
     before = nodes[ROW.mean_velocity + 1 - (s.index & 1)]
     gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
     t = _first_root(gap, closed - gap - bend, bend, 0.0)
-    projectile_node = s.cells + 1
     speed, change = v[projectile_node], v[projectile_node] - before[projectile_node]
     height = u[projectile_node] - s.step * (1.0 - t) * (speed + t * change)
-    velocity = _carried_speed(s, nodes) - s.gravity * s.step * (t - 0.5)
+    velocity = speed - s.gravity * s.step * (t - 0.5)
     overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
-    # Share of the mass below the contact; a plate does not give way
-    below, above = s.collision_masses[0], s.collision_masses[1]
-    below_share = below / (below + above) if j > 0 else 1.0
-    for k in range(s.collision_nodes[0], j + 1):
+    below_share = s.collision_mass / (s.collision_mass + s.mass)
+    for k in range(s.collision_node, j + 1):
         u[k] -= (1.0 - below_share) * overlap
         v[k] -= (1.0 - below_share) * approach
-    for k in range(j + 1, s.collision_nodes[1] + 1):
-        u[k] += below_share * overlap
-        v[k] += below_share * approach
+    u[projectile_node] += below_share * overlap
+    v[projectile_node] += below_share * approach
     s.contact = True
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
@@ -689,7 +609,7 @@ def _handle_landing(s, nodes, events):
 @inlined
 def _march(s, nodes, path, events, goal):
     """Advance to step `goal`, or into one with more events than there is room for."""
-    step, link = s.step, s.contact_link
+    step, link = s.step, s.cells
     while s.index < goal and s.events <= events.shape[0]:
         before, now = s.index & 1, 1 - (s.index & 1)
         s.below_before = nodes[ROW.displacement, link]
@@ -715,7 +635,7 @@ def _march(s, nodes, path, events, goal):
         leaves = False
         while True:
             if not s.contact:  # both sides of the contact are free of the weight
-                nodes[ROW.tension + now, link] = s.carried_mass * s.gravity
+                nodes[ROW.tension + now, link] = s.mass * s.gravity
             solve(s, nodes)
             _contact_forces(s, nodes)
             if leaves:
@@ -769,8 +689,8 @@ def _motion(s, nodes, j, fraction):
     # Changes of velocity in half a step, of an acceleration that is linear in time
     old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
     before = u - step * v
-    if j == s.contact_link or j == s.contact_link + 1:  # which a landing may have moved
-        before = s.below_before if j == s.contact_link else s.above_before
+    if j >= s.cells:  # which a landing may have moved
+        before = s.below_before if j == s.cells else s.above_before
     bend = old * (2.0 - t) + new * (1.0 + t)
     height = before + t * (u - before) - step * t * (1.0 - t) * bend / 3.0
     turn = old * (2.0 * t - t * t - 2.0 / 3.0) + new * (t * t - 1.0 / 3.0)
@@ -812,7 +732,7 @@ def _advance(core, nodes, path, events, time):
     state[stepper.PLATE_POSITION], state[stepper.PLATE_VELOCITY], _ = motion_at(s, path, time)
     height, state[stepper.PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.fraction)
     state[stepper.PROJECTILE_POSITION] = s.rest_height + height
-    s.surface, _ = _motion(s, nodes, s.first_node + s.cells, s.fraction)
+    s.surface, _ = _motion(s, nodes, s.cells, s.fraction)
     rise = on_plate - s.on_plate_before
     state[stepper.PLATE_FORCE] = s.on_plate_before + weight * rise
     rise = on_projectile - s.on_projectile_before
@@ -828,11 +748,11 @@ def _move_nodes(s, nodes):
         nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, fraction)
     nodes[ROW.position, 0] = s.state[stepper.PLATE_POSITION]
     nodes[ROW.speed, 0] = s.state[stepper.PLATE_VELOCITY]
-    case = 1 if s.contact else 0
+    case, weight = 1 if s.contact else 0, s.mass * s.gravity
     for j in range(nodes.shape[1] - 1):
         earlier = _link_tension(nodes, j, 1 - now, case, -s.rate)
         later = _link_tension(nodes, j, now, case, s.rate)
-        nodes[ROW.force, j] = nodes[ROW.static_load, j] - earlier - fraction * (later - earlier)
+        nodes[ROW.force, j] = weight - earlier - fraction * (later - earlier)
 
 
 @kernel
@@ -870,9 +790,9 @@ def stored_energy(core: Any, nodes: Any) -> float:
     s = core[1]
     _move_nodes(s, nodes)
     position, speed = nodes[ROW.position], nodes[ROW.speed]
-    weight = s.carried_mass * s.gravity
+    weight = s.mass * s.gravity
     total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
-    total += weight * (position[0] + position[s.contact_link + 1] - position[s.contact_link])
+    total += weight * (position[0] + position[s.cells + 1] - position[s.cells])
     remainder = (1.0 - s.fraction) * s.step if s.index > 0 else 0.0
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
@@ -900,10 +820,9 @@ def reset(core: Any, nodes: Any) -> None:
     nodes[ROW.peak_strain] = nodes[ROW.static_strain]
     s.cosine = 1.0
     weight = s.mass * s.gravity
-    s.force = s.carried_mass * s.gravity
+    s.force = s.on_projectile_now = weight
     s.known_forces = 1
-    s.on_plate_now = -s.force if s.contact_link == 0 else -weight
-    s.on_projectile_now = weight
+    s.on_plate_now = -weight
     s.on_plate_before = s.on_plate_until = s.on_plate_now
     s.on_projectile_before = s.on_projectile_until = weight
     core[1] = core[0]
@@ -911,15 +830,14 @@ def reset(core: Any, nodes: Any) -> None:
 
 @kernel
 def prepare_ratios(
-    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float, is_elastic: bool,
-    is_on_projectile: bool,
+    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float
 ) -> None:
     """Prepare the third record in units of layer mass, crossing time and amplitude."""
     mu, kappa, zeta, gravity = ratios
     omega = 2.0 * math.pi / kappa
     write_underdamped(core[2], path, omega, omega, zeta, step)
     weight = gravity * omega * omega
-    prepare(core, nodes, bodies, step, mu, weight, omega, omega, is_elastic, is_on_projectile)
+    prepare(core, nodes, bodies, step, mu, weight, omega, omega)
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Throws by cells of finite size: layers with loss, stacks, elastic projectiles, glued layers.
+Throws by cells of finite size: layers with loss, large strain or several sheets.
 
 `cell_grid` cuts a rig into cells, and `cell_kernels` has the scheme and its order.
 """
@@ -19,9 +19,6 @@ from soft_throw_ros.core.cell_grid import (
     crossing_time,
     make_bodies,
     make_grid,
-    make_massless_grid,
-    make_projectile,
-    MIN_PROJECTILE_CELLS,
 )
 from soft_throw_ros.core.cell_kernels import (
     advance_compiled,
@@ -34,7 +31,6 @@ from soft_throw_ros.core.cell_kernels import (
     ROWS,
     stored_energy,
 )
-from soft_throw_ros.core.models import model_of
 from soft_throw_ros.core.plate import peak_velocity_ratios
 from soft_throw_ros.core.plate_kernels import BLOCK
 from soft_throw_ros.core.rig import Layer, Ratios, Rig
@@ -54,9 +50,6 @@ MAX_CELLS = 4096
 
 MAX_UPDATE_RATE = 6e7
 """Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
-
-MAX_CROSSING_RATIO = 32.0
-"""Largest crossing time of a projectile in `throw_batch`, over that of the layer. [-]"""
 
 UPDATE_COST = 4e-9
 """Time of a processor for a cell in a step. [s]"""
@@ -79,12 +72,6 @@ _STEPS_PER_PERIOD = 120.0
 _MIN_STEPS_PER_PERIOD = 80.0
 """Steps per period of the plate below which a rig is refused in real time. [-]"""
 
-_MAX_CROSSING_RATIO = 8.0
-"""Largest crossing time of an elastic projectile in real time, over that of the layer. [-]"""
-
-_SPRING_STEPS = 1000.0
-"""Steps of a layer without mass, per period of plate or projectile. [-]"""
-
 _MAX_BATCH_CELLS = 1024
 """Most cells that `throw_batch` chooses. [-]"""
 
@@ -92,7 +79,7 @@ _THROWS_PER_THREAD = 16
 """Fewest throws that are worth a thread. [-]"""
 
 
-def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
+def cells_per_layer(rig: Rig) -> int:
     r"""
     Choose the number of cells of the layer in real time.
 
@@ -100,7 +87,7 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
     -------
     int
         At least 64; 12 per relaxation time and 120 steps in a period of the plate, for errors of
-        1e-4, or as many as there is time for. 1 for a layer without mass.
+        1e-4, or as many as there is time for.
 
     Raises
     ------
@@ -114,29 +101,8 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
     64
 
     """
-    abilities = model_of(model)
-    if abilities.batch == 'spring':
-        rate = 3.0 / _spring_step(rig)
-        if rate > MAX_UPDATE_RATE:
-            raise ValueError(
-                f'a projectile that swings at {rig.natural_frequency:.4g} Hz on its layer needs '
-                f'{rate:.3g} updates per second, the limit is {MAX_UPDATE_RATE:g}; feasible: '
-                f'layer.wave_speed of {rig.layer.wave_speed * MAX_UPDATE_RATE / rate:.4g} m/s'
-            )
-        return 1
     layer = rig.layer
-    per_cell = 1.0
-    if abilities.has_elastic_projectile:
-        per_cell += max(rig.crossing_ratio, 2.0 / _CELLS)
-        modulus = rig.projectile.youngs_modulus
-        if rig.crossing_ratio > _MAX_CROSSING_RATIO:
-            stiffer = modulus * (rig.crossing_ratio / _MAX_CROSSING_RATIO) ** 2
-            raise ValueError(
-                f'projectile.youngs_modulus {modulus:g} Pa needs {rig.crossing_ratio:.3g} times '
-                f'the cells of the layer, the limit is {_MAX_CROSSING_RATIO:g}; '
-                f'feasible: projectile.youngs_modulus of {1.001 * stiffer:.4g} Pa or more'
-            )
-    rate = per_cell / crossing_time(rig)  # updates per second, over the square of the cells
+    rate = 1.0 / crossing_time(rig)  # updates per second, over the square of the cells
     require_rate(layer, _CELLS**2 * rate, limit=MAX_UPDATE_RATE, unit='updates of cells')
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
     for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
@@ -153,16 +119,10 @@ def cells_per_layer(rig: Rig, model: str = 'cells') -> int:
     return min(max(_CELLS, math.ceil(min(needed, MAX_CELLS))), limit)
 
 
-def _spring_step(rig: Rig) -> float:
-    """Choose the time step of a layer without mass [s]."""
-    return 1.0 / (_SPRING_STEPS * max(rig.engine.frequency, rig.natural_frequency))
-
-
 def throw_batch(
     ratios: Ratios,
     layer: Layer,
     *,
-    is_on_projectile: bool = False,
     cells: int | None = None,
     threads: int | None = None,
 ) -> Floats:
@@ -172,11 +132,9 @@ def throw_batch(
     Parameters
     ----------
     ratios : Ratios
-        Ratios of the throws; `crossing_ratio` is at most `MAX_CROSSING_RATIO`.
+        Ratios of the throws.
     layer : Layer
         Layer whose sheets have the proportions of all layers.
-    is_on_projectile : bool
-        Whether the layer is glued to the projectile and leaves the plate with it.
     cells : int, optional
         Number of cells of the layer, from 8 to `MAX_CELLS`; by default chosen for each throw, at
         least 64, for errors of 1e-4. Errors are of second order, but of first order in shocks.
@@ -187,7 +145,7 @@ def throw_batch(
     -------
     ndarray, shape (7, n)
         Rows of `throws.Throws`, divided by `throws.units_of`; NaN without a release by
-        `batch.longest_wait`. The speed is that of the common centre of mass after release.
+        `batch.longest_wait`.
 
     Raises
     ------
@@ -199,16 +157,11 @@ def throw_batch(
         require_count('cells', cells, low=8, high=MAX_CELLS)
     rows, _ = broadcast_ratios(**ratios._asdict())
     ratios = Ratios(*rows)
-    mu, kappa, crossing_ratio = ratios.mass_ratio, ratios.speed_ratio, ratios.crossing_ratio
-    slowest = crossing_ratio.max(initial=0.0)
-    if slowest > MAX_CROSSING_RATIO:
-        raise ValueError(f'crossing_ratio must be at most {MAX_CROSSING_RATIO:g}, got {slowest}')
+    mu, kappa = ratios.mass_ratio, ratios.speed_ratio
     results = np.full((7, mu.size), math.nan)
     bodies, crossings = make_bodies(ratios, layer)
     steps = crossings.sum(axis=1) / (_choose_cells(ratios) if cells is None else cells)
     bodies['count'] = count_cells(crossings, steps[:, None])
-    projectile_cells = np.maximum(MIN_PROJECTILE_CELLS, (crossing_ratio / steps).astype(np.int64))
-    projectile_cells[crossing_ratio == 0.0] = 0
     latest, peak_speed = longest_wait(mu, kappa), peak_velocity_ratios(ratios.damping_ratio)
 
     def run(first: int, stride: int) -> None:
@@ -216,16 +169,10 @@ def throw_batch(
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
         for n in range(first, mu.size, stride):
-            sheets, in_projectile = bodies[n], int(projectile_cells[n])
-            nodes = np.zeros((ROWS, sheets['count'].sum() + in_projectile + 2))
-            if in_projectile:
-                elastic = make_projectile(in_projectile, mu[n], mu[n] / crossing_ratio[n] ** 2)
-                sheets = np.concatenate([sheets, elastic])
+            nodes = np.zeros((ROWS, bodies[n]['count'].sum() + 2))
             numbers[:] = 0.0
-            prepare_ratios(
-                core, nodes, path, sheets, tuple(rows[:4, n].tolist()), steps[n],
-                in_projectile > 0, is_on_projectile,
-            )
+            ratios_of_throw = tuple(rows[:4, n].tolist())
+            prepare_ratios(core, nodes, path, bodies[n], ratios_of_throw, steps[n])
             numbers[:2] = numbers[2]
             reset(core, nodes)
             advance(core, nodes, path, no_events, latest[n])
@@ -261,15 +208,12 @@ class CellStepper(Stepper):
     """
     A throw by cells; the layer may be a stack, and have loss.
 
-    An event carries the velocity of the common centre of mass of projectile and a glued layer, and
-    `state` that of the projectile's lower face. `stored_energy` is that of now, at any time.
+    `stored_energy` is that of now, at any time.
 
     Parameters
     ----------
     rig, is_measured, field_points
         As for `throw.make_stepper`.
-    model : str
-        One of `models.MODELS`, except for travelling waves.
     cells : int, optional
         Number of cells of the layer, from 1 to `MAX_CELLS`; the default is `cells_per_layer`.
 
@@ -299,30 +243,22 @@ class CellStepper(Stepper):
         rig: Rig,
         *,
         is_measured: bool = False,
-        model: str = 'cells',
         cells: int | None = None,
         field_points: int = 64,
     ) -> None:
         super().__init__(rig, field_points)
-        abilities = model_of(model)
         if cells is None:
-            cells = cells_per_layer(rig, model)
+            cells = cells_per_layer(rig)
         require_count('cells', cells, low=1, high=MAX_CELLS)
-        if abilities.batch == 'spring':
-            grid = make_massless_grid(rig, step=_spring_step(rig))
-        else:
-            grid = make_grid(rig, cells=cells, is_elastic=abilities.has_elastic_projectile)
+        grid = make_grid(rig, cells=cells)
         self.cells = int(grid.counts.sum())
         self.step = grid.step
-        self._nodes = np.zeros((ROWS, self.cells + grid.projectile_cells + 2))
+        self._nodes = np.zeros((ROWS, self.cells + 2))
         self._points = grid.points(field_points)
-        for name in ('cell', 'neighbour'):
-            self._points[name] += abilities.is_on_projectile
         self._make_records(RECORD, grid.step, is_measured=is_measured)
         prepare(
             self._core, self._nodes, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
-            grid.projectile_cells > 0, abilities.is_on_projectile,
         )
         self._bind()
         self.reset()

@@ -37,6 +37,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+STRESS_STRAIN_LAWS = ('linear', 'neo_hookean')
+"""Laws of stress over strain of a layer."""
+
+LOSSES = ('kelvin_voigt', 'constant')
+"""Frequency dependence of the loss tangent: in proportion to the frequency, or constant."""
+
 LARGEST_STRAIN = 0.5
 """
 Largest compression at which a neo-Hookean layer follows its law. [-]

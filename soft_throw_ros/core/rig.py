@@ -18,11 +18,12 @@ import numpy as np
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.material import (
     LARGEST_STRAIN,
+    LOSSES,
     relaxation,
     require_constant_loss,
     static_stretch,
+    STRESS_STRAIN_LAWS,
 )
-from soft_throw_ros.core.models import LOSSES, model_of, STRESS_STRAIN_LAWS
 
 if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
@@ -189,7 +190,7 @@ class Layer:
 
     @property
     def is_uniform(self) -> bool:
-        """Whether it is of one material, as the travelling-wave model needs it."""
+        """Whether it is of one material, as travelling waves need it."""
         return True
 
     @property
@@ -213,7 +214,7 @@ class Stack(Layer):
     r"""
     A layer of several sheets on top of each other.
 
-    Only the models with cells simulate a stack. The properties that a stack shares with a layer
+    Only cells simulate a stack. The properties that a stack shares with a layer
     of one material are effective values of the whole stack.
 
     Parameters
@@ -323,9 +324,7 @@ class Projectile:
     mass : float
         :math:`m`; the default is the paper's, 8.2 mm of 1300 kg/m3 and 12 mm diameter. [kg]
     length : float
-        Height :math:`L_r` of the projectile; used by elastic models only. [m]
-    youngs_modulus : float
-        :math:`E_r`; used by elastic models only. [Pa]
+        Height :math:`L_r` of the projectile, between its lower face and twice its centre. [m]
 
     Raises
     ------
@@ -336,7 +335,6 @@ class Projectile:
 
     mass: float = 1300.0 * 8.2e-3 * math.pi * 6e-3**2
     length: float = 8.2e-3
-    youngs_modulus: float = 3.6e9
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -439,14 +437,9 @@ class Rig:
         r""":math:`g / (A \omega^2)` [-]."""
         return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)
 
-    @property
-    def crossing_ratio(self) -> float:
-        """Return the time of a wave through the projectile over that through the layer [-]."""
-        return float(ratios_of(self, values_of(self)).crossing_ratio)
-
     def check_for_waves(self) -> None:
         """
-        Refuse a rig that the travelling-wave model cannot simulate.
+        Refuse a rig that travelling waves cannot simulate.
 
         Raises
         ------
@@ -462,7 +455,7 @@ class Rig:
         elif layer.loss_tangent > 0.0:
             need = f'layer.loss_tangent 0, got {layer.loss_tangent:g}'
         if need:
-            raise ValueError(f'the model travelling_wave needs {need}; the model cells takes it')
+            raise ValueError(f'travelling waves need {need}')
 
 
 def values_of(rig: Rig) -> dict[str, float]:
@@ -489,16 +482,14 @@ class Ratios(NamedTuple):
     r""":math:`g / (A \omega^2)`. [-]"""
     loss_tangent: Any = 0.0
     """Loss tangent of the whole layer at the plate's frequency. [-]"""
-    crossing_ratio: Any = 0.0
-    """Time of a wave through the projectile over that through the layer; 0 if it is rigid. [-]"""
     strain_ratio: Any = 0.0
     r""":math:`A \omega / c_s` of a neo-Hookean layer, 0 for a linear one. [-]"""
     constant_loss: Any = 0.0
     """Whether the loss tangent is constant, and not in proportion to frequency; 1 or 0."""
 
     @property
-    def rigid(self) -> dict[str, Any]:
-        """Ratios that decide the throw of a rigid projectile from a lossless layer."""
+    def lossless(self) -> dict[str, Any]:
+        """Ratios that decide the throw from a lossless layer."""
         return dict(zip(self._fields[:4], self[:4], strict=True))
 
 
@@ -509,14 +500,13 @@ def ratios_of(rig: Rig, values: Mapping[str, Any]) -> Ratios:
     Parameters
     ----------
     rig : Rig
-        Rig with the laws of the layer, and the elasticity of the projectile.
+        Rig with the laws of the layer.
     values : mapping of str to float or ndarray
         All numbers of `values_of`; they replace those of the rig.
 
     """
     mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
     omega, section = 2.0 * math.pi * frequency, section_of(values['diameter'])
-    spring = rig.projectile.youngs_modulus * section / rig.projectile.length
     with np.errstate(divide='ignore'):  # a layer without thickness
         speed_ratio = values['wave_speed'] / (thickness * frequency)
         mass_ratio = mass / (values['density'] * section * thickness)
@@ -527,7 +517,6 @@ def ratios_of(rig: Rig, values: Mapping[str, Any]) -> Ratios:
         damping_ratio=values['damping_ratio'],
         gravity_ratio=values['gravity'] / (values['amplitude'] * omega * omega),
         loss_tangent=values['loss_tangent'],
-        crossing_ratio=np.sqrt(mass / spring) * frequency * speed_ratio,
         strain_ratio=0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
         constant_loss=float(rig.layer.loss == 'constant'),
     )
@@ -536,9 +525,3 @@ def ratios_of(rig: Rig, values: Mapping[str, Any]) -> Ratios:
 def section_of(diameter: Any) -> Any:
     """Return the section of a cylinder [m2]."""
     return 0.25 * math.pi * diameter**2
-
-
-def model_for(rig: Rig, model: str) -> str:
-    """Return the model, or its fallback for a layer that only cells can follow."""
-    fallback = model_of(model).fallback
-    return fallback if fallback and rig.layer.needs_cells else model

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.cell_stepper import CellStepper
-from soft_throw_ros.core.models import model_of
 from soft_throw_ros.core.plate import motion_of, PlateMotion
 from soft_throw_ros.core.rig import LINEAR_STRAIN, Rig
 from soft_throw_ros.core.stepper import (
@@ -100,16 +99,15 @@ def make_stepper(
     rig: Rig,
     *,
     is_measured: bool = False,
-    model: str = 'travelling_wave',
     cells: int | None = None,
     field_points: int = 64,
 ) -> Stepper:
     """
-    Make the stepper of a model.
+    Make a stepper: cells if the layer needs them, otherwise travelling waves.
 
     Parameters
     ----------
-    rig, model, cells
+    rig, cells
         As for `simulate`.
     is_measured : bool
         Whether the plate moves by `append_plate_states` and not by the rig's engine.
@@ -119,17 +117,14 @@ def make_stepper(
     Raises
     ------
     ValueError
-        For an unknown model, or a rig or an option that the model refuses.
+        If the rig cannot be stepped in real time, or an option is out of range.
 
     """
-    model_of(model)
-    if model == 'travelling_wave':
-        if cells is not None:
-            raise ValueError(f'cells are for models with cells only, got {cells!r}')
-        return WaveStepper(rig, is_measured=is_measured, field_points=field_points)
-    return CellStepper(
-        rig, is_measured=is_measured, model=model, cells=cells, field_points=field_points
-    )
+    if rig.layer.needs_cells:
+        return CellStepper(rig, is_measured=is_measured, cells=cells, field_points=field_points)
+    if cells is not None:
+        raise ValueError(f'cells are for layers that need them only, got {cells!r}')
+    return WaveStepper(rig, is_measured=is_measured, field_points=field_points)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +137,6 @@ class Throw:
     """
 
     rig: Rig
-    model: str
     cells: int | None = field(repr=False)
     rest_height: float
     """Height of the projectile's lower face before the throw. [m]"""
@@ -266,28 +260,25 @@ class Throw:
         return Fields(time, depth, strain, velocity)
 
     def _stepper(self, points: int = 2) -> Stepper:
-        return make_stepper(self.rig, model=self.model, cells=self.cells, field_points=points)
+        return make_stepper(self.rig, cells=self.cells, field_points=points)
 
 
 def simulate(
     rig: Rig,
     *,
-    model: str = 'travelling_wave',
     cells: int | None = None,
     until: float | None = None,
     max_events: int | None = None,
 ) -> Throw:
     """
-    Simulate a throw to its end with the stepper of a model.
+    Simulate a throw to its end, by travelling waves or, if the layer needs them, by cells.
 
     Parameters
     ----------
     rig : Rig
         The throwing rig.
-    model : str
-        One of `models.MODELS`, see below.
     cells : int, optional
-        Number of cells of the layer, not for travelling waves; by default for errors of 1e-4.
+        Number of cells of a layer that needs them; by default for errors of 1e-4.
     until : float, optional
         Stop at this time. [s]
     max_events : int, optional
@@ -304,19 +295,16 @@ def simulate(
     Raises
     ------
     ValueError
-        For an unknown model, or a rig or a bound that the model refuses.
+        If the rig cannot be stepped in real time, or a bound is out of range.
     ThrowUnfinishedError
         If the projectile is not released by `until`, or within 100 crossings and 50 periods of
         the plate.
 
     Notes
     -----
-    `travelling_wave` is for a rigid projectile on a layer of one material without loss. `cells`
-    takes any layer, with loss and large strain; `cells_elastic` an elastic projectile, too, whose
-    speed is that of its centre of mass; `cells_glued` has the layer glued to the projectile and
-    thrown along, as in reference 27 of the paper, with speeds of their common centre of mass.
-    `spring_mass` is a layer without mass (App. A of the paper), for any plate and with gravity.
-    `wave_stepper.steps_per_crossing` and `cell_stepper.cells_per_layer` give the errors.
+    Travelling waves are for a layer of one material that is linear and lossless, cells for loss,
+    large strain and stacks. `wave_stepper.steps_per_crossing` and `cell_stepper.cells_per_layer`
+    give the errors.
 
     Examples
     --------
@@ -325,20 +313,18 @@ def simulate(
     >>> round(throw.ejection_time * 1e3, 3), round(throw.energy_transfer, 3)
     (7.647, 3.637)
 
-    The same gelatin with a loss tangent of 0.05, and glued to the projectile instead of the plate:
+    The same gelatin with a loss tangent of 0.05:
 
     >>> layer = Layer(thickness=16.8e-3, loss_tangent=0.05)
-    >>> round(simulate(Rig(layer=layer), model='cells').energy_transfer, 3)
+    >>> round(simulate(Rig(layer=layer)).energy_transfer, 3)
     3.256
-    >>> round(simulate(Rig(layer=layer), model='cells_glued').energy_transfer, 3)
-    1.996
 
     """
     if until is not None:
         checks.require_positive('until', until)
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
-    stepper = make_stepper(rig, model=model, cells=cells)
+    stepper = make_stepper(rig, cells=cells)
     _run(stepper, until=until, max_events=max_events)
     events = tuple(stepper.events()[:max_events])
     end_time = float(stepper.state[TIME])
@@ -350,7 +336,6 @@ def simulate(
     stepper.advance_to(events[0].time)
     return Throw(
         rig=rig,
-        model=model,
         cells=cells,
         rest_height=stepper.rest_position,
         events=events,

@@ -17,14 +17,12 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import cell_stepper, closed_form, spring_mass, wave_stepper
+from soft_throw_ros.core import cell_stepper, closed_form, wave_stepper
 from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
-from soft_throw_ros.core.models import LayerModel, model_of
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import (
     Engine,
     Layer,
-    model_for,
     Ratios,
     ratios_of,
     Rig,
@@ -97,7 +95,6 @@ def throw_many(
     rig: Rig | Sequence[Rig],
     changes: Changes | None = None,
     *,
-    model: str = 'travelling_wave',
     loads: bool = False,
     cells: int | None = None,
     threads: int | None = None,
@@ -113,12 +110,10 @@ def throw_many(
         sampled motion.
     changes : mapping of str to float or ndarray, optional
         Values that replace values of the rig; arrays broadcast against each other.
-    model : str
-        One of `models.MODELS`; its fallback follows layers that it cannot.
     loads : bool
         Whether strains, accelerations, forces and work are needed; they may be NaN otherwise.
     cells : int, optional
-        Number of cells of the layer in models with cells; chosen for errors of 1e-4 if not given.
+        Number of cells of layers that need them; chosen for errors of 1e-4 if not given.
     threads : int, optional
         Largest number of threads, all cores if not given. The number does not change the results.
     cancelled : callable, optional
@@ -133,24 +128,20 @@ def throw_many(
     Raises
     ------
     ValueError
-        If there is no such model, or it has no method for many throws; if there is no rig, or
-        rigs differ in more than the values of `Changes`.
+        If there is no rig, or rigs differ in more than the values of `Changes`.
     SearchCancelledError
         If `cancelled` returns True.
 
     """
-    method = model_of(model)
-    if method.batch is None:
-        raise ValueError(f'the model {model} has no method for many throws')
     changes = changes or {}
     if any(single.engine.motion for single in ([rig] if isinstance(rig, Rig) else rig)):
-        return _throw_sampled(rig, changes, model, cells, threads, cancelled)
+        return _throw_sampled(rig, changes, cells, threads, cancelled)
     if not isinstance(rig, Rig):
         kinds = {_kind_of(single) for single in rig}
         if len(kinds) != 1:
             raise ValueError(
                 'rigs must differ in the values of `Changes` only, got '
-                f'{len(kinds)} kinds of layers or projectiles'
+                f'{len(kinds)} kinds of layers'
             )
         tables = [values_of(single) for single in rig]
         columns = {name: np.array([row[name] for row in tables]) for name in tables[0]}
@@ -161,12 +152,12 @@ def throw_many(
     results = np.full((len(Throws._fields), math.prod(shape)), math.nan)
     rows = results.reshape(len(results), *shape)
     ratios = Ratios(*(np.broadcast_to(ratio, shape).ravel() for ratio in ratios_of(rig, values)))
-    for name, chosen in _methods(rig, ratios, method).items():
-        is_fast = name in ('closed_form', 'spring') and not loads
+    for name, chosen in _methods(rig, ratios).items():
+        is_fast = name == 'closed_form' and not loads
         size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
         for batch in _batches(chosen, size, cancelled):
             selected = Ratios(*(row[batch] for row in ratios))
-            results[:, batch] = _throw_by(name, rig, selected, method, loads, cells, threads)
+            results[:, batch] = _throw_by(name, rig, selected, loads, cells, threads)
     results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
     for n, unit in enumerate(units_of(values)):
         rows[n] *= unit
@@ -175,10 +166,9 @@ def throw_many(
 
 def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
     """Return the properties of a rig that are no values of `Changes`."""
-    layer, projectile = rig.layer, rig.projectile
+    layer = rig.layer
     sheets = len(layer.sheets) if isinstance(layer, Stack) else 0
-    laws = layer.stress_strain_law, layer.loss
-    return sheets, *laws, projectile.length, projectile.youngs_modulus
+    return sheets, layer.stress_strain_law, layer.loss
 
 
 def units_of(values: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -253,18 +243,14 @@ def _batches(
         yield indices[start:start + size]
 
 
-def _methods(rig: Rig, ratios: Ratios, model: LayerModel) -> dict[str, NDArray[np.bool_]]:
+def _methods(rig: Rig, ratios: Ratios) -> dict[str, NDArray[np.bool_]]:
     """Return the throws that each method computes."""
     mu, kappa, gravity = ratios.mass_ratio, ratios.speed_ratio, ratios.gravity_ratio
     exist = (mu > 0.0) & (mu < math.inf) & (kappa > 0.0) & (kappa < math.inf)
-    if model.batch == 'spring':
-        return {'spring': exist}
     with np.errstate(invalid='ignore', divide='ignore'):  # layers that do not exist
         # about the lowest frequency of projectile and layer over the plate's
         q = kappa / (2.0 * math.pi * np.sqrt(np.abs(mu) + 4.0 / math.pi**2))
     exist &= (q <= 2.0) | (gravity <= _HOLDING_GRAVITY)
-    if model.batch == 'cells':
-        return {'cells': exist}
     is_strong = gravity > STRONG_GRAVITY
     is_lossy = ratios.loss_tangent > 0.0
     needs_cells = is_lossy | (not rig.layer.is_uniform or rig.layer.stress_strain_law != 'linear')
@@ -276,33 +262,23 @@ def _methods(rig: Rig, ratios: Ratios, model: LayerModel) -> dict[str, NDArray[n
 
 
 def _throw_by(
-    name: str, rig: Rig, ratios: Ratios, model: LayerModel, loads: bool,
-    cells: int | None, threads: int | None,
+    name: str, rig: Rig, ratios: Ratios, loads: bool, cells: int | None, threads: int | None
 ) -> Floats:
     """Compute rows as of `cell_stepper.throw_batch` by a method of `_methods`."""
     if name == 'cells':
-        if not model.has_elastic_projectile:
-            ratios = ratios._replace(crossing_ratio=0.0)
-        return cell_stepper.throw_batch(
-            ratios, rig.layer, is_on_projectile=model.is_on_projectile, cells=cells,
-            threads=threads,
-        )
-    if name == 'waves' or (name == 'closed_form' and loads):
+        return cell_stepper.throw_batch(ratios, rig.layer, cells=cells, threads=threads)
+    if name == 'waves' or loads:
         results = wave_stepper.throw_batch(ratios, threads=threads)
     else:
         results = np.full((len(Throws._fields), ratios.mass_ratio.size), math.nan)
     if name == 'closed_form':
-        results[:3] = closed_form.first_releases(**ratios.rigid, threads=threads)
-    elif name == 'spring':
-        frequency_ratio = ratios.speed_ratio / (2.0 * math.pi * np.sqrt(ratios.mass_ratio))
-        results[:3] = spring_mass.first_release(frequency_ratio=frequency_ratio)
+        results[:3] = closed_form.first_releases(**ratios.lossless, threads=threads)
     return results
 
 
 def _throw_sampled(
     rig: Rig | Sequence[Rig],
     changes: Changes,
-    model: str,
     cells: int | None,
     threads: int | None,
     cancelled: Cancelled | None,
@@ -320,20 +296,19 @@ def _throw_sampled(
                 values = {name: column[n].item() for name, column in columns.items()}
                 try:
                     other = rig_with(rigs[numbers[n]], values)
-                    results[:, n] = _throw_with_stepper(other, model, cells)
-                except (ValueError, EventLimitError):  # the model cannot follow this throw
+                    results[:, n] = _throw_with_stepper(other, cells)
+                except (ValueError, EventLimitError):  # this throw cannot be followed
                     continue
 
         in_threads(run, count=batch.size, per_thread=16, threads=threads)
     return Throws(*results.reshape(len(results), *shape))
 
 
-def _throw_with_stepper(rig: Rig, model: str, cells: int | None) -> tuple[float, ...]:
+def _throw_with_stepper(rig: Rig, cells: int | None) -> tuple[float, ...]:
     """Follow one throw to its first release; without one it is NaN."""
     motion = motion_of(rig.engine)
-    model = model_for(rig, model)
-    cells = cells if model_of(model).batch == 'cells' else None
-    stepper = make_stepper(rig, model=model, cells=cells, field_points=2)
+    cells = cells if rig.layer.needs_cells else None
+    stepper = make_stepper(rig, cells=cells, field_points=2)
     own_period = 1.0 / rig.natural_frequency + rig.crossing_time
     release = stepper.advance_to_release(
         latest=getattr(motion, 'end_time', 0.0) + _WAIT * own_period, step=0.25 * own_period
@@ -358,7 +333,7 @@ class LastRelease(NamedTuple):
     """Of its apex above where it rested on the layer; infinite without gravity. [m]"""
 
 
-def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
+def last_release(rig: Rig) -> LastRelease:
     """
     Follow one throw until the projectile has left for good.
 
@@ -366,13 +341,11 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
     ----------
     rig : Rig
         The rig.
-    model : str
-        One of `models.MODELS`; its fallback follows layers that it cannot.
 
     Raises
     ------
     ThrowUnresolvedError
-        If the projectile does not leave, or the model cannot follow it.
+        If the projectile does not leave, or cannot be followed.
 
     Examples
     --------
@@ -382,7 +355,7 @@ def last_release(rig: Rig, *, model: str = 'travelling_wave') -> LastRelease:
 
     """
     try:
-        throw = simulate(rig, model=model_for(rig, model))
+        throw = simulate(rig)
     except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
         raise ThrowUnresolvedError(f'the last release is unknown: {error}') from error
     last = throw.last_release

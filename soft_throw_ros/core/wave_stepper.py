@@ -235,7 +235,7 @@ def throw_batch(ratios: Ratios, *, threads: int | None = None) -> Floats:
         If a ratio is out of range.
 
     """
-    rows, _ = broadcast_ratios(**ratios.rigid)
+    rows, _ = broadcast_ratios(**ratios.lossless)
     mu, kappa, damping_ratio = rows[:3]
     steps = np.maximum(_STEPS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)

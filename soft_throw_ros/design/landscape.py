@@ -41,7 +41,6 @@ import soft_throw_ros
 from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.models import model_of, MODELS
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import last_release, rig_with, throw_many
@@ -95,13 +94,8 @@ RESULTS: Mapping[str, QuantityLabel] = {
 """Results at every point of a landscape, by the names of its arrays."""
 
 _SAME = ({'x', 'mu'}, {'C', 'kappa'})
-_ABILITIES = {
-    'engine.damping_ratio': 'damping',
-    'engine.amplitude': 'gravity',
-    'gravity': 'gravity',
-    'layer.loss_tangent': 'loss',
-}
-"""Parameters that go with the ratios, and the ability of a model that each needs."""
+_WITH_RATIOS = ('engine.damping_ratio', 'engine.amplitude', 'gravity', 'layer.loss_tangent')
+"""Parameters that may be an axis beside a ratio."""
 
 
 def check_axis(name: str, values: ArrayLike) -> Floats:
@@ -159,8 +153,6 @@ class Landscape:
     """:math:`t_e f`, shape (n, m); NaN where the projectile does not leave. [-]"""
     energy_transfer: Floats
     r""":math:`\alpha = (V_e / V_p^*)^2`, shape (n, m); NaN as above. [-]"""
-    model: str
-    """Model of the layer."""
     release: Release
     """Release that counts, the first or the last."""
     density_ratio: float
@@ -189,23 +181,11 @@ class Landscape:
         return first, second
 
     @property
-    def left_out(self) -> tuple[str, ...]:
-        """Names of the rig's parameters that the model does not take into account."""
-        known = MODELS[self.model].knows
-        return tuple(
-            name
-            for name in ('engine.damping_ratio', 'gravity')
-            if attrgetter(name)(self.rig) > 0.0 and _ABILITIES[name] not in known
-        )
-
-    @property
     def attributes(self) -> dict[str, str | float]:
         """Description of the landscape for files: everything but the arrays, in a flat mapping."""
         return {
             'title': f'{self.release.capitalize()} release over {" and ".join(self.axes)}',
             'source': f'soft_throw_ros {soft_throw_ros.__version__}',
-            'model': self.model,
-            'left_out': ', '.join(self.left_out),
             'release': self.release,
             'density_ratio': self.density_ratio,
             **{name.replace('.', '_'): value for name, value in rig_values(self.rig).items()},
@@ -248,7 +228,6 @@ def compute_landscape(
     rig: Rig,
     axes: Mapping[str, ArrayLike],
     *,
-    model: str = 'travelling_wave',
     release: Release = 'first',
     density_ratio: float | None = None,
     executor: Executor | None = None,
@@ -265,8 +244,6 @@ def compute_landscape(
         Two of `AXES` with their values, increasing. x, C, mu and kappa replace the values of the
         rig, and go with each other and with the plate's amplitude and damping, the loss tangent,
         and gravity.
-    model : str
-        One of `models.MODELS`.
     release : {'first', 'last'}
         The first one, or the last one before the projectile falls back for good.
     density_ratio : float, optional
@@ -283,22 +260,13 @@ def compute_landscape(
     Raises
     ------
     ValueError
-        If an axis, a value, a model or an option is refused.
+        If an axis, a value or an option is refused.
 
     Notes
     -----
-    ========================= ==================================================== =======
-    model                     is for                                               error
-    ========================= ==================================================== =======
-    travelling_wave           a rigid projectile on a lossless layer               1e-9
-    cells                     a rigid projectile, with or without loss             1e-4
-    cells_elastic             an elastic projectile                                1e-4
-    cells_glued               the layer on the projectile, thrown along            1e-4
-    spring_mass               a layer without mass, a harmonic plate, no gravity   large
-    ========================= ==================================================== =======
-
-    Last releases are followed in steps. A projectile that chatters on the layer is beyond any
-    model: neighbouring points may then differ at random.
+    First releases are exact to 1e-9 from a lossless layer, and to 1e-4 from others. Last releases
+    are followed in steps. Where a projectile chatters on the layer, neighbouring points may differ
+    at random.
 
     Examples
     --------
@@ -319,7 +287,7 @@ def compute_landscape(
         raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
     checked = {name: check_axis(name, values) for name, values in axes.items()}
     _check_axes(*checked)
-    _check_model(rig, axes, model, release)
+    _check_release(rig, axes, release)
     if density_ratio is None:
         projectile = rig.projectile
         density_ratio = projectile.mass / (rig.layer.section * projectile.length)
@@ -331,8 +299,9 @@ def compute_landscape(
     changes = _changes(rig, along, density_ratio)
     cases = np.stack([np.broadcast_to(item, shape).ravel() for item in changes.values()])
     threads = None if executor is None else 1
-    compute = functools.partial(_compute, rig, model, release, threads, tuple(changes))
-    is_fast = rig.engine.motion is None and MODELS[model].batch != 'cells'
+    compute = functools.partial(_compute, rig, release, threads, tuple(changes))
+    has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
+    is_fast = rig.engine.motion is None and not has_cells
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
     results = []
@@ -346,35 +315,19 @@ def compute_landscape(
         axes=checked,
         ejection_phase=phase,
         energy_transfer=transfer,
-        model=model,
         release=release,
         density_ratio=density_ratio,
     )
 
 
-def _check_model(rig: Rig, axes: Mapping[str, ArrayLike], model: str, release: Release) -> None:
-    """Refuse rigs, axes and releases that a model does not know."""
-    knows = model_of(model).knows
+def _check_release(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> None:
+    """Refuse releases and axes that do not go with a rig."""
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
     if rig.engine.motion and 'engine.damping_ratio' in axes:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
-    layer = rig.layer
-    if not layer.is_uniform and release == 'last':
+    if not rig.layer.is_uniform and release == 'last':
         raise ValueError('layer.stack needs the first release, got the last one')
-    needs = [
-        ('motion', rig.engine.motion is not None, 'the motion of a file'),
-        ('last_release', release == 'last', 'the last release'),
-        ('stack', not layer.is_uniform, 'layer.stack'),
-        ('loss', layer.loss_tangent > 0.0, f'layer.loss_tangent {layer.loss_tangent:g}'),
-        ('large_strain', layer.stress_strain_law != 'linear',
-         f'layer.stress_strain_law {layer.stress_strain_law}'),
-        *((ability, name in axes, f'the axis {name}') for name, ability in _ABILITIES.items()),
-    ]
-    for ability, is_needed, subject in needs:
-        if is_needed and ability not in knows:
-            models = ' or '.join(name for name, item in MODELS.items() if ability in item.knows)
-            raise ValueError(f'{subject} needs the model {models}, got model {model!r}')
 
 
 def _check_axes(first: str, second: str) -> None:
@@ -383,9 +336,9 @@ def _check_axes(first: str, second: str) -> None:
         raise ValueError(f'the axes {first} and {second} are not independent; choose others')
     ratios = {name for same in _SAME for name in same}
     for ratio, other in ((first, second), (second, first)):
-        if ratio in ratios and other not in ratios and other not in _ABILITIES:
+        if ratio in ratios and other not in ratios and other not in _WITH_RATIOS:
             allowed = sorted(next(ratios - same for same in _SAME if ratio in same))
-            names = ', '.join([*allowed, *_ABILITIES])
+            names = ', '.join([*allowed, *_WITH_RATIOS])
             raise ValueError(f'the axis {ratio} can be combined with {names}, got {other}')
 
 
@@ -408,28 +361,23 @@ def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dic
 
 
 def _compute(
-    rig: Rig,
-    model: str,
-    release: Release,
-    threads: int | None,
-    names: Sequence[str],
-    cases: Floats,
+    rig: Rig, release: Release, threads: int | None, names: Sequence[str], cases: Floats
 ) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':
         changes = dict(zip(names, cases, strict=True))
-        throws = throw_many(rig, changes, model=model, threads=threads)
+        throws = throw_many(rig, changes, threads=threads)
         frequency = changes.get('frequency', rig.engine.frequency)
         return np.stack([throws.ejection_time * frequency, throws.energy_transfer])
     rigs = (rig_with(rig, dict(zip(names, case, strict=True))) for case in cases.T.tolist())
-    releases = [_last(item, model) for item in rigs]
+    releases = [_last(item) for item in rigs]
     return np.array(list(zip(*releases, strict=True)))
 
 
-def _last(rig: Rig, model: str) -> tuple[float, float]:
+def _last(rig: Rig) -> tuple[float, float]:
     """Follow one throw until the projectile is gone or falls back."""
     try:
-        last = last_release(rig, model=model)
+        last = last_release(rig)
     except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
     peak = motion_of(rig.engine).peak_velocity

@@ -1,44 +1,19 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Design of the plate's motion, compared with other throws of the same actuator."""
+"""Design of the plate's motion, compared with the present throw."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import contextlib
-from dataclasses import dataclass, replace
-import math
-from typing import get_args, Literal, TypeAlias
+from dataclasses import dataclass
 
-import numpy as np
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
-from soft_throw_ros.core.rig import Engine, Rig
-from soft_throw_ros.core.throw import Throw
-from soft_throw_ros.core.throws import (
-    Cancelled,
-    require_uniform,
-    rig_with,
-    throw_many,
-)
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.plate_motion import (
-    find_best_motion,
-    find_layer_for_motion,
-    first_stroke,
-    follow,
-    linear_layer,
-    PlateLimits,
-    Pulses,
-    rest_to_rest,
-)
+from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
 from soft_throw_ros.design.prediction import predict, PredictedThrow
-from soft_throw_ros.design.recommendation import recommend
-
-MotionVary: TypeAlias = Literal['motion', 'thickness', 'wave_speed', 'both']
-
-_FREQUENCIES = np.geomspace(0.05, 20.0, 1200)
-"""Frequencies of harmonic motions that are tried, in parts of the rig's. [-]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,28 +21,13 @@ class MotionDesign(PredictedThrow):
     """The best motion of the plate, and its throw."""
 
     rig: Rig
-    """The rig with the best motion, and with the best layer if the layer may vary."""
-    vary: MotionVary
-    """Properties of the layer that may vary; none for 'motion'."""
+    """The rig with the best motion."""
+    present: Rig
+    """The rig as it is."""
     limits: PlateLimits
     """Limits of the actuator."""
-    others: Mapping[str, Rig]
-    """
-    Rigs for comparison; rigs without a release are missing.
-
-    The present rig (`now`), the rigs with the best `harmonic` stroke and the best `step` within
-    the same limits of plate and loads, the best `layer` for the present motion unless the layer
-    is a stack, and a `linear` layer with the best motion if the layer is not linear.
-    """
-    throws: Mapping[str, PredictedThrow]
-    """
-    Throws of the rigs for comparison, and the `best` throw.
-
-    The `best` throw is never slower than `harmonic` and `step`. If the layer may vary, `both` is
-    the throw with the best layer and motion, and `best` is the throw with the present layer.
-    """
-    layer: str = ''
-    """Empty: the layer is not from a library."""
+    now: PredictedThrow | None
+    """Throw of the rig as it is; None if it does not throw."""
 
     @property
     def motion(self) -> SampledMotion:
@@ -75,32 +35,21 @@ class MotionDesign(PredictedThrow):
         assert self.rig.engine.motion is not None
         return self.rig.engine.motion
 
-    @property
-    def motions(self) -> dict[str, PlateMotion]:
-        """Motion of the plate in each case; the best one last."""
-        shown = [name for name in ('now', 'harmonic', 'step') if name in self.others]
-        result = {name: motion_of(self.others[name].engine) for name in shown}
-        return {**result, 'best': self.motion}
-
     def values(self) -> dict[str, float | str | bool]:
-        """Return everything by name, with a dot between the name of a part and of its value."""
-        return super().values() | {
-            f'{name}.{key}': value
-            for name, throw in self.throws.items() if name != 'best'
-            for key, value in vars(throw).items()
-        }
+        """Return everything by name, with `now.` before the values of the present throw."""
+        now = vars(self.now) if self.now else {}
+        return super().values() | {f'now.{name}': value for name, value in now.items()}
 
 
 def design_motion(
     rig: Rig,
     plate: PlateLimits | None = None,
     *,
-    vary: MotionVary = 'motion',
     limits: Limits | None = None,
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
     """
-    Find the best motion of the plate, alone or together with the best layer.
+    Find the best motion of the plate.
 
     Parameters
     ----------
@@ -108,15 +57,11 @@ def design_motion(
         The present rig.
     plate : PlateLimits, optional
         Limits of the actuator; those of its present motion if not given.
-    vary : {'motion', 'thickness', 'wave_speed', 'both'}
-        Parameters of the layer that may change as well.
     limits, cancelled : optional
         As for `recommend`; the strain of the layer and the acceleration count.
 
     Raises
     ------
-    ValueError
-        If a choice is unknown, or a stack is to be varied.
     ThrowUnresolvedError
         If no throw within the limits releases the projectile.
     SearchCancelledError
@@ -125,111 +70,13 @@ def design_motion(
     Examples
     --------
     >>> design = design_motion(Rig(gravity=0.0))
-    >>> round(design.kinetic_energy / design.throws['now'].kinetic_energy, 2)
+    >>> round(design.kinetic_energy / design.now.kinetic_energy, 2)
     1.15
 
     """
-    if vary not in get_args(MotionVary):
-        raise ValueError(f'vary must be one of {", ".join(get_args(MotionVary))}, got {vary!r}')
-    if vary != 'motion':
-        require_uniform(rig)
-    plate, limits = plate or PlateLimits.of(rig.engine), limits or Limits()
-    motions = _motions(rig, plate, limits, cancelled)
-    own = motions.pop('best')
-    rigs = {'now': rig} | {name: throw.rig for name, throw in motions.items() if name != 'now'}
-    if rig.layer.is_uniform:
-        with contextlib.suppress(ThrowUnresolvedError):
-            varied = 'both' if vary == 'motion' else vary
-            rigs['layer'] = recommend(rig, vary=varied, limits=limits, cancelled=cancelled).rig
-    result = {'best': own.rig}
-    if vary != 'motion':
-        layer = find_layer_for_motion(rig, plate, vary, loads=limits, cancelled=cancelled)
-        both = max(own, _motions(layer, plate, limits, cancelled)['best'], key=_speed)
-        if 'layer' in rigs and predict(rigs['layer']).ejection_speed > _speed(both):
-            both = max(both, _motions(rigs['layer'], plate, limits, cancelled)['best'], key=_speed)
-        result['both'] = both.rig
-    best = result['best' if vary == 'motion' else 'both']
-    if rig.layer.stress_strain_law != 'linear':
-        rigs['linear'] = replace(best, layer=linear_layer(best.layer))
-    throws = {}
-    for name, candidate in (rigs | result).items():
-        with contextlib.suppress(ThrowUnresolvedError):
-            throws[name] = predict(candidate)
-    return MotionDesign(
-        **vars(throws['both' if vary != 'motion' else 'best']),
-        rig=best,
-        vary=vary,
-        limits=plate,
-        others={name: other for name, other in rigs.items() if name in throws},
-        throws=throws,
-    )
-
-
-def _speed(throw: Throw) -> float:
-    return throw.ejection_speed
-
-
-def _motions(
-    rig: Rig, plate: PlateLimits, loads: Limits, cancelled: Cancelled | None
-) -> dict[str, Throw]:
-    """Simulate the simple motions that keep all limits, and the best motion of all."""
-    motions = {
-        'now': first_stroke(rig.engine),
-        'harmonic': first_stroke(_harmonic(rig, plate, loads, cancelled)),
-        'step': _step(rig, plate),
-    }
-    followed = {
-        name: follow(rig, pulses.within(plate), loads=loads)
-        for name, pulses in motions.items()
-    }
-    throws = {name: throw for name, throw in followed.items() if throw is not None}
-    best = list(throws.values())
-    try:
-        best.append(find_best_motion(rig, plate, loads=loads, cancelled=cancelled))
-    except ThrowUnresolvedError:
-        if not throws:
-            raise
-    return throws | {'best': max(best, key=_speed)}
-
-
-def _harmonic(
-    rig: Rig, plate: PlateLimits, loads: Limits, cancelled: Cancelled | None
-) -> Engine:
-    """Return the engine whose harmonic motion within the limits throws best."""
-    frequency = rig.engine.frequency * _FREQUENCIES
-    omega = 2.0 * math.pi * frequency
-    amplitude = np.min(
-        [
-            plate.speed / omega,
-            plate.acceleration / omega**2,
-            plate.jerk / omega**3,
-            np.full(omega.shape, 0.5 * plate.travel),
-        ],
-        axis=0,
-    )
-    growth = _FREQUENCIES if rig.layer.loss == 'kelvin_voigt' else np.ones(omega.size)
-    changes = {
-        'frequency': frequency,
-        'amplitude': amplitude,
-        'loss_tangent': rig.layer.loss_tangent * growth,
-    }
-    harmonic = replace(rig, engine=replace(rig.engine, damping_ratio=0.0, motion=None))
-    throws = throw_many(harmonic, changes, loads=loads.of_loads, cancelled=cancelled)
-    speed = throws.ejection_speed
-    if loads.of_loads:  # scale the amplitude down to the limits
-        excess = np.maximum(
-            throws.peak_strain / loads.max_strain,
-            throws.peak_acceleration / loads.max_acceleration,
-        )
-        speed = speed / np.maximum(excess, 1.0)
-    best = int(np.nan_to_num(speed).argmax())
-    return rig_with(
-        harmonic, {name: float(values[best]) for name, values in changes.items()}
-    ).engine
-
-
-def _step(rig: Rig, plate: PlateLimits) -> Pulses:
-    """Return the fastest step of a plate within the limits."""
-    wait = 3.0 * rig.crossing_time + 1.0 / rig.natural_frequency
-    travel = min(plate.travel, plate.speed * (2.0 * plate.rise_time + wait))
-    return rest_to_rest(plate, travel=travel)
+    plate = plate or PlateLimits.of(rig.engine)
+    best = find_best_motion(rig, plate, loads=limits, cancelled=cancelled).rig
+    now = None
+    with contextlib.suppress(ThrowUnresolvedError):
+        now = predict(rig)
+    return MotionDesign(**vars(predict(best)), rig=best, present=rig, limits=plate, now=now)

@@ -4,21 +4,28 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+import itertools
 import math
-from typing import ClassVar
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import Cancelled, throw_many, Throws
-from soft_throw_ros.design.uncertainty import Variants
+from soft_throw_ros.core.throws import Cancelled, throw_many
+from soft_throw_ros.design.uncertainty import Uncertainties, Variants
 
 Floats = NDArray[np.float64]
+
+Objective: TypeAlias = Callable[[Rig], Variants]
+"""The throws of a rig that score its layer: the score is their lowest energy transfer."""
+
+_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
+"""All combinations of the largest errors of the five uncertain values, up and down."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +41,6 @@ class Limits:
         Largest magnitude of the strain anywhere in the layer. [-]
     max_acceleration : float
         Largest magnitude of the projectile's acceleration. [m/s2]
-    max_loss_tangent : float
-        Largest loss tangent of a material of the library. [-]
 
     Raises
     ------
@@ -50,7 +55,6 @@ class Limits:
     wave_speed_max: float = 50.0
     max_strain: float = math.inf
     max_acceleration: float = math.inf
-    max_loss_tangent: float = math.inf
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -77,42 +81,53 @@ class Limits:
         return min(self.max_strain, self.max_acceleration) < math.inf
 
 
-class Objective(ABC):
+def peak(rig: Rig) -> Variants:
+    """Return the throw of a rig itself: the most energy from one throw."""
+    return Variants.of(rig)
+
+
+def robust(rig: Rig, *, uncertainties: Uncertainties | None = None) -> Variants:
     """
-    The throws that score a layer: a subclass in a file of `objectives`, see `OBJECTIVES`.
+    Return the throws at the corners of the uncertainties: the most energy in the worst case.
 
-    The score is the lowest energy transfer of the throws, or a quantile of their transfers.
+    The uncertainties are those of the paper if not given. A layer that could be off by its whole
+    thickness or wave speed throws nothing.
     """
+    return (uncertainties or Uncertainties()).variants(rig, _CORNERS)
 
-    name: ClassVar[str]
-    """Value of the parameter `recommendation.objective`."""
 
-    quantile: float = 0.0
-    """Quantile of the energy transfers that is the score; 0 is the lowest. [-]"""
+def versatile(
+    rig: Rig, *, masses: Sequence[float], frequencies: Sequence[float]
+) -> Variants:
+    """
+    Return the throws of each mass [kg] at each frequency [Hz]: the most energy in the worst.
 
-    limits_hold_for_all: ClassVar[bool] = True
-    """Whether limits of the loads hold for all throws, or for the first one."""
+    Amplitude and damping of the plate, and the layer's loss tangent, are those of the rig at
+    every frequency.
+    """
+    mass, frequency = (
+        values.ravel()
+        for values in np.meshgrid(
+            checks.require_all('masses', masses, 'positive'),
+            checks.require_all('frequencies', frequencies, 'positive'),
+        )
+    )
+    others = (np.broadcast_to(item, mass.shape) for item in Variants.of(rig)[2:])
+    return Variants(mass, frequency, *others)
 
-    is_fast: ClassVar[bool] = False
-    """Whether the score takes one throw, so that alternatives are searched as well."""
 
-    @property
-    def summary(self) -> str:
-        """Name of the score in texts."""
-        return 'worst alpha'
-
-    @classmethod
-    @abstractmethod
-    def from_settings(cls, settings: Settings) -> Objective:
-        """Return the objective that the settings of the twin describe."""
-
-    @abstractmethod
-    def variants(self, rig: Rig) -> Variants:
-        """Return the throws that count, that of the rig itself first if it is among them."""
-
-    def with_spread(self, _spread: float) -> Objective:
-        """Return the objective for a material whose wave speed may be off by a spread [m/s]."""
-        return self
+OBJECTIVES: Mapping[str, Callable[[Settings], Objective]] = {
+    'peak': lambda _: peak,
+    'robust': lambda settings: partial(
+        robust, uncertainties=Uncertainties.from_settings(settings)
+    ),
+    'versatile': lambda settings: partial(
+        versatile,
+        masses=settings['recommendation.masses'],
+        frequencies=settings['recommendation.frequencies'],
+    ),
+}
+"""Objectives by the value of `recommendation.objective`, made from the settings of the twin."""
 
 
 class LayerScore:
@@ -124,9 +139,10 @@ class LayerScore:
     rig : Rig
         The rig; each call sets thickness and wave speed of its layer.
     objective : Objective
-        Throws to evaluate, and the score that combines them.
+        The throws that count.
     limits : Limits, optional
-        Limits of the loads; the search itself keeps those of thickness and wave speed.
+        Limits of the loads, which hold for every throw that counts; the search itself keeps
+        those of thickness and wave speed.
     cells, cancelled : optional
         Arguments of `throw_many`.
 
@@ -147,32 +163,20 @@ class LayerScore:
         cancelled: Cancelled | None = None,
     ) -> None:
         self.rig = rig
-        self._quantile = objective.quantile
         self._limits = limits or Limits()
         self._cells = cells
         self._cancelled = cancelled
-        self._variants = objective.variants(rig)
+        self._variants = objective(rig)
         self.throws_per_layer = self._variants.mass.size
-        self._limited = self.throws_per_layer if objective.limits_hold_for_all else 1
 
-    def __call__(
-        self,
-        thickness: ArrayLike,
-        wave_speed: ArrayLike,
-        *,
-        mass: ArrayLike = 1.0,
-        frequency: ArrayLike = 1.0,
-        damping_ratio: ArrayLike = 1.0,
-    ) -> Floats:
+    def __call__(self, thickness: ArrayLike, wave_speed: ArrayLike) -> Floats:
         """
-        Compute the energy transfers that count.
+        Compute the lowest energy transfer of the throws that count.
 
         Parameters
         ----------
         thickness, wave_speed : array_like, shape (n,)
             Thicknesses and wave speeds of the layers. [m], [m/s]
-        mass, frequency, damping_ratio : array_like
-            Factors of the values of every throw. [-]
 
         Returns
         -------
@@ -185,37 +189,18 @@ class LayerScore:
             If `cancelled` returns True.
 
         """
-        arguments = (thickness, wave_speed, mass, frequency, damping_ratio)
-        thickness, wave_speed, mass, frequency, damping_ratio = (
-            np.asarray(column, dtype=np.float64)[:, None]
-            for column in np.broadcast_arrays(*map(np.atleast_1d, arguments))
+        thickness, wave_speed = (
+            column[:, None]
+            for column in np.broadcast_arrays(*np.atleast_1d(thickness, wave_speed))
         )
-        variants = self._variants._replace(
-            mass=mass * self._variants.mass,
-            frequency=frequency * self._variants.frequency,
-            damping_ratio=np.minimum(damping_ratio * self._variants.damping_ratio, 0.999),
+        limits = self._limits
+        throws = throw_many(
+            self.rig, self._variants.changes(thickness, wave_speed), loads=limits.of_loads,
+            cells=self._cells, cancelled=self._cancelled,
         )
-        changes = variants.changes(thickness, wave_speed)
-        limited = self._throw(changes, slice(self._limited), loads=self._limits.of_loads)
-        transfers = limited.energy_transfer
-        if self._limited < self.throws_per_layer:
-            others = self._throw(changes, slice(self._limited, None))
-            transfers = np.hstack([transfers, others.energy_transfer])
-        transfers = np.nan_to_num(transfers)
-        scores: Floats = transfers.min(axis=1)
-        if self._quantile > 0.0:
-            scores = np.quantile(transfers, self._quantile, axis=1)
-        if self._limits.of_loads:
-            is_within = limited.peak_strain <= self._limits.max_strain
-            is_within &= limited.peak_acceleration <= self._limits.max_acceleration
+        scores: Floats = np.nan_to_num(throws.energy_transfer).min(axis=1)
+        if limits.of_loads:
+            is_within = throws.peak_strain <= limits.max_strain
+            is_within &= throws.peak_acceleration <= limits.max_acceleration
             scores *= is_within.all(axis=1)
         return scores
-
-    def _throw(
-        self, changes: Mapping[str, Floats], columns: slice, *, loads: bool = False
-    ) -> Throws:
-        """Compute some of the throws of all layers."""
-        some = {name: values[:, columns] for name, values in changes.items()}
-        return throw_many(
-            self.rig, some, loads=loads, cells=self._cells, cancelled=self._cancelled
-        )

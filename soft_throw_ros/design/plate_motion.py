@@ -54,7 +54,7 @@ import scipy  # its parts are imported where they are first used, which takes 0.
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
-from soft_throw_ros.core.rig import Engine, Layer, model_for, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
 from soft_throw_ros.core.throws import Cancelled, check_cancelled, SEARCH_CELLS
@@ -124,9 +124,6 @@ _PROGRAMME_TIME = 60.0
 _ROUNDING = 1e-12
 """Relative room below the limits of the plate for rounding. [-]"""
 
-_STROKE_PULSES = 2000
-"""Pulses of an engine's first stroke."""
-
 _RETURN_SHARE = 0.25
 """Peak speed, acceleration and jerk of the way back, over those of the motion. [-]"""
 
@@ -135,9 +132,6 @@ _QUINTIC_PEAKS = (1.875, 10.0 / math.sqrt(3.0), 60.0)
 
 _NO_RETURN = 1e-9
 """Distance from the first height that is rounding. [m]"""
-
-_LAYERS = 7
-"""Layers along each of two axes of the initial grid of a search; twice as many along one. [-]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,16 +199,6 @@ class Pulses(NamedTuple):
     """Time between neighbours. [s]"""
     heights: Floats
     """Coefficients of the B-splines. [m/s]"""
-
-    @classmethod
-    def of(cls, positions: Floats, step: float) -> Pulses:
-        """
-        Return the pulses of a plate whose heights [m] are given, `step` apart.
-
-        Their heights are mean velocities, so no limit of speed, acceleration or jerk is exceeded
-        that the plate keeps.
-        """
-        return cls(step, np.diff(positions) / step)
 
     def motion(self) -> SampledMotion:
         """Return the motion, without the rest before and after it."""
@@ -305,7 +289,7 @@ def find_best_motion(
         programme = _Programme(problem, time_factor * time, is_fine=True)
         check_cancelled(cancelled)
         pulses, _ = programme.solve(time_factor * time)
-        throw = pulses and follow(rig, pulses, loads=loads)
+        throw = pulses and _follow(rig, pulses, loads=loads)
         if throw and (best is None or throw.ejection_speed > best.ejection_speed):
             best = throw
         if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
@@ -318,110 +302,12 @@ def find_best_motion(
     return best
 
 
-def find_layer_for_motion(
-    rig: Rig,
-    limits: PlateLimits,
-    vary: str,
-    *,
-    loads: Limits | None = None,
-    cancelled: Cancelled | None = None,
-) -> Rig:
-    """
-    Find the layer with the fastest throw by its best motion.
-
-    Parameters
-    ----------
-    vary : {'thickness', 'wave_speed', 'both'}
-        Parameters of the layer that may change, within `loads`.
-    rig, limits, loads, cancelled
-        As for `find_best_motion`.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If nothing is thrown.
-
-    Notes
-    -----
-    The largest speed at a given time does not jump from layer to layer, as releases of a given
-    motion do. So the best point of a coarse grid is improved by Nelder's and Mead's method.
-
-    """
-    loads = loads or Limits()
-    names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
-    box = np.log([getattr(loads, name) for name in names])
-
-    def rig_at(logarithms: Floats) -> Rig:
-        values = np.exp(np.clip(logarithms, *box.T)).tolist()
-        return replace(rig, layer=replace(rig.layer, **dict(zip(names, values, strict=True))))
-
-    def slowness(logarithms: Floats) -> float:
-        problem = _Problem(rig_at(logarithms), limits, loads, cancelled, set())
-        return -_shortest_time(problem, is_rough=True)[1]
-
-    axes = [np.linspace(low, high, _LAYERS * (3 - len(names))) for low, high in box]
-    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(names))
-    values = [slowness(point) for point in grid]
-    best = grid[int(np.argmin(values))]
-    if min(values) == 0.0:
-        raise ThrowUnresolvedError(f'no motion of the plate throws within {limits} and {loads}')
-    spacing = np.array([axis[1] - axis[0] for axis in axes])
-    simplex = np.vstack([best, best + 0.4 * np.diag(spacing)])
-    options = {
-        'initial_simplex': simplex, 'xatol': 5e-3, 'fatol': 1e-4 * limits.speed, 'maxfev': 60,
-    }
-    result = scipy.optimize.minimize(slowness, best, method='Nelder-Mead', options=options)
-    return rig_at(result.x)
-
-
-def rest_to_rest(limits: PlateLimits, *, travel: float) -> Pulses:
-    """
-    Return the shortest motion up by `travel` [m], as a controller makes it for a given height.
-
-    Acceleration, speed and braking are the largest allowed; a limited jerk rounds them off.
-    """
-    # If the travel is short the plate has to brake before it reaches the largest speed. Without
-    # acceleration it moves for as long as the acceleration takes to change.
-    speed = (0.25 * travel**2 * limits.jerk) ** (1.0 / 3.0)
-    if speed * limits.jerk > limits.acceleration**2:
-        change = limits.acceleration / limits.jerk
-        root = math.sqrt(change**2 + 4.0 * travel / limits.acceleration)
-        speed = 0.5 * limits.acceleration * (root - change)
-    speed = min(speed, limits.speed)
-    limits = replace(limits, speed=speed)
-    ramp = max(speed / limits.peak_acceleration, 1e-4 * travel / speed)
-    cruise = max(travel / speed - ramp, 0.0)
-    step = _whole_ns(max(0.005 * ramp, 1e-4 * cruise))
-    rounded = max(limits.acceleration_time, step)  # a moving average limits the jerk
-    times = np.arange(0.0, 2.0 * ramp + cruise + rounded + 2.0 * step, step)
-
-    def path(t: Floats) -> Floats:
-        """Integrate the trapezoid of velocities twice; at its corners the acceleration jumps."""
-        corners = ((0.0, 1.0), (ramp, -1.0), (ramp + cruise, -1.0), (2.0 * ramp + cruise, 1.0))
-        cubes = (sign * np.maximum(t - corner, 0.0) ** 3 for corner, sign in corners)
-        return np.asarray(speed / (6.0 * ramp) * sum(cubes))
-
-    return Pulses.of((path(times) - path(times - rounded)) / rounded, step).within(limits)
-
-
-def first_stroke(engine: Engine) -> Pulses:
-    """Return the motion of an engine until its plate first comes to rest, or a recorded one."""
-    motion = motion_of(engine)
-    if isinstance(motion, SampledMotion):
-        end = motion.end_time
-    else:
-        times = np.linspace(0.0, 1.0 / engine.frequency, 2 * _STROKE_PULSES + 1)[1:]
-        end = float(times[(motion.velocity(times) <= 0.0).argmax()])
-    step = _whole_ns(end / _STROKE_PULSES)
-    return Pulses.of(motion.position(step * np.arange(_STROKE_PULSES + 1)), step)
-
-
 def _whole_ns(time: float) -> float:
     """Round a time up to whole nanoseconds, as messages have; others would add to the jerk [s]."""
     return 1e-9 * math.ceil(1e9 * time)
 
 
-def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
+def _follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
     """
     Simulate a throw to its end with a motion, scaled down as far as the loads require.
 
@@ -431,11 +317,10 @@ def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
         None if the projectile is not thrown, or meets the layer again before it comes down.
 
     """
-    model = model_for(rig, 'travelling_wave')
     for _ in range(_SCALINGS):
         try:
             engine = replace(rig.engine, motion=pulses.motion_and_back())
-            throw = simulate(replace(rig, engine=engine), model=model)
+            throw = simulate(replace(rig, engine=engine))
         except (ValueError, EventLimitError, ThrowUnfinishedError):
             return None
         excess = max(
@@ -448,10 +333,10 @@ def follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
     return None
 
 
-def linear_layer(layer: Layer) -> Layer:
+def _linear_layer(layer: Layer) -> Layer:
     """Return the linear layer of the same modulus at rest."""
     if isinstance(layer, Stack):
-        return Stack(sheets=tuple(linear_layer(sheet) for sheet in layer.sheets))
+        return Stack(sheets=tuple(_linear_layer(sheet) for sheet in layer.sheets))
     return replace(layer, stress_strain_law='linear')
 
 
@@ -478,7 +363,7 @@ class _Problem(NamedTuple):
     critical: Critical
 
 
-def _shortest_time(problem: _Problem, *, is_rough: bool = False) -> tuple[float, float]:
+def _shortest_time(problem: _Problem) -> tuple[float, float]:
     """Return the shortest time with nearly the largest speed, and the speed; 0 without a throw."""
     longest, *shorter = _times(problem.rig, problem.limits)
     programme = _Programme(problem, longest, is_fine=False)
@@ -488,8 +373,8 @@ def _shortest_time(problem: _Problem, *, is_rough: bool = False) -> tuple[float,
         return programme.solve(time)[1]
 
     speed = speed_at(longest)
-    if is_rough or not speed > 0.0:
-        return longest, max(speed, 0.0)
+    if not speed > 0.0:
+        return longest, 0.0
     index = bisect.bisect_left(shorter, (1.0 - _WAITING_GAIN) * speed, key=speed_at)
     return [*shorter, longest][index], speed
 
@@ -504,14 +389,13 @@ class _Programme:
         step = max(rig.crossing_time / per_crossing, longest / max_pulses)
         self._step = _whole_ns(step)
         self._count = math.ceil(longest / self._step) + 1
-        model = model_for(rig, 'travelling_wave')
-        cells = None if model == 'travelling_wave' or is_fine else SEARCH_CELLS
         # A heavy weight keeps the projectile on the layer and changes nothing else. The responses
         # are to a pulse of 1 m/s.
         pulse = replace(rig.engine, motion=Pulses(self._step, np.ones(1)).motion())
         gravity = 1e3 / self._step
-        heavy = replace(rig, engine=pulse, layer=linear_layer(rig.layer), gravity=gravity)
-        stepper = make_stepper(heavy, model=model, cells=cells, field_points=_HEIGHTS)
+        heavy = replace(rig, engine=pulse, layer=_linear_layer(rig.layer), gravity=gravity)
+        cells = SEARCH_CELLS if heavy.layer.needs_cells and not is_fine else None
+        stepper = make_stepper(heavy, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
         strains, layer = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
         for n, time in enumerate((self._step / _FINER * np.arange(len(states))).tolist()):

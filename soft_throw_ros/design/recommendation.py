@@ -9,25 +9,33 @@ in `soft_throw_ros.design.optimise`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import functools
 import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
 
+import numpy as np
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throws import Cancelled, SEARCH_CELLS
-from soft_throw_ros.design.objective import LayerScore, Limits, Objective
-from soft_throw_ros.design.objectives.peak import Peak
+from soft_throw_ros.design.objective import LayerScore, Limits, Objective, peak
 from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.search_space import search_spaces, SearchSpace
-from soft_throw_ros.design.sensitivity import sensitivities, Sensitivity
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
+
+TOLERATED_LOSS = 0.02
+"""Part of the score that may be lost within the tolerance of a parameter. [-]"""
+
+_SMALLEST_CHANGE, _LARGEST_CHANGE = 2.0**-8, 0.5
+"""Relative changes of a parameter between which the search for its tolerance begins. [-]"""
+
+_HALVINGS = 8
+"""Number of bisections of a tolerance, which leave an error of 0.4 %."""
 
 _EQUAL = 1e-9
 """Relative difference of scores that count as equal; then the present layer is kept. [-]"""
@@ -70,21 +78,11 @@ def best_ratios(damping_ratio: float) -> BestRatios:
     damping_ratio : float
         Damping ratio of the plate, :math:`\zeta`. [-]
 
-    Returns
-    -------
-    BestRatios
-        Ratios to 1e-5.
-
-    Raises
-    ------
-    ValueError
-        If `damping_ratio` is not in [0, 1).
-
     Notes
     -----
-    For all :math:`\zeta` from 0 to 0.99 the best of :math:`\mu` from 0.001 to 1000 and
-    :math:`\kappa` from 0.15 to 500 is at :math:`\mu` from 0.23 to 0.44 and :math:`\kappa` from
-    8.2 to 12.3; it is looked for nearby.
+    The ratios are exact to 1e-5. For all :math:`\zeta` from 0 to 0.99 the best of :math:`\mu`
+    from 0.001 to 1000 and :math:`\kappa` from 0.15 to 500 is at :math:`\mu` from 0.23 to 0.44
+    and :math:`\kappa` from 8.2 to 12.3; it is looked for nearby.
 
     Examples
     --------
@@ -102,7 +100,7 @@ def best_ratios(damping_ratio: float) -> BestRatios:
         gravity=0.0,
     )
     layers = LayerRange(thickness=(1.5, 6.0), wave_speed=(15.0, 75.0))
-    best = find_best_layer(LayerScore(rig, Peak()), layers, step=0.06, tolerance=1e-7)
+    best = find_best_layer(LayerScore(rig, peak), layers, step=0.06, tolerance=1e-7)
     assert best is not None  # without gravity every layer throws
     mass_ratio, speed_ratio = 1.0 / best.thickness, best.wave_speed / best.thickness
     phase = first_release(
@@ -125,8 +123,6 @@ class Recommendation(PredictedThrow):
 
     rig: Rig
     """The rig with the recommended layer."""
-    objective: str
-    """Name of the objective."""
     vary: Vary
     """Part of the layer that was allowed to change."""
     layer: str
@@ -137,21 +133,14 @@ class Recommendation(PredictedThrow):
     """The rig as it is; None if it does not throw."""
     now_score: float
     """Score of the rig as it is, 0 if it does not throw. [-]"""
-    by_thickness: PredictedThrow | None = None
-    """
-    The best layer if only the thickness may change.
-
-    None if nothing is thrown within the limits, or if a score takes several throws and `vary`
-    names another search.
-    """
-    by_wave_speed: PredictedThrow | None = None
+    by_thickness: PredictedThrow | None
+    """The best layer if only the thickness may change; None if none throws within the limits."""
+    by_wave_speed: PredictedThrow | None
     """The same for the wave speed."""
     candidates: tuple[LibraryCandidate, ...]
     """Layers of the library that came near, if one was to be picked; the best first."""
-    sensitivities: tuple[Sensitivity, ...]
-    """Influence of the parameters around the recommended layer."""
-    optimum: BestRatios
-    """The best ratios for the engine's damping, without limits and loss."""
+    tolerances: Mapping[str, float]
+    """Changes of thickness [m] and wave speed [m/s], up or down, that cost `TOLERATED_LOSS`."""
 
     @property
     def gain(self) -> float:
@@ -160,12 +149,10 @@ class Recommendation(PredictedThrow):
 
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
-        groups: dict[str, dict[str, float]] = {
+        groups: dict[str, Mapping[str, float]] = {
             name: vars(throw) for name in _ALTERNATIVES if (throw := getattr(self, name))
         }
-        groups['optimum'] = self.optimum._asdict()
-        for item in self.sensitivities:
-            groups[item.name] = {'sensitivity': item.sensitivity, 'tolerance': item.tolerance}
+        groups['tolerance'] = self.tolerances
         groups['candidate'] = {item.layer: item.score for item in self.candidates}
         return super().values() | {
             f'{name}.{key}': value
@@ -195,7 +182,7 @@ def recommend(
     vary : {'thickness', 'wave_speed', 'both', 'library'}
         Part of the layer that may change.
     objective : Objective, optional
-        Score to maximise; the energy of the throw if not given.
+        Score to maximise, as in `objective.OBJECTIVES`; the energy of the throw if not given.
     limits : Limits, optional
         Limits of the layer and its loads. They do not apply to parameters that may not change.
     materials : mapping of str to Material, optional
@@ -234,33 +221,29 @@ def recommend(
     """
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
-    search = _Search(objective or Peak(), limits or Limits(), cancelled)
+    search = _Search(objective or peak, limits or Limits(), cancelled)
     alternatives: dict[str, _Candidate] = {}
     for name in ('thickness', 'wave_speed'):
-        if search.objective.is_fast or name == vary:
-            (space,) = search_spaces(rig, name, search.limits, {})
-            alternative = search.best_of(space)
-            if alternative is not None:
-                alternatives[name] = alternative
-    ranked: list[_Candidate] = []
-    if vary == 'library':
-        ranked = search.rank(search_spaces(rig, vary, search.limits, materials or {}))
-        best = ranked[0] if ranked else None
-    elif vary == 'both':
-        (space,) = search_spaces(rig, vary, search.limits, {})
-        best = search.best_of(space, [best.rig.layer for best in alternatives.values()])
+        for alternative in search.rank(search_spaces(rig, name, search.limits, {})):
+            alternatives[name] = alternative
+    if vary in ('thickness', 'wave_speed'):
+        ranked = [alternatives[vary]] if vary in alternatives else []
     else:
-        best = alternatives.get(vary)
-    if best is None:
-        raise ThrowUnresolvedError(_refusal(rig, vary, search.limits))
+        spaces = search_spaces(rig, vary, search.limits, materials or {})
+        ranked = search.rank(spaces, [item.rig.layer for item in alternatives.values()])
+    if not ranked:
+        raise ThrowUnresolvedError(
+            f'no layer{" from the library" if vary == "library" else ""} throws with {vary} '
+            f'within {search.limits}; gravity is {rig.gravity_ratio:.2g} of the largest '
+            'acceleration of the plate'
+        )
+    best = ranked[0]
     score_now = LayerScore(rig, search.objective, cancelled=cancelled)
     now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
-    by = {name: predict(best.rig) for name, best in alternatives.items()}
-    of_space = search.objective.with_spread(best.space.spread)
+    by = {name: predict(item.rig) for name, item in alternatives.items()}
     return Recommendation(
         **vars(predict(best.rig)),
         rig=best.rig,
-        objective=search.objective.name,
         vary=vary,
         layer=best.space.name,
         score=best.score,
@@ -271,35 +254,44 @@ def recommend(
         candidates=tuple(
             LibraryCandidate(item.space.name, item.rig.layer.thickness, item.score)
             for item in ranked
+            if vary == 'library'
         ),
-        sensitivities=tuple(sensitivities(best.rig, of_space, cancelled)),
-        optimum=best_ratios(rig.engine.damping_ratio),
+        tolerances=_tolerances(best.rig, search.objective, cancelled),
     )
 
 
-def _refusal(rig: Rig, vary: str, limits: Limits) -> str:
-    """Describe the layers and limits without a throw."""
-    low, high = limits.thickness if vary != 'wave_speed' else (rig.layer.thickness,) * 2
-    slow, fast = limits.wave_speed if vary != 'thickness' else (rig.layer.wave_speed,) * 2
-    conditions = [
-        f'a thickness from {low:g} to {high:g} m',
-        f'a wave speed from {slow:g} to {fast:g} m/s',
-        *(
-            f'a {name} of at most {limit:g}{unit}'
-            for name, limit, unit in (
-                ('loss tangent', limits.max_loss_tangent, ''),
-                ('strain', limits.max_strain, ''),
-                ('acceleration', limits.max_acceleration, ' m/s2'),
-            )
-            if limit < math.inf
-        ),
-    ]
-    source = ' from the library' if vary == 'library' else ''
-    return (
-        f'no layer{source} with {", ".join(conditions)} throws: change the limits, or the rig if '
-        f'gravity ({rig.gravity_ratio:.2g} of the largest acceleration of the plate) holds the '
-        'projectile'
-    )
+def _tolerances(
+    rig: Rig, objective: Objective, cancelled: Cancelled | None
+) -> dict[str, float]:
+    """Return the changes of thickness and wave speed that cost `TOLERATED_LOSS` [SI]."""
+    score = LayerScore(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
+    thickness, wave_speed = rig.layer.thickness, rig.layer.wave_speed
+    least = (1.0 - TOLERATED_LOSS) * float(score(thickness, wave_speed)[0])
+
+    def is_tolerated(of_thickness: float, of_speed: float) -> bool:
+        signs = np.array([-1.0, 1.0])
+        scores = score(
+            thickness * (1.0 + of_thickness * signs), wave_speed * (1.0 + of_speed * signs)
+        )
+        return bool(scores.min() >= least)
+
+    return {
+        'thickness': thickness * _largest(lambda change: is_tolerated(change, 0.0)),
+        'wave_speed': wave_speed * _largest(lambda change: is_tolerated(0.0, change)),
+    }
+
+
+def _largest(is_tolerated: Callable[[float], bool]) -> float:
+    """Find the largest relative change up to which all are tolerated, by bisection [-]."""
+    low, high = 0.0, _SMALLEST_CHANGE
+    while is_tolerated(high):
+        if high >= _LARGEST_CHANGE:
+            return high
+        low, high = high, 2.0 * high
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_tolerated(middle) else (low, middle)
+    return low
 
 
 class _Candidate(NamedTuple):
@@ -317,25 +309,30 @@ class _Search(NamedTuple):
     limits: Limits
     cancelled: Cancelled | None
 
-    def rank(self, spaces: list[SearchSpace]) -> list[_Candidate]:
-        """Find the best layers among many spaces, each searched coarsely; the best first."""
-        optima = [(space, best) for space in spaces if (best := self._search(space)) is not None]
+    def rank(
+        self, spaces: list[SearchSpace], starts: Sequence[Layer] = ()
+    ) -> list[_Candidate]:
+        """
+        Find the best layers of some spaces, the best first; `starts` are layers to search near.
+
+        All spaces are searched coarsely, and the best of them once more.
+        """
+        optima = [
+            (space, best)
+            for space in spaces
+            if (best := self._search(space, starts)) is not None
+        ]
         optima = sorted(optima, key=lambda optimum: -optimum[1].score)[:_MAX_CANDIDATES]
         candidates = filter(None, (self._finish(space, best) for space, best in optima))
         return sorted(candidates, key=lambda candidate: -candidate.score)
 
-    def best_of(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> _Candidate | None:
-        """Find the best layer of a space; `starts` are layers near which it may be."""
-        return self._finish(space, self._search(space, starts))
-
     def _score(self, space: SearchSpace, cells: int | None = None) -> LayerScore:
         """Return the score of layers of a space."""
         return LayerScore(
-            space.rig, self.objective.with_spread(space.spread), self.limits, cells=cells,
-            cancelled=self.cancelled,
+            space.rig, self.objective, self.limits, cells=cells, cancelled=self.cancelled
         )
 
-    def _search(self, space: SearchSpace, starts: Sequence[Layer] = ()) -> Optimum | None:
+    def _search(self, space: SearchSpace, starts: Sequence[Layer]) -> Optimum | None:
         """Find the best layer of a space, coarsely and with few cells if it has loss."""
         has_cells = space.rig.layer.needs_cells
         first = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]

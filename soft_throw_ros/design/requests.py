@@ -5,17 +5,16 @@
 from __future__ import annotations
 
 from dataclasses import fields
-import importlib
 import math
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import Cancelled
-from soft_throw_ros.design.aiming import Aim, aim, Target
-from soft_throw_ros.design.motion_design import design_motion, MotionDesign, MotionVary
-from soft_throw_ros.design.objective import Limits, Objective
+from soft_throw_ros.design.aiming import Aim, aim
+from soft_throw_ros.design.motion_design import design_motion, MotionDesign
+from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
 
@@ -26,7 +25,7 @@ def solve_request(
     settings: Settings, *, rig: Rig | None = None, cancelled: Cancelled | None = None
 ) -> RequestResult:
     """
-    Recommend a layer, or aim, by the settings of the request.
+    Recommend a layer or a motion, or aim, by the settings of the request.
 
     Parameters
     ----------
@@ -45,65 +44,34 @@ def solve_request(
         If `cancelled` returns True.
 
     """
-    rig, request = rig or rig_of(settings), _request(settings)
-    if request['vary'] == 'motion':
-        return solve_motion_request(settings, rig=rig, cancelled=cancelled)
-    search: dict[str, Any] = {
-        'vary': request['vary'],
-        'limits': limits_of(settings),
-        'cancelled': cancelled,
-    }
-    if request['vary'] == 'library':
-        search['materials'] = library(str(settings['layer.library'])).materials
+    rig, request, limits = rig or rig_of(settings), _request(settings), limits_of(settings)
     if request['objective'] == 'aim':
         height, speed = request['target_height'] or None, request['target_speed'] or None
-        if height is None and speed is None:
+        return aim(rig, height=height, speed=speed, limits=limits, cancelled=cancelled)
+    if request['vary'] == 'motion':
+        if request['objective'] != 'peak':
             raise ValueError(
-                'nothing to aim at: recommendation.target_height (--target-height) or '
-                'recommendation.target_speed (--target-speed) must be above 0, got 0 for both'
+                "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
+                f'{request["objective"]!r}'
             )
-        target = Target(height=height, speed=speed)
-        return aim(rig, target, max_amplitude=request['max_amplitude'], **search)
-    if request['vary'] == 'amplitude':
-        raise ValueError(
-            "recommendation.vary 'amplitude' is for recommendation.objective 'aim' alone, got "
-            f'{request["objective"]!r}'
-        )
-    return recommend(rig, objective=objective_of(settings), **search)
-
-
-def solve_motion_request(
-    settings: Settings,
-    *,
-    vary: MotionVary = 'motion',
-    rig: Rig | None = None,
-    cancelled: Cancelled | None = None,
-) -> MotionDesign:
-    """Design the motion of the plate by the settings; errors as for `solve_request`."""
-    request = _request(settings)
-    if request['objective'] != 'peak':
-        raise ValueError(
-            "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
-            f'{request["objective"]!r}'
-        )
-    rig = rig or rig_of(settings)
-    now = vars(PlateLimits.of(rig.engine))
-    plate = PlateLimits(**{name: request[f'plate_{name}'] or now[name] for name in now})
-    return design_motion(rig, plate, vary=vary, limits=limits_of(settings), cancelled=cancelled)
+        now = vars(PlateLimits.of(rig.engine))
+        plate = PlateLimits(**{name: request[f'plate_{name}'] or now[name] for name in now})
+        return design_motion(rig, plate, limits=limits, cancelled=cancelled)
+    is_from_library = request['vary'] == 'library'
+    return recommend(
+        rig,
+        vary=request['vary'],
+        objective=OBJECTIVES[request['objective']](settings),
+        limits=limits,
+        materials=library(str(settings['layer.library'])).materials if is_from_library else None,
+        cancelled=cancelled,
+    )
 
 
 def limits_of(settings: Settings) -> Limits:
     """Return the limits that the settings set; 0 is none."""
     request = _request(settings)
     return Limits(**{item.name: request[item.name] or math.inf for item in fields(Limits)})
-
-
-def objective_of(settings: Settings) -> Objective:
-    """Return the objective of the settings, defined in the file of the same name."""
-    name = str(settings['recommendation.objective'])
-    module = importlib.import_module(f'soft_throw_ros.design.objectives.{name}')
-    objective: type[Objective] = getattr(module, name.capitalize())
-    return objective.from_settings(settings)
 
 
 def _request(settings: Settings) -> Settings:

@@ -21,8 +21,6 @@ class SearchSpace(NamedTuple):
     rig: Rig
     layers: LayerRange
     name: str = ''
-    spread: float = 0.0
-    """Largest error of the wave speed of a material, up or down. [m/s]"""
 
     @property
     def is_single(self) -> bool:
@@ -33,9 +31,9 @@ class SearchSpace(NamedTuple):
         """
         Return the step of the initial grid of a search, in logarithms [-].
 
-        Grids with a stepper, which takes thirty times as long as the closed form, or with several
-        throws per layer are coarser, and grids along one axis are finer. Strong gravity needs a
-        stepper, too, but beyond 1 the maxima are too narrow for a coarser grid.
+        Grids with a stepper, which takes thirty times as long as the closed form, are coarser,
+        most of all with several throws per layer, and grids along one axis are finer. Where
+        gravity exceeds the plate's acceleration, the maxima are too narrow for a coarser grid.
 
         Parameters
         ----------
@@ -45,9 +43,11 @@ class SearchSpace(NamedTuple):
             Number of throws that make the score of a layer.
 
         """
-        step = 0.09 if STRONG_GRAVITY < self.rig.gravity_ratio < 1.0 else 0.06
-        step = 0.12 if self.rig.layer.needs_cells or loads else step
-        step *= 1.5 if throws > 1 else 1.0
+        gravity, step = self.rig.gravity_ratio, 0.06
+        if gravity < 1.0 and (self.rig.layer.needs_cells or loads):
+            step = 0.18 if throws > 1 else 0.12
+        elif STRONG_GRAVITY < gravity < 1.0:
+            step = 0.09
         has_one_axis = any(low == high for low, high in self.layers)
         return 0.3 * step if has_one_axis else step
 
@@ -67,8 +67,8 @@ def search_spaces(
     ----------
     rig : Rig
         Rig with the present layer.
-    vary : {'amplitude', 'thickness', 'wave_speed', 'both', 'library'}
-        Part of the layer that may vary; 'amplitude' keeps the layer.
+    vary : {'thickness', 'wave_speed', 'both', 'library'}
+        Part of the layer that may vary.
     limits : Limits
         Limits of the parameters that may vary.
     materials : mapping of str to Material
@@ -87,9 +87,8 @@ def search_spaces(
         return [SearchSpace(rig, LayerRange(thickness, speeds))]
     spaces = []
     for material in materials.values():
-        speed, loss_tangent = material.wave_speed, material.loss_tangent.value
-        is_within_limits = limits.wave_speed_min <= speed.value <= limits.wave_speed_max
-        if not is_within_limits or loss_tangent > limits.max_loss_tangent:
+        speed = material.wave_speed.value
+        if not limits.wave_speed_min <= speed <= limits.wave_speed_max:
             continue
         smallest, largest = limits.thickness
         sheets = [(item, item) for item in material.thicknesses if smallest <= item <= largest]
@@ -97,17 +96,16 @@ def search_spaces(
             sheet = replace(
                 layer,
                 thickness=low if low == high else layer.thickness,
-                wave_speed=speed.value,
+                wave_speed=speed,
                 density=material.density.value,
-                loss_tangent=loss_tangent,
+                loss_tangent=material.loss_tangent.value,
                 diameter=material.diameter or layer.diameter,
             )
             spaces.append(
                 SearchSpace(
                     replace(rig, layer=sheet),
-                    LayerRange((low, high), (speed.value, speed.value)),
+                    LayerRange((low, high), (speed, speed)),
                     material.layer_name(low),
-                    spread=0.5 * (speed.high - speed.low),
                 )
             )
     return spaces

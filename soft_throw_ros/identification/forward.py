@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
@@ -123,9 +124,8 @@ def _follow(
         rig = replace(rig, engine=replace(rig.engine, motion=motion))
     moments, indices = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
     until = float(moments[-1])
-    model = 'cells' if by_cells or rig.layer.needs_cells else 'travelling_wave'
     try:
-        stepper = make_stepper(rig, model=model, field_points=2)
+        stepper = (CellStepper if by_cells else make_stepper)(rig, field_points=2)
         _check_cost(stepper, until, rig)
         stepper.advance_to(until)
         events = stepper.events()

@@ -75,7 +75,7 @@ _MAX_ERROR = 1e30
 IN_FLIGHT = 0.97
 """Share of the time until the landing that a fit uses. [-]"""
 
-_MAX_EVALUATIONS = 60
+_MAX_EVALUATIONS = 200
 """Largest number of evaluations of the model in one run of the solver."""
 
 

@@ -50,7 +50,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Picture = NDArray[Any]  # grey levels in the type of the video
 
-BODIES = ('plate', 'layer', 'projectile', 'bottom', 'top', 'none')
+BODIES = ('plate', 'layer', 'projectile', 'none')
 """Bodies that a spot can mark; `none` ignores the spot."""
 
 _SMOOTHING = 1.0  # standard deviation of the filter of pictures before thresholds [px]

@@ -1,40 +1,22 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Videos: their pictures in grey levels, and the edges along a vertical line over time.
-
-Notes
------
-An edge (Fig. 8 of the paper) is where a line crosses the grey level that best divides it into dark
-and bright (Otsu). Between two pixels it is interpolated, after smoothing over about one, so that
-an edge that is blurred by the lens is found within some hundredths of a pixel.
-
-"""
+"""Videos and their pictures in grey levels."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 import logging
 import mimetypes
 from pathlib import Path
 import re
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
-from soft_throw_ros.core import checks
 from soft_throw_ros.identification.spots import Picture
-from soft_throw_ros.identification.tracks import Track, TrackError
+from soft_throw_ros.identification.tracks import TrackError
 from soft_throw_ros.storage.regular_file import open_regular_file
 
-Floats = NDArray[np.float64]
-
-_SMOOTHING = 1.0  # standard deviation of the filter of lines before the threshold [px]
 _MAX_BYTES = 1 << 40
 """Size of a video or a picture [byte]; its pictures are bounded one by one."""
 
-_SIDE = 1  # number of columns on either side of a line in its average
 _MAX_CHANNELS = 4  # largest number of channels of a picture; a stack has more
 _MAX_PIXELS = 2**24  # largest size of a picture [pixels]: twice that of high-speed cameras
 _OTHER_VIDEOS = ('.cine', '.mxf', '.y4m')
@@ -174,90 +156,3 @@ def _by_number(path: Path) -> list[tuple[int, str]]:
         (int(part), '') if part.isdecimal() else (0, part)
         for part in re.split(r'(\d+)', path.name, flags=re.ASCII)
     ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpaceTime:
-    """Grey levels of a vertical line through the layer over time."""
-
-    levels: Floats
-    """Grey levels, shape (pictures, heights), from the lower to the upper end."""
-    rate: float
-    """Pictures per second. [Hz]"""
-    scale: float
-    """Size of a pixel. [m]"""
-
-    @property
-    def time(self) -> Floats:
-        """Times of the pictures [s]."""
-        return np.arange(self.levels.shape[0]) / self.rate
-
-    def edges(self) -> tuple[Track, Track]:
-        """
-        Track the lowest and the highest edge of a layer along the line.
-
-        Heights count from the lower end of the line. Raise TrackError for less than two edges.
-        """
-        from skimage.filters import threshold_otsu
-
-        smooth = gaussian_filter1d(self.levels, _SMOOTHING, axis=1, mode='nearest')
-        edges: list[Floats] = []
-        for number, line in enumerate(smooth - threshold_otsu(smooth), 1):
-            before = np.flatnonzero(np.diff(line > 0.0))
-            crossings = before + line[before] / (line[before] - line[before + 1])
-            if crossings.size < 2:
-                raise TrackError(
-                    f'the line crosses {crossings.size} edges in picture {number}, where the '
-                    'lower and the upper one of the layer are needed'
-                )
-            last = edges[-1] if edges else crossings[[0, -1]]
-            edges.append(crossings[np.abs(crossings[:, None] - last).argmin(axis=0)])
-        bottom, top = (
-            Track(time=self.time, position=self.scale * (0.5 + edge))
-            for edge in np.transpose(edges)
-        )
-        return bottom, top
-
-
-def space_time(
-    pictures: Iterable[Picture], *, column: int, first: int, last: int, rate: float, scale: float
-) -> SpaceTime:
-    """
-    Extract a vertical line from every picture.
-
-    Parameters
-    ----------
-    pictures : iterable of ndarray, shape (rows, columns)
-        Grey levels.
-    column : int
-        Column of the line, from the left. [px]
-    first, last : int
-        Its rows, from the top, both included. [px]
-    rate : float
-        Pictures per second of the camera. [Hz]
-    scale : float
-        Size of a pixel. [m]
-
-    Raises
-    ------
-    TrackError
-        If the line is not within the pictures, or there is none.
-    ValueError
-        If a number is not finite and positive.
-
-    """
-    rate = checks.require_positive('rate', rate)
-    scale = checks.require_positive('scale', scale)
-    lines = []
-    for picture in pictures:
-        rows, columns = picture.shape
-        if not (0 <= first < last < rows and _SIDE <= column < columns - _SIDE):
-            raise TrackError(
-                f'a line from row {first} to row {last} of column {column} is not within pictures '
-                f'of {rows} rows and {columns} columns'
-            )
-        part = picture[first:last + 1, column - _SIDE:column + _SIDE + 1]
-        lines.append(part.astype(np.float64).mean(axis=1)[::-1])
-    if not lines:
-        raise TrackError('there is no picture')
-    return SpaceTime(levels=np.array(lines), rate=rate, scale=scale)

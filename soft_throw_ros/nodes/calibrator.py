@@ -3,9 +3,9 @@
 """
 The node `calibrator`: identifies the rig again when the twin's predictions are wrong.
 
-The node collects the tracks of consecutive throws that the twin predicted wrongly. When it has
-enough tracks, a worker thread identifies the rig and sets the parameters of the twin. This takes
-seconds, including the wait for the twin's answers.
+The node collects the tracks of consecutive throws that the twin predicted wrongly, or that were
+too noisy for it. When it has enough tracks, a worker thread identifies the rig and sets the
+parameters of the twin. This takes seconds, including the wait for the twin's answers.
 
 After `motion_after` throws in a row that the twin predicted well, the calibrator makes the twin
 command the best motion of the plate, and measures the gain in ejection speed.
@@ -56,7 +56,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
-_AFTER = 6.0  # length of the track after the release [plate periods]
+_AFTER = 6.5  # length of the track from the start of the throw on [plate periods]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
@@ -93,12 +93,13 @@ class Calibrator(RunnableNode):
         self._apply = self.create_client(
             Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, twin)
         )
-        self.create_steady_timer(READ_PERIOD, self._measured.read_messages)
+        self.create_steady_timer(READ_PERIOD, self._read_measurements)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
         self._status = status_to_msg(
             self.get_fully_qualified_name(), 'identification', 'nothing has been identified yet'
         )
         self.create_steady_timer(1.0, self._publish_status)
+        self._ended: tuple[ThrowResult, int] | None = None  # last throw and its stamp, until used
         self._mispredicted: list[ThrowTracks] = []
         self._rig_of_throws: Rig | None = None  # of the collected throws
         self._predicted: list[MeasuredThrow] = []  # in a row that the twin predicted well
@@ -131,41 +132,57 @@ class Calibrator(RunnableNode):
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             try:
-                self._on_result(msg_to_throw_result(status), msg_to_time(msg.header.stamp))
-            except ValueError as error:  # of the values, the tracks, or a command
-                number = msg_to_values(status).get('throw', '')
-                self.get_logger().warning(f'throw {number} cannot be used: {error}')
+                result = msg_to_throw_result(status)
+            except ValueError as error:
+                self._warn_of_throw(msg_to_values(status).get('throw', ''), error)
+                continue
+            if result.stage == 'final' and not self._is_busy:
+                self._ended = result, msg_to_time(msg.header.stamp)
+                if result.disturbances is not None:
+                    self._measured.clock_offset_ns = result.disturbances.clock_offset_ns
 
-    def _on_result(self, result: ThrowResult, stamp_ns: int) -> None:
-        if result.stage == 'final' and result.is_valid and not self._is_busy:
-            self._measured.read_messages()
+    def _read_measurements(self) -> None:
+        """Read measurements, and use the last throw as soon as its track is complete."""
+        self._measured.read_messages()
+        if self._ended is None:
+            return
+        result, stamp_ns = self._ended
+        end_ns = result.start_ns + round(1e9 * _AFTER / result.rig.engine.frequency)
+        if self._measured.newest_ns < end_ns:
+            return
+        self._ended = None
+        try:
             if self._trial is None:
-                self._on_measured_throw(result)
-            elif result.accuracy is None:
+                self._on_measured_throw(result, end_ns)
+            elif result.is_valid and result.accuracy is None:
                 self._on_commanded_throw(self._trial, result, stamp_ns)
+        except ValueError as error:  # of the tracks, or a command
+            self._warn_of_throw(result.throw, error)
 
-    def _on_measured_throw(self, result: ThrowResult) -> None:
-        """Collect a throw that the twin predicted wrongly, or count one that it predicted well."""
-        release, accuracy, comparison = result.first, result.accuracy, result.comparison
-        if release is None or accuracy is None or comparison is None:
+    def _warn_of_throw(self, number: object, error: Exception) -> None:
+        self.get_logger().warning(f'throw {number} cannot be used: {error}')
+
+    def _on_measured_throw(self, result: ThrowResult, end_ns: int) -> None:
+        """Collect a throw, or count it if the twin predicted it well."""
+        comparison, accuracy = result.comparison, result.accuracy
+        if result.disturbances is None or result.ended_by == 'gap':  # there is no whole track
             return
         if result.rig != self._rig_of_throws:  # one fit needs throws of one rig
             self._mispredicted, self._predicted = [], []
             self._rig_of_throws = result.rig
-        if comparison.is_within_threshold:
+        if comparison is not None and comparison.is_within_threshold:
             self._mispredicted.clear()
-            self._on_well_predicted(result, accuracy.release_ns)
+            if result.first is not None and accuracy is not None:
+                self._on_well_predicted(result, accuracy.release_ns)
             return
         self._predicted = []
-        period_ns = 1e9 / result.rig.engine.frequency
-        begin_ns = accuracy.release_ns - round(1e9 * release.ejection_time + _BEFORE * period_ns)
-        end_ns = accuracy.release_ns + round(_AFTER * period_ns)
+        begin_ns = result.start_ns - round(1e9 * _BEFORE / result.rig.engine.frequency)
         tracks = self._measured.between(begin_ns, end_ns, name=f'throw {result.throw}')
         self._mispredicted.append(tracks)
         if len(self._mispredicted) >= self.parameters.settings['throws']:
             self.get_logger().info(
-                f'the last {len(self._mispredicted)} throws deviated from the prediction, the '
-                f'last one by {1e3 * comparison.position_rms:.3g} mm rms; identifying the rig'
+                f'the last {len(self._mispredicted)} throws deviated from the prediction, or '
+                'were too noisy for one; identifying the rig'
             )
             self._submit(partial(self._identify, self._mispredicted, result.rig))
             self._mispredicted = []

@@ -89,7 +89,8 @@ class Measurement:
         if self._session.is_measured:
             samples = self._samples([message.data for message in messages])
             if samples:
-                self._session.measure(self._by_our_clock(samples))
+                samples = self._by_our_clock(samples)
+                self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
                 self._warn_of_units()
 
     def count(self) -> dict[str, int]:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,27 +15,39 @@ from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.storage.cdr import JointStateReader, MessageError
+from soft_throw_ros.storage.message import SECOND
 
 Floats = NDArray[np.float64]
 
 READ_PERIOD = 0.02
 """Time between two reads. [s]"""
 
-_KEPT_NS = 10_000_000_000  # age of the oldest measurements kept, longer than any throw [ns]
+_KEPT_READS = 500  # number of reads whose measurements are kept, ten seconds
+_SET_BACK = SECOND  # smallest step backwards of the stamps when their clock is set [ns]
 
 
 class MeasuredPositions:
-    """The measured positions of plate and projectile in the last seconds."""
+    """
+    The measured positions of plate and projectile in the last seconds, by the clock of a twin.
+
+    The attribute `clock_offset_ns` is added to the stamps [ns].
+    """
 
     def __init__(self, node: RunnableNode, twin: str) -> None:
         self._log = node.get_logger()
         topic = TWIN_TOPICS.measured_joint_states.at(twin)
         self._subscription = RawSubscription.of(node, topic)
         self._read = JointStateReader().read_all
-        self._batches: deque[tuple[NDArray[np.int64], Floats]] = deque()
+        self.clock_offset_ns = 0
+        self._batches: deque[tuple[NDArray[np.int64], Floats]] = deque(maxlen=_KEPT_READS)
+
+    @property
+    def newest_ns(self) -> float:
+        """Time of the newest measurement, minus infinity without one [ns]."""
+        return self._batches[-1][0][-1] + self.clock_offset_ns if self._batches else -math.inf
 
     def read_messages(self) -> None:
-        """Read the messages that have arrived; call this often, so that no queue overflows."""
+        """Read the messages that have arrived; call this every `READ_PERIOD`."""
         messages = self._subscription.drain(READ_PERIOD * MAX_DATA_RATE)
         datas = [item.data for item in messages if len(item.data) <= MAX_MESSAGE_SIZE]
         if not datas:
@@ -48,12 +61,13 @@ class MeasuredPositions:
                 throttle_duration_sec=1.0,
             )
             return
+        if self._batches and states.stamps[-1] < self._batches[-1][0][-1] - _SET_BACK:
+            self._batches.clear()
         self._batches.append((states.stamps, states.position[:, columns]))
-        while self._batches[0][0][-1] < states.stamps[-1] - _KEPT_NS:
-            self._batches.popleft()
 
     def between(self, start_ns: int, end_ns: int, *, name: str) -> ThrowTracks:
         """Return the tracks of a throw, over the time since `start_ns`, or raise TrackError."""
+        start_ns, end_ns = start_ns - self.clock_offset_ns, end_ns - self.clock_offset_ns
         if not self._batches or self._batches[0][0][0] > start_ns:
             raise TrackError('measurements of its start were not received')
         stamps = np.concatenate([batch[0] for batch in self._batches])

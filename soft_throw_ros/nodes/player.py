@@ -28,15 +28,12 @@ from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import BagError, Channel, Message, SECOND
-from soft_throw_ros.twin.session import RequestRejected
 
 DISCOVERY_TIME = 0.5
 """Time for the discovery of existing subscriptions before the first message. [s]"""
 
 DRAIN_TIMEOUT = 0.5
 """Longest wait for acknowledgements of the last message. [s]"""
-
-_LONG = 1e9  # longer than any bag [s]
 
 _PUBLISHER_ERRORS = (
     ImportError, NameValidationException, ValueError, TypeError, KeyError, OverflowError,
@@ -55,8 +52,6 @@ class Player(RunnableNode):
         Open reader of the bag.
     topics : collection of str
         Topics to play; all if empty.
-    start, duration : float
-        Start after the beginning of the bag, and duration. [s]
     rate : float
         Time of the bag over real time. [-]
     loop, paused : bool
@@ -85,8 +80,6 @@ class Player(RunnableNode):
         reader: BagReader,
         *,
         topics: Collection[str] = (),
-        start: float = 0.0,
-        duration: float = _LONG,
         rate: float = 1.0,
         loop: bool = False,
         paused: bool = False,
@@ -106,13 +99,11 @@ class Player(RunnableNode):
             row = REPLAY_TOPICS.clock
             self._clock_publisher = self.create_publisher(Clock, row.name, qos_profile(row))
         self._publishers_by_channel = self._make_publishers(topics, without_clock=bool(clock))
-        self._begin = reader.start_time + round(start * SECOND)
-        self._end = min(reader.end_time, self._begin + round(min(duration, _LONG) * SECOND))
         self._schedule: PlaybackSchedule[Message] = PlaybackSchedule(
             self._messages,
             lambda message: message.log_time,
-            begin_ns=self._begin,
-            end_ns=self._end,
+            begin_ns=reader.start_time,
+            end_ns=reader.end_time,
             rate=rate,
             is_looping=loop,
         )
@@ -123,7 +114,6 @@ class Player(RunnableNode):
         self.add_cleanup(self._stop)
         create_service(self, REPLAY_SERVICES.pause, self._on_pause)
         create_service(self, REPLAY_SERVICES.resume, self._on_resume)
-        create_service(self, REPLAY_SERVICES.step, self._on_step)
 
     @property
     def exit_code(self) -> int | None:
@@ -182,7 +172,7 @@ class Player(RunnableNode):
         if self._is_damaged:  # in an earlier repetition
             return
         try:
-            for message in self._reader.messages(topics, self._begin, self._end + 1):
+            for message in self._reader.messages(topics):
                 if message.channel in self._publishers_by_channel:
                     yield message
         except BagError as error:
@@ -247,18 +237,6 @@ class Player(RunnableNode):
             self._schedule.resume(time.monotonic_ns())
         self._woken.set()
         return f'playing at {self._position()}'
-
-    def _on_step(self) -> str:
-        with self._lock:
-            has_next = self._schedule.step(time.monotonic_ns())
-        if not has_next:
-            pause = REPLAY_SERVICES.pause.name
-            is_over = self._schedule.is_over
-            raise RequestRejected(
-                'nothing follows' if is_over else f'it is not paused; call {pause}'
-            )
-        self._play_due()
-        return f'paused at {self._position()}'
 
     def _position(self) -> str:
         with self._lock:

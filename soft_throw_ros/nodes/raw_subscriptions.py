@@ -85,9 +85,7 @@ class RawSubscription:
         self.publishers: set[bytes] = set()
         self._node = node
         self._profile = profile
-        known = find_topic(channel.topic, channel.type)
-        is_of_node = known is not None and known.topic.name.startswith('~/')
-        self._counter = LossCounter(has_one_publisher=is_of_node)
+        self._counter = LossCounter()
         self._reported = 0  # losses that the middleware has reported
         self._type = load_type(channel.type)
         self._subscription = node.create_subscription(

@@ -5,28 +5,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 import functools
 import os
 from pathlib import Path
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.commands.design_texts import remarks_of, summary_of
+from soft_throw_ros.commands.design_texts import summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.processors import leave_processors
-from soft_throw_ros.core.rig import model_for, Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
-from soft_throw_ros.design.recommendation import Recommendation
 from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.atomic_file import atomic_file
-from soft_throw_ros.twin.other_models import predict_by_other_models
 
 _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
 """Attributes of an answer that `recommended.*` shows."""
@@ -60,9 +58,9 @@ class RecommendationState:
             return {}
         if isinstance(best, MotionDesign):
             return {motions.PARAMETER: str(_save_motion(best))}
-        changes: dict[str, float | str] = {}
         if isinstance(best, Aim):
-            changes['engine.amplitude'] = best.amplitude
+            return {'engine.amplitude': best.amplitude}
+        changes: dict[str, float | str] = {}
         if best.layer:
             changes['layer.name'] = best.layer
             known = library(self.config.settings['layer.library']).layers[best.layer]
@@ -80,11 +78,7 @@ class RecommendationState:
 
     def values(self) -> dict[str, float | str | bool]:
         """Return the values of the recommendation without its rig; empty without an answer."""
-        if self.best is None:
-            return {}
-        return {
-            'g_load': self.best.peak_acceleration / STANDARD_GRAVITY, **self.best.values()
-        }
+        return {} if self.best is None else self.best.values()
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""
@@ -100,10 +94,7 @@ class RecommendationState:
                 node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR
             )
         values = {**self.values(), **rig}
-        if isinstance(best, Recommendation):
-            values['remarks'] = remarks_of(best)
-        is_missed = isinstance(best, Aim) and not best.is_reached
-        return status_to_msg(node_name, 'recommendation', self.describe(), values, warn=is_missed)
+        return status_to_msg(node_name, 'recommendation', self.describe(), values)
 
 
 def _save_motion(best: MotionDesign) -> Path:
@@ -142,26 +133,7 @@ def recommend_for(
 
 def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
     """Return the uncertainty of a rig's throw, as values of a status."""
-    if settings['model'] not in _RELEASED:
-        return {}
     return _uncertainty_values(rig, Uncertainties.from_settings(settings))
-
-
-def other_models_values(rig: Rig, settings: Settings) -> dict[str, float]:
-    """Return the first release as other models predict it, as values of a status."""
-    if rig.engine.motion is not None:
-        return {}  # the other models support the motions of the engine only
-    predictions = predict_by_other_models(rig, model_for(rig, settings['model']))
-    return {
-        f'{model}.{name}': value
-        for model, release in predictions.items()
-        if release is not None
-        for name, value in asdict(release).items()
-    }
-
-
-_RELEASED = ('travelling_wave', 'cells', 'cells_elastic')
-"""Models whose first release is that of waves in the layer, within 1e-5."""
 
 
 @functools.lru_cache(maxsize=4)

@@ -135,8 +135,6 @@ class Recorder(RunnableNode):
         if recording is not None:
             for topic, reason in recording.subscriptions.discover().items():
                 self.get_logger().warning(f'{topic} is not recorded: {reason}')
-            if recording.viewer is not None:
-                recording.viewer.check()
 
     def _on_second(self) -> None:
         """Publish the state of the recording, and log its problems."""
@@ -195,9 +193,8 @@ class Recorder(RunnableNode):
             status('losses', text, {'lost': lost, **losses}, warn=lost > 0 or bool(missing)),
         ]
         if recording.viewer is not None:
-            error = recording.viewer.failure or recording.viewer.error
-            values = {'starts': recording.viewer.starts}
-            statuses.append(status('viewer', error or 'started', values, warn=bool(error)))
+            error = recording.viewer.error
+            statuses.append(status('viewer', error or 'started', {}, warn=bool(error)))
         return statuses
 
 

@@ -26,10 +26,10 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, R
 from soft_throw_ros.nodes.topics import full_name
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.child_process import RestartedProcess
+from soft_throw_ros.recording.child_process import ChildProcess
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.storage.cdr import decode, MessageError
-from soft_throw_ros.storage.message import LOSSES, Message, MISSED_BEFORE_JOIN
+from soft_throw_ros.storage.message import Message
 from soft_throw_ros.twin import journal
 
 DRAIN_TIME = 0.01
@@ -56,7 +56,7 @@ class Recording:
         Subscriptions to the recorded topics.
     writer : WriterThread or None
         Thread that writes the bag; None if nothing is written.
-    viewer : RestartedProcess or None
+    viewer : ChildProcess or None
         Process that shows the topics; None if nothing is shown.
     unheard_topics : list of str
         Topics of processes that are present, but have sent nothing for `SILENCE_LIMIT`.
@@ -75,7 +75,7 @@ class Recording:
         self._reported: set[str] = set()
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
         self.writer: WriterThread | None = None
-        self.viewer: RestartedProcess | None = None
+        self.viewer: ChildProcess | None = None
         self._settings = settings
         self._began = time.monotonic()
         self._twins: dict[str, object] = {}
@@ -84,7 +84,7 @@ class Recording:
             text = files.render(settings, table=RECORDER, title='How this was recorded.')
             self._attach(self.writer, 'recorder.yaml', text)
         if settings['rerun.sink'] != 'none' and has_rerun(settings):
-            self.viewer = RestartedProcess(self._viewer_command(recorder, arguments))
+            self.viewer = ChildProcess(self._viewer_command(recorder, arguments))
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
         self._thread.start()
@@ -139,12 +139,12 @@ class Recording:
         return [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
 
     def take_viewer_failure(self) -> str:
-        """Return, once, the reason why the viewer is given up; empty otherwise."""
-        reason = self.viewer.failure if self.viewer is not None else ''
+        """Return, once, the reason why the viewer does not run; empty otherwise."""
+        reason = self.viewer.error if self.viewer is not None else ''
         if not reason or self._is_viewer_failure_reported:
             return ''
         self._is_viewer_failure_reported = True
-        return f'the viewer is not started any more: {reason}; recording goes on without it'
+        return f'the viewer does not run: {reason}; recording goes on without it'
 
     def losses(self) -> dict[str, int]:
         """Return the number of lost messages by topic: published, but not in the bag."""
@@ -187,9 +187,9 @@ class Recording:
         self.subscriptions.close()
         if self.writer is not None:
             losses = self.losses()
-            self._note(self.writer, LOSSES, {'total': sum(losses.values()), **losses})
+            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
             if missed := self.missed_before_join():
-                self._note(self.writer, MISSED_BEFORE_JOIN, missed)
+                self._note(self.writer, 'published before recording', missed)
             if refused := self.subscriptions.refused:
                 self._note(self.writer, 'not recorded', refused)
             self.writer.close(on_stall)

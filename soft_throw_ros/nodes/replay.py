@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import sys
 from typing import Any
 
-from soft_throw_ros.commands.options import not_negative, positive
+from soft_throw_ros.commands.options import positive
 from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
@@ -83,12 +83,6 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
         '--rate', metavar='R', type=positive,
         help='playback speed relative to the recording (default 1)',
     )
-    playing.add_argument(
-        '--start', metavar='S', type=not_negative, help='skip the first S seconds of the bag'
-    )
-    playing.add_argument(
-        '--duration', metavar='S', type=not_negative, help='play S seconds of the bag'
-    )
     playing.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
     playing.add_argument('--loop', action='store_true', help='restart after the end')
     playing.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
@@ -122,9 +116,6 @@ def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) 
             f'{reader.path} has no topic {", ".join(unknown)}; its topics are '
             f'{", ".join(sorted(topics)) or "none"}'
         )
-    length = 1e-9 * (reader.end_time - reader.start_time)
-    if options.get('start', 0.0) > length:
-        raise CheckError(f'{reader.path} lasts {length:.3f} s, got --start {options["start"]:g}')
     try:
         from soft_throw_ros.nodes.player import Player
         from soft_throw_ros.nodes.process import run

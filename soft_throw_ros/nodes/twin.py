@@ -36,7 +36,6 @@ from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime_node import RealTimeNode
 from soft_throw_ros.nodes.recommendations import (
     affects_recommendation,
-    other_models_values,
     recommend_for,
     RecommendationState,
     uncertainty_values,
@@ -210,8 +209,6 @@ class Twin(RealTimeNode):
         beside = {}
         if not self.is_compiling:  # otherwise this process would compile their kernels, too
             beside = uncertainty_values(result.rig, settings)
-            if not self.session.is_measured:
-                beside |= other_models_values(result.rig, settings)
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, due, [status])
         if result.is_valid:
@@ -258,7 +255,7 @@ class Twin(RealTimeNode):
         return f'; {throws} {noun}, {lateness}' if number > 1 else ''
 
     def describe_start(self) -> str:
-        """Return the rig, its model, rates and topics for the log line at the start."""
+        """Return the rig, rates and topics for the log line at the start."""
         settings, rig = self.parameters.settings, self.parameters.checked.rig
         name = self.get_fully_qualified_name()
         motion, period = settings['engine.motion'], settings['throw.period']
@@ -271,7 +268,7 @@ class Twin(RealTimeNode):
         return (
             f": layer {settings['layer.name']}, {1e3 * rig.layer.thickness:.4g} mm, "
             f'{rig.layer.wave_speed:.4g} m/s; projectile {1e3 * rig.projectile.mass:.4g} g; '
-            f'plate {motion}, {engine}; model {self.parameters.checked.model}; '
+            f'plate {motion}, {engine}; '
             f"{settings['rate.state']:.4g} Hz on {TWIN_TOPICS.joint_states.at(name).name}"
             + ('' if motion == 'measured' else f', {throws}')
         )

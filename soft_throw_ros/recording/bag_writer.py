@@ -10,19 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-import contextlib
-import errno
 from functools import partial
 import math
 import os
 from pathlib import Path
 import shutil
-import zlib
+from typing import Any
 
-from mcap.data_stream import RecordBuilder
-from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk
-from mcap.records import Schema as SchemaRecord
 from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
 from soft_throw_ros.storage.bag_lock import lock_folder
@@ -38,9 +32,6 @@ from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 CHUNK_SIZE = 256 * 2**10
 """A chunk that has grown beyond this is compressed and written. [bytes]"""
 
-WRITE_SIZE = 4 * 2**20
-"""Largest part handed to the disk at once, so that its progress is seen. [bytes]"""
-
 PROFILE = 'ros2'
 LIBRARY = f'soft_throw_ros {__version__}'
 
@@ -49,9 +40,8 @@ class BagWriter:
     """
     A new bag opened for writing.
 
-    Messages wait in memory until `flush` hands them to the operating system. From then on they
-    survive the end of this process, so call `flush` about once a second. If the disk is full,
-    `flush` raises an error, and the messages wait for the next call.
+    Chunks are written as they fill up, and the last one at `flush`. From then on their messages
+    survive the end of this process, so call `flush` about once a second.
 
     Parameters
     ----------
@@ -72,6 +62,11 @@ class BagWriter:
     ----------
     folder : Path
         The bag.
+    wait_for_disk : callable
+        Called with the reason if the disk does not take data; waits, and returns whether to try
+        again. By default it returns False.
+    saved_size : int
+        Size of all data handed to the operating system. [bytes]
     is_abandoned : bool
         Whether the caller has given up waiting; all unsaved messages are lost.
 
@@ -83,7 +78,8 @@ class BagWriter:
     Notes
     -----
     Every file can be read alone: it contains all channels, metadata and attachments so far.
-    The folder is locked (`flock`) while it is written.
+    The folder is locked (`flock`) while it is written. After any other BagError the bag can only
+    be closed.
 
     """
 
@@ -103,9 +99,14 @@ class BagWriter:
         self._max_size = max_size or math.inf
         self._max_duration = round(max_duration * 1e9) or math.inf
         self._sync = sync
+        self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
+        self.saved_size = 0
         self.is_abandoned = False
+        self._error = ''  # after which the bag can only be closed
+        self._is_deleted = False
         self._files: list[_File] = []
-        self._described = 0  # how many files are in `metadata.yaml`
+        self._written: Counter[Channel] = Counter()  # accepted by `write`
+        self._saved: Counter[Channel] = Counter()  # at the last flush
         self._channels: dict[Channel, None] = {}
         self._repeated: dict[tuple[str, str], Callable[[Writer], None]] = {}
         try:
@@ -116,12 +117,10 @@ class BagWriter:
             raise BagError(f'{folder}: {error.strerror}') from None
         # Only `is_being_written` can hold the lock of a new folder, and for a moment
         self._lock = lock_folder(self.folder)
-        self._begin_file()
         try:
-            self.flush()
+            self._begin_file()
         except BagError:
-            self._files[-1].close()
-            os.close(self._lock)
+            self._close_files()
             shutil.rmtree(self.folder, ignore_errors=True)
             raise
 
@@ -138,7 +137,7 @@ class BagWriter:
         Raises
         ------
         BagError
-            If the bag is closed.
+            If the bag is closed, or the disk does not take a chunk.
         ValueError
             If a time is negative or too large for ROS.
 
@@ -154,9 +153,10 @@ class BagWriter:
         if file.size > self._max_size or log_time - file.first >= self._max_duration:
             self.split()
             file = self._files[-1]
-        if channel not in file.written:
+        if channel not in self._channels:
             self.add_channel(channel)
         file.add(message)
+        self._written[channel] += 1
 
     def add_channel(self, channel: Channel) -> None:
         """Add a channel to the bag, even if it never receives a message."""
@@ -188,7 +188,7 @@ class BagWriter:
         """Continue in a new file, unless the present one is empty."""
         self._require_open()
         if self._files[-1].count:
-            self._files[-1].finish(self._information())
+            self._finish_file()
             self._begin_file()
 
     def flush(self) -> None:
@@ -198,12 +198,16 @@ class BagWriter:
         Raises
         ------
         BagError
-            If the disk does not take them (yet), or another program has changed the file.
+            If the disk does not take them, or the file was deleted.
 
         """
         self._require_open()
-        self._files[-1].writer.flush()
-        self._save()
+        file = self._files[-1]
+        file.writer.flush()
+        self._mark_saved(file)
+        self._is_deleted = not file.path.exists()
+        if self._is_deleted:
+            raise BagError(f'{file.path}: it was deleted while it was written')
 
     def close(self) -> None:
         """
@@ -212,88 +216,107 @@ class BagWriter:
         Raises
         ------
         BagError
-            If that fails. The bag is closed all the same, with all that was kept.
+            If that fails. The bag is closed all the same, with all that was saved.
 
         """
-        if self._is_closed:
+        if self._lock < 0:
             return
         try:
             self.flush()
-            self._files[-1].finish(self._information())
-            self._described = 0
-            self._save()
+            self._finish_file()
+            self._write_metadata()
         finally:
-            for file in self._files:
-                file.close()
-            os.close(self._lock)
-            self._lock = -1
+            self._is_deleted = not self._files[-1].path.exists()
+            self._close_files()
 
     @property
-    def unsaved(self) -> int:
-        """Size of the data not yet handed to the operating system [bytes]."""
-        return sum(file.waiting for file in list(self._files))
-
-    @property
-    def counts(self) -> dict[Channel, int]:
-        """Numbers of messages in the bag since the last `flush`, by channel."""
-        files = [file for file in list(self._files) if not file.damage]
-        return {channel: sum(file.kept.get(channel, 0) for file in files)
-                for channel in list(self._channels)}
+    def counts(self) -> Counter[Channel]:
+        """Numbers of messages in the bag at the last `flush`, by channel."""
+        return Counter() if self._is_deleted else self._saved.copy()
 
     @property
     def lost(self) -> Counter[Channel]:
-        """Numbers of messages in damaged files or not saved before the end, by channel."""
-        lost: Counter[Channel] = Counter()
-        for file in list(self._files):
-            if file.damage:
-                lost.update(file.written.copy())
-            elif self._is_closed or self.is_abandoned:
-                lost.update(Counter(file.written) - Counter(file.kept))
-        return lost
-
-    @property
-    def _is_closed(self) -> bool:
-        return self._lock < 0
+        """Numbers of messages in a deleted file or not saved before the end, by channel."""
+        if self._is_deleted:
+            return self._written.copy()
+        is_over = self._lock < 0 or self.is_abandoned
+        return self._written.copy() - self._saved if is_over else Counter()
 
     def _require_open(self) -> None:
-        if self._is_closed:
+        if self._lock < 0:
             raise BagError(f'{self.folder} is closed')
+        if self._error:
+            raise BagError(self._error)
+
+    def _try(self, path: Path, act: Callable[..., Any], *args: object) -> Any:
+        """Act on the disk, again and again as long as `wait_for_disk` returns True."""
+        while True:
+            try:
+                return act(*args)
+            except OSError as error:
+                reason = f'{path}: {error.strerror}'
+                if not self.wait_for_disk(reason):
+                    self._error = reason
+                    raise BagError(reason) from None
+
+    def _save(self, file: _File, data: bytes) -> None:
+        """Write data to a file, waiting for the disk."""
+        rest = memoryview(data)
+        while rest:
+            count = self._try(file.path, os.write, file.descriptor, rest)
+            self.saved_size += count
+            rest = rest[count:]
+
+    def _mark_saved(self, file: _File) -> None:
+        """Note that all messages so far are written."""
+        if self._sync:
+            self._try(file.path, os.fsync, file.descriptor)
+        self._saved = self._written.copy()
+        file.saved_size = file.size
 
     def _add(self, kind: str, name: str, add: Callable[[Writer], None]) -> None:
+        self._require_open()
         self._repeated[kind, name] = add
         add(self._files[-1].writer)
 
     def _begin_file(self) -> None:
         """Begin the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
-        file = _File(path, self._compression)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        file = _File(path, self._try(path, os.open, path, flags, 0o666), self._save)
+        self._files.append(file)
+        file.begin(self._compression)
         for add in self._repeated.values():
             add(file.writer)
         for channel in self._channels:
             file.define(channel)
-        self._files.append(file)
+        self._write_metadata()
 
-    def _save(self) -> None:
-        """Hand all waiting data to the operating system, and update the kept counts."""
-        path = self.folder
-        try:
-            for file in self._files:
-                path = file.path
-                file.save(sync=self._sync)
-            if self._described < len(self._files):
-                path = self.folder / METADATA_FILE
-                write_metadata(path, self._information())
-                if self._sync:
-                    os.fsync(self._lock)  # that there are such files
-                self._described = len(self._files)
-        except OSError as error:
-            raise BagError(f'{path}: {error.strerror}') from None
+    def _finish_file(self) -> None:
+        """Write the end of the present file."""
+        file = self._files[-1]
+        information = {'serialized_metadata': dump_yaml(self._information())}
+        file.writer.add_metadata('rosbag2', information)
+        file.writer.finish()
+        self._mark_saved(file)
+        file.close()
+
+    def _write_metadata(self) -> None:
+        path = self.folder / METADATA_FILE
+        self._try(path, write_metadata, path, self._information())
+        if self._sync:
+            self._try(self.folder, os.fsync, self._lock)  # that there are such files
+
+    def _close_files(self) -> None:
+        for file in self._files:
+            file.close()
+        os.close(self._lock)
+        self._lock = -1
 
     def _information(self) -> dict[str, object]:
         """Return the metadata of the bag that rosbag2 expects as YAML."""
         first = min(file.first for file in self._files)
         last = max((file.last for file in self._files if file.count), default=first)
-        written = sum((Counter(file.written) for file in self._files), Counter())
         return {
             'version': VERSION,
             'storage_identifier': 'mcap',
@@ -309,7 +332,7 @@ class BagWriter:
                         'offered_qos_profiles': profiles_of(channel.qos),
                         'type_description_hash': channel.type_hash,
                     },
-                    'message_count': written[channel],
+                    'message_count': self._written[channel],
                 }
                 for channel in self._channels
             ],
@@ -324,61 +347,49 @@ class BagWriter:
 
 class _File:
     """
-    A file of a bag: its stream and its counts.
+    A file of a bag, the stream of its `Writer`, and its counts.
 
-    The library `mcap` writes to this stream, which buffers in memory until `save`. So the library
-    never fails halfway, and can continue after a full disk.
+    Nothing is buffered here, so that the size of all written records is known.
     """
 
-    def __init__(self, path: Path, compression: CompressionType) -> None:
+    writer: Writer
+
+    def __init__(self, path: Path, descriptor: int, save: Callable[[_File, bytes], None]) -> None:
         self.path = path
-        self.size = 0  # [bytes]
+        self.descriptor = descriptor
+        self.size = self.saved_size = 0  # of the data passed to `write`, and at the last flush
         self.count = 0
         self.first, self.last = LATEST, 0  # log times [ns]
-        self.written: dict[Channel, int] = {}
-        self.kept: dict[Channel, int] = {}  # handed to the operating system
-        self.damage = ''  # by another program
-        self._identity = (0, 0)  # device and inode
-        self._cut = ''  # the damage, if it cannot be undone
-        self._waiting = bytearray()
-        self._kept_size = 0  # [bytes]
-        self._descriptor = -1
-        self._is_finished = False
-        self._is_closed = False
+        self._save = save
         self._ids: dict[Channel, int] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
+
+    def begin(self, compression: CompressionType) -> None:
+        """Write the beginning."""
         self.writer = Writer(
             self,  # type: ignore[arg-type]  # all that a writer needs of a stream
             chunk_size=CHUNK_SIZE,
             compression=compression,
         )
         self.writer.start(PROFILE, LIBRARY)
+        self.saved_size = self.size
 
     # as a stream
 
     def write(self, data: bytes) -> None:
-        self._waiting += data
+        self._save(self, data)
         self.size += len(data)
 
     def tell(self) -> int:
         return self.size
 
     def flush(self) -> None:
-        """Do nothing; `save` writes the buffered data."""
+        """Do nothing, because nothing is buffered."""
 
     # as a file
 
-    @property
-    def waiting(self) -> int:
-        """Size of the buffered data [bytes]."""
-        return len(self._waiting)
-
     def define(self, channel: Channel) -> None:
-        """
-        Define a channel twice: in a chunk of its own, and in the chunk of its first messages.
-
-        Otherwise a damaged chunk would make all later messages of the channel useless.
-        """
+        """Define a channel once."""
         if channel in self._ids:
             return
         kind, encoding, text = channel.type, channel.schema_encoding, channel.schema.encode()
@@ -387,82 +398,24 @@ class _File:
             schema = self.writer.register_schema(kind, encoding, text)
             self._schemas[kind, encoding, text] = schema
         metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
-        number = self.writer.register_channel(channel.topic, 'cdr', schema, metadata)
-        self._ids[channel] = number
-        builder = RecordBuilder()
-        SchemaRecord(schema, text, encoding, kind).write(builder)
-        ChannelRecord(number, channel.topic, 'cdr', metadata, schema).write(builder)
-        data = builder.end()
-        Chunk(
-            compression='',
-            data=data,
-            message_start_time=0,
-            message_end_time=0,
-            uncompressed_crc=zlib.crc32(data),
-            uncompressed_size=len(data),
-        ).write(builder)
-        self.write(builder.end())
-        self.written[channel] = 0
+        self._ids[channel] = self.writer.register_channel(channel.topic, 'cdr', schema, metadata)
 
     def add(self, message: Message) -> None:
         """Add a message of a channel that is defined."""
         channel, data, log_time, publish_time, sequence = message
         number = sequence & 0xFFFFFFFF
         self.writer.add_message(self._ids[channel], log_time, data, publish_time, number)
-        self.written[channel] += 1
         self.count += 1
         self.first = min(self.first, log_time)
         self.last = max(self.last, log_time)
 
-    def finish(self, information: Mapping[str, object]) -> None:
-        """Write the end."""
-        self.writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(information)})
-        self.writer.finish()
-        self._is_finished = True
-
-    def save(self, *, sync: bool) -> None:
-        """Hand all buffered bytes to the system; raise OSError if the file does not hold them."""
-        if not self._is_closed and self._descriptor < 0:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-            self._descriptor = os.open(self.path, flags, 0o666)
-            status = os.fstat(self._descriptor)
-            self._identity = status.st_dev, status.st_ino
-        self.damage = self._find_damage()
-        if not self._is_closed:
-            written = self.written.copy()
-            while self._waiting:
-                del self._waiting[: os.write(self._descriptor, self._waiting[:WRITE_SIZE])]
-            if sync:
-                os.fsync(self._descriptor)
-            self.kept, self._kept_size = written, self.size
-        if self._is_finished:  # somebody may need the room
-            self.close()
-        elif self.damage:
-            raise OSError(errno.EIO, self.damage)
-
-    def _find_damage(self) -> str:
-        """Return the damage that another program did to the file; empty if it is whole."""
-        try:
-            status = self.path.stat()
-        except (FileNotFoundError, NotADirectoryError):
-            return 'it was deleted while it was written'
-        if (status.st_dev, status.st_ino) != self._identity:
-            return 'it was replaced by another file while it was written'
-        written = self.size - self.waiting
-        if status.st_size != written:
-            self._cut = (
-                f'it was changed to {status.st_size} bytes while it was written, and had {written}'
-            )
-        return self._cut  # which stays, though further messages make the file longer
-
     def close(self) -> None:
         """Close the file, without the part of a record that may be at its end after an error."""
-        if self._descriptor >= 0 and not self._is_closed:
-            with contextlib.suppress(OSError):
-                if self._waiting:
-                    os.truncate(self._descriptor, self._kept_size)
-                os.close(self._descriptor)
-        self._is_closed = True
+        if self.descriptor >= 0:
+            if os.fstat(self.descriptor).st_size > self.saved_size:
+                os.truncate(self.descriptor, self.saved_size)
+            os.close(self.descriptor)
+            self.descriptor = -1
 
     def to_dict(self) -> dict[str, object]:
         """Return the metadata of the file that rosbag2 expects."""

@@ -4,32 +4,22 @@
 Comparison of a bag with the session that its own journal repeats.
 
 The journal has the inputs of a twin, and checksums and results of its steps. The session is
-repeated from the inputs. Every recorded state, every number of `~/throw/*`, every checksum and
-every result is compared with the repeated one, to the last bit. The recorder must have counted
-the messages that are missing. Sessions of other versions are not compared, because these compute
-other last bits.
+repeated from the inputs. Every recorded state, every checksum and every result is compared with
+the repeated one, to the last bit. Sessions of other versions are not compared, because these
+compute other last bits.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Mapping, MutableSequence
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-import math
-from typing import Any
 
-import numpy as np
-from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT, THROW_TOPICS, TWIN_TOPICS
-from soft_throw_ros.recording.recorded_outputs import (
-    count_missing,
-    count_skipped,
-    RecordedNumbers,
-    RecordedStates,
-    Step,
-)
+from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT, TWIN_TOPICS
+from soft_throw_ros.recording.recorded_states import RecordedStates, Step
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, MessageError
-from soft_throw_ros.storage.message import BagError, LOSSES, Message, MISSED_BEFORE_JOIN
+from soft_throw_ros.storage.message import BagError, Message
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session
@@ -37,19 +27,6 @@ from soft_throw_ros.twin.session import RequestRejected, Session
 MAX_STEPS_BETWEEN_LINES = 20_000
 """Largest number of steps from one line of a journal to the next [-]: checksums come every second,
 which has 5000 steps at the highest rate."""
-
-_MAX_EARLY_LINES = 16
-"""Largest number of lines that wait for the first line of a journal. [-]
-
-A recorder that joins late may receive new lines before the older, latched ones.
-"""
-
-JOURNAL_END = 3.0
-"""Largest time from the last line of the journal to the last state [s]: lines come every second,
-or later if the twin is busy."""
-
-END_TIME = 0.1
-"""Largest time from the last state to the end of the journal [s]: topics are drained in turn."""
 
 _COMPARED = ('throw', 'result', 'checksum')
 _INPUTS = ('kind', 'step', 'throw', 'settings', 'pending', 'schedule')
@@ -70,19 +47,14 @@ class Count:
 
     same: int = 0
     different: int = 0
-    missing: int = 0  # and not counted as lost by the recorder
-    lost: int = 0  # missing, and counted by the recorder, or from before it or after it
-    unchecked: int = 0  # recorded, and not repeated
+    missing: int = 0  # repeated, and not in the bag
+    unchecked: int = 0  # in the bag, and not repeated
 
     def describe(self, name: str) -> str:
         """Return a sentence for people to read."""
         text = f'{self.same} {name} are the same, {self.different} are different'
-        for count, outcome in (
-            (self.missing, 'missing'),
-            (self.lost, 'not recorded'),
-            (self.unchecked, 'not compared'),
-        ):
-            text += f', {count} {outcome}' if count else ''
+        for count, outcome in ((self.missing, 'in the bag'), (self.unchecked, 'compared')):
+            text += f', {count} not {outcome}' if count else ''
         return text
 
 
@@ -92,17 +64,15 @@ class CheckResult:
 
     twin: str  # name of the node
     states: Count = field(default_factory=Count)
-    numbers: Count = field(default_factory=Count)  # messages of `~/throw/*`
-    results: Count = field(default_factory=Count)  # in the journal, as the next two
+    results: Count = field(default_factory=Count)  # in the journal, as the next one
     checksums: Count = field(default_factory=Count)
-    lines: Count = field(default_factory=Count)  # the same if they are in order
+    missing_lines: int = 0  # of the journal
     differences: list[str] = field(default_factory=list)
-    gaps: list[str] = field(default_factory=list)  # of the journal
     reason: str = ''  # why nothing was compared, if so
 
     @property
     def exit_code(self) -> int:
-        """0 if all is the same, 1 if something is not, 2 if nothing was compared."""
+        """1 if anything is different, 2 if nothing was compared, else 0."""
         if self.differences:
             return 1
         return 0 if self.checksums.same or self.results.same else 2
@@ -114,15 +84,13 @@ class CheckResult:
             lines += [
                 'compared to the last bit',
                 self.states.describe('states'),
-                self.numbers.describe('numbers of ~/throw/*'),
                 self.results.describe('results of throws'),
                 self.checksums.describe('checksums'),
-                self.lines.describe('lines of the journal in order'),
+                f'{self.missing_lines} lines of the journal are not in the bag',
             ]
-        for kind, sentences in (('missing', self.gaps), ('different', self.differences)):
-            lines += [f'{kind}: {sentence}' for sentence in sentences[:_SHOWN]]
-            if len(sentences) > _SHOWN:
-                lines.append(f'{kind}: and {len(sentences) - _SHOWN} more')
+        lines += [f'different: {sentence}' for sentence in self.differences[:_SHOWN]]
+        if len(self.differences) > _SHOWN:
+            lines.append(f'different: and {len(self.differences) - _SHOWN} more')
         return '\n'.join(lines)
 
     def count(self, count: Count, where: str, difference: str) -> None:
@@ -184,78 +152,48 @@ class _Check:
         self._node = node
         self._on_progress = on_progress
         self._result = CheckResult(twin=node)
-        self._journal_topic = TWIN_TOPICS.journal.at(node).name
-        self._states_topic = TWIN_TOPICS.joint_states.at(node).name
-        self._states = RecordedStates(reader, self._states_topic)
-        recorded = {channel.topic for channel in reader.channels}
-        self._numbers = {  # of throws, by topic
-            topic.at(node).name: RecordedNumbers(number.name, number.stage)
-            for number, topic in THROW_TOPICS
-            if number.is_repeatable and topic.at(node).name in recorded
-        }
-        # messages that are missing at the ends of runs and within runs, by topic
-        self._missing: defaultdict[str, np.ndarray[Any, Any]] = defaultdict(
-            lambda: np.zeros(2, np.int64)
-        )
-        # numbers that publishers gave to messages, by topic
-        self._sequences: defaultdict[str, MutableSequence[int]] = defaultdict(list)
+        self._states = RecordedStates(reader, TWIN_TOPICS.joint_states.at(node).name)
         self._line = -1  # the last one that was read
-        self._early: dict[int, tuple[journal.Entry, int]] = {}  # lines and log times, by number
-        self._throw = 0
         self._step_count = 0
-        self._last_due_ns = 0  # of the last repeated step [ns]
-        self._last_rate = 0.0  # of the last run [Hz]
-        self._is_complete = True  # whether the last run came to its end
-        self._has_begun = False  # whether a session was repeated
-        self._session: Session | None = None
         self._begin_run(None)
 
     def run(self) -> CheckResult:
         """Repeat the journal in one pass, and return the result."""
-        topics = self._journal_topic, *self._numbers
-        for message in self._reader.messages(topics, by_log_time=False):
-            topic = message.channel.topic
-            self._sequences[topic].append(message.sequence)
-            if topic == self._journal_topic:
-                self._receive(_entry(message), message.published)
+        topic = TWIN_TOPICS.journal.at(self._node).name
+        for message in self._reader.messages([topic], by_log_time=False):
+            try:
+                entry = _entry(message)
+            except journal.JournalError as error:
+                if self._session is not None:  # else it may be of another program
+                    self._give_up(f'a line after line {self._line} is unreadable: {error!s:.200}')
             else:
-                self._numbers[topic].add(message, is_in_run=self._session is not None)
-        self._read_early_lines(math.inf)
+                self._read_line(entry)
         self._end_run()
-        self._conclude()
-        return self._result
+        result = self._result
+        if not self._step_count:
+            result.reason = result.reason or 'not compared: the journal has no start of a throw'
+            return result
+        between, result.states.unchecked = self._states.count_others()
+        for count, reason in (
+            (between, 'states are of no step of the session'),
+            (self._states.unreadable, 'messages are no state of plate and projectile'),
+        ):
+            if count:
+                result.states.different += count
+                result.differences.append(f'{count} {reason}')
+        return result
 
     # the journal
 
-    def _receive(self, entry: journal.Entry, published: int) -> None:
-        """Read a line of the journal, and early lines once their turn comes."""
-        number = entry['line']
-        if self._line < 0 < number and len(self._early) < _MAX_EARLY_LINES:
-            self._early[number] = entry, published
-            return
-        self._read_early_lines(number)
-        self._read_line(entry, published)
-        while self._line + 1 in self._early:
-            self._read_line(*self._early.pop(self._line + 1))
-
-    def _read_early_lines(self, end: float) -> None:
-        """Read the early lines before a line, in their order."""
-        for number in sorted(number for number in self._early if number < end):
-            self._read_line(*self._early.pop(number))
-
-    def _read_line(self, entry: journal.Entry, published: int) -> None:
+    def _read_line(self, entry: journal.Entry) -> None:
         """Advance to a line of the journal; a start line begins a run."""
         kind, number = entry['kind'], entry['line']
-        is_start = kind == 'start'
-        is_next = number == self._line + 1
-        self._count_line(entry)
-        if is_start or not is_next:
+        if kind == 'start':
+            self._line = -1
+        self._result.missing_lines += max(number - self._line - 1, 0)
+        if kind == 'start' or number != self._line + 1:
             self._end_run()
-            self._is_complete = is_start
         self._line = number
-        self._throw = entry.get('throw', 0 if is_start else self._throw)
-        if kind == 'unreadable':
-            return
         try:
             if self._session is not None:
                 self._go_on(entry, self._session)
@@ -263,34 +201,9 @@ class _Check:
                 self._begin_run(Session.from_entry(entry, on_entry=self._on_entry))
             if self._session is not None and kind in _COMPARED:
                 self._recorded.append(entry)
-                stage = entry.get('result', {}).get('stage', '')
-                times = self._result_times[stage]
-                times.append(max([published, *times[-1:]]))
             self._compare_lines()
         except _UNREPEATABLE as error:
-            self._give_up(f'throw {self._throw} cannot be repeated from here: {error!s:.300}')
-
-    def _count_line(self, entry: journal.Entry) -> None:
-        """Count a line of the journal, and those that are missing before it."""
-        lines, number = self._result.lines, entry['line']
-        missing = self._missing[self._journal_topic]
-        if entry['kind'] == 'unreadable':
-            where = f'a line after line {self._line} cannot be read'
-            if self._session is not None:
-                self._result.count(lines, where, entry['reason'])
-        elif entry['kind'] == 'start' or self._line < 0:
-            lines.same += 1
-            missing[0] += max(number, 0)
-        elif number > self._line:
-            lines.same += 1
-            missing[1] += number - self._line - 1
-            if number > self._line + 1:
-                self._result.gaps.append(
-                    f'{number - self._line - 1} lines before line {number} '
-                    f'(after throw {self._throw})'
-                )
-        else:
-            self._result.count(lines, f'line {number}', f'it comes after line {self._line}')
+            self._give_up(f'line {number} cannot be repeated: {error!s:.300}')
 
     def _is_of_these_versions(self, entry: journal.Entry) -> bool:
         """Return whether a run can be compared here; note the reason if not."""
@@ -312,14 +225,9 @@ class _Check:
     def _begin_run(self, session: Session | None) -> None:
         """Forget the outputs of the run before."""
         self._session = session
-        self._is_complete |= session is not None
-        self._has_begun |= session is not None
         self._recorded: deque[journal.Entry] = deque()  # lines to be compared
         self._repeated: deque[journal.Entry] = deque()  # the same, by the repeated session
-        # log times of lines about results, by the stage of the result [ns]
-        self._result_times: defaultdict[str, list[int]] = defaultdict(list)
         self._steps: list[Step] = []  # steps whose states are to be compared
-        self._is_recorded: list[np.ndarray[Any, Any]] = []  # of earlier steps, in parts
 
     def _on_entry(self, line: str) -> None:
         entry = journal.decode(line)
@@ -331,21 +239,15 @@ class _Check:
         distance = entry['step'] - session.step
         if distance > MAX_STEPS_BETWEEN_LINES:
             raise journal.JournalError(
-                f'line {entry["line"]} is {distance} steps after the one before, which is more '
-                f'than {MAX_STEPS_BETWEEN_LINES}'
+                f'it is {distance} steps after the one before, which is more than '
+                f'{MAX_STEPS_BETWEEN_LINES}'
             )
         self._keep(session.follow(entry), session)
 
     def _keep(self, steps: Iterable[Outputs], session: Session) -> None:
         """Store the outputs of steps for the comparison."""
         for outputs in steps:
-            self._last_due_ns = session.due_ns(outputs.step)
-            self._steps.append(Step(self._last_due_ns, outputs.step, outputs.state))
-            for result in outputs.results:
-                values = result.values() if result.is_valid else {}
-                for numbers in self._numbers.values():
-                    if numbers.stage == result.stage and numbers.name in values:
-                        numbers.expect(float(values[numbers.name]), outputs.step)
+            self._steps.append(Step(session.due_ns(outputs.step), outputs.step, outputs.state))
             if len(self._steps) >= _BATCH:
                 self._compare_states()
             self._step_count += 1
@@ -357,55 +259,32 @@ class _Check:
         """Compare the last lines with one more step, or with the end of the session."""
         while self._recorded:
             entry = self._recorded[0]
-            is_end = entry['kind'] == 'checksum'
-            if is_end:
+            if entry['kind'] == 'checksum':
                 session.close()
-            elif session.step <= entry['step']:
+            else:
                 self._keep([session.advance()], session)
             self._compare_lines()
-            is_past = is_end or session.step > entry['step']
-            if is_past and self._recorded and self._recorded[0] is entry:
+            if self._recorded and self._recorded[0] is entry:
                 raise journal.JournalError(
                     f'{entry["kind"]} of step {entry["step"]} is not repeated'
                 )
 
     def _end_run(self) -> None:
         """Compare the outputs that wait, and forget the session."""
-        session = self._session
-        if session is None:
+        if self._session is None:
             return
         try:
-            self._finish(session)
+            self._finish(self._session)
         except _UNREPEATABLE as error:
-            self._give_up(f'the end of throw {self._throw} cannot be repeated: {error!s:.300}')
+            self._give_up(f'the steps up to line {self._line} cannot be repeated: {error!s:.300}')
             return
-        self._close_run(session)
+        self._compare_states()
+        self._begin_run(None)
 
     def _give_up(self, difference: str) -> None:
         """Note that the session cannot be repeated, up to the next throw."""
         self._result.differences.append(difference)
-        if self._session is not None:
-            self._close_run(self._session)
-        self._is_complete = False
-
-    def _close_run(self, session: Session) -> None:
         self._compare_states()
-        self._last_rate = session.rate
-        end = math.ceil(END_TIME * session.rate)
-        is_recorded = np.concatenate(self._is_recorded)
-        self._missing[self._states_topic] += count_missing(is_recorded, end)
-        count = self._result.numbers
-        for topic, numbers in self._numbers.items():
-            times = self._result_times[numbers.stage]
-            is_recorded, different, unchecked = numbers.end_run(times)
-            count.same += int(is_recorded.sum())
-            count.unchecked += unchecked
-            for value in different:
-                difference = f'{value!r} in the bag has another value here'
-                self._result.count(count, numbers.name, difference)
-            # The recorder may have ended between a line and its number
-            end = int(numbers.last_step + END_TIME * session.rate >= session.step)
-            self._missing[topic] += count_missing(is_recorded, end)
         self._begin_run(None)
 
     # comparisons
@@ -431,86 +310,28 @@ class _Check:
 
     def _compare_states(self) -> None:
         """Compare the recorded states of the steps that wait."""
-        is_recorded, different = self._states.compare(self._steps)
-        self._is_recorded.append(is_recorded)
-        self._result.states.same += int(is_recorded.sum()) - len(different)
+        if not self._steps:
+            return
+        count = self._result.states
+        same, missing, different = self._states.compare(self._steps)
+        count.same += same
+        count.missing += missing
         for step, state in different:
             difference = _first_difference(state._asdict(), step.state._asdict())
             where = f'states: step {step.number}'
-            self._result.count(self._result.states, where, difference or 'other bits of a value')
+            self._result.count(count, where, difference or 'other bits of a value')
         self._steps.clear()
-
-    def _conclude(self) -> None:
-        """Judge all outputs that have no counterpart, once the journal is at its end."""
-        result, states = self._result, self._states
-        if not self._has_begun:
-            result.reason = result.reason or 'not compared: the journal has no start of a throw'
-        for numbers in self._numbers.values():
-            if numbers.unreadable:
-                result.numbers.different += numbers.unreadable
-                result.differences.append(
-                    f'{numbers.unreadable} messages of {numbers.name} are no number'
-                )
-        if self._has_begun:
-            between, elsewhere = states.unmatched()
-            result.states.different += len(between) + states.unreadable
-            result.states.unchecked += len(elsewhere)
-            if len(between):
-                result.differences.append(
-                    f'{len(between)} states are doubled, or of no step of the session, such as '
-                    f'that at {between[0]} ns'
-                )
-            if states.unreadable:
-                result.differences.append(
-                    f'{states.unreadable} messages are no state of plate and projectile'
-                )
-            after = int((elsewhere > self._last_due_ns).sum())
-            if self._is_complete and after > JOURNAL_END * self._last_rate:
-                result.differences.append(
-                    f'{after} states come after the last line of the journal'
-                )
-        self._sequences[self._states_topic] = states.sequences
-        for topic in self._numbers:
-            self._judge_missing(result.numbers, topic)
-        self._judge_missing(result.states, self._states_topic)
-        self._judge_missing(result.lines, self._journal_topic)
-
-    def _judge_missing(self, count: Count, topic: str) -> None:
-        """Compare the number of missing messages with the losses that the recorder counted."""
-        notes = {record.name: record.metadata for record in self._reader.metadata}
-        lost = _number(notes.get(LOSSES, {}).get(topic, ''))
-        known = lost + _number(notes.get(MISSED_BEFORE_JOIN, {}).get(topic, ''))
-        at_ends, within = (int(number) for number in self._missing[topic])
-        sequences = self._sequences[topic]
-        uncounted = max(within - lost, 0)
-        if not len(sequences):  # the time at which the recorder joined is unknown
-            uncounted = max(at_ends + within - known, 0)
-        elif LOSSES in notes:  # not after a kill, and not of other recorders
-            skipped = count_skipped(sequences, is_from_first=self._reader.path.is_dir())
-            uncounted = max(uncounted, skipped - known)
-        count.missing += uncounted
-        count.lost += max(at_ends + within - uncounted, 0)
-        if uncounted:
-            counted = f'the recorder counted {known}' if LOSSES in notes else 'nobody counted them'
-            self._result.differences.append(
-                f'{uncounted} messages of {topic} are missing, and {counted} as lost'
-            )
 
 
 def _entry(message: Message) -> journal.Entry:
-    """Read a line of a journal; one that cannot be read has the number -1."""
+    """Read a line of a journal; raise JournalError if it cannot be read, or has no number."""
     try:
         entry = journal.decode(str(decode(message).data))
-    except (MessageError, AttributeError, journal.JournalError) as error:
-        return {'kind': 'unreadable', 'line': -1, 'reason': f'{error!s:.200}'}
+    except (MessageError, AttributeError) as error:
+        raise journal.JournalError(str(error)) from error
     if 'line' not in entry:
-        return {'kind': 'unreadable', 'line': -1, 'reason': 'it has no number'}
+        raise journal.JournalError('it has no number')
     return entry
-
-
-def _number(text: str) -> int:
-    """Return a count that the recorder wrote; 0 if it is none."""
-    return int(text) if text.isascii() and text.isdecimal() and len(text) < 20 else 0
 
 
 def _values(entry: journal.Entry, names: Iterable[str]) -> dict[str, object]:

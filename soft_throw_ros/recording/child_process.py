@@ -1,25 +1,14 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes that never outlive this one, and that are restarted when they end."""
+"""Child processes that never outlive this one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-import math
 import os
 import shutil
 import subprocess
 import sys
-import time
-
-RESTART_TIME = 1.0
-"""Shortest time from one start of a process to the next; doubles with every failure. [s]"""
-
-STABLE_TIME = 30.0
-"""Running time after which the end of a process no longer counts as a failed start. [s]"""
-
-MAX_FAILURES = 5
-"""Number of failures in a row after which a process is not started again."""
 
 EXIT_TIMEOUT = 2.0
 """Longest wait for a process to end after SIGTERM. [s]"""
@@ -41,52 +30,30 @@ def bound_to_parent(command: Sequence[str]) -> list[str]:
     return [sys.executable, '-I', '-S', '-c', _BIND_TO_PARENT, str(os.getpid()), *command]
 
 
-class RestartedProcess:
+class ChildProcess:
     """
-    A child process that is started again when it ends.
+    A child process in a session of its own, so that Ctrl-C in a terminal does not reach it.
 
-    The wait before a start doubles with every process that ends soon after its own start. After
-    `MAX_FAILURES` such processes in a row, no other process is started. The process has its own
-    session, so that Ctrl-C in a terminal does not reach it.
+    The command is a program and its arguments.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
-        self.starts = 0  # number of successful starts
-        self.error = ''  # why it does not run; empty while it runs
-        self._command = command
+        self._name = command[0]
         self._process: subprocess.Popen[bytes] | None = None
-        self._started = -math.inf
-        self._failures = 0  # in a row
+        if program := shutil.which(self._name):
+            self._process = subprocess.Popen(
+                bound_to_parent([program, *command[1:]]),
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
 
     @property
-    def failure(self) -> str:
-        """Reason why it will not be started any more; empty while it may be."""
-        if self._failures < MAX_FAILURES:
-            return ''
-        return f'{self.error}, {self._failures} times in a row'
-
-    def check(self) -> None:
-        """Start the process if that is due; call this function periodically, in one thread."""
-        if self._process is not None:
-            code = self._process.poll()
-            if code is None:
-                return
-            self._process = None
-            self._fail(f'it ended with exit code {code}')
-        due = self._started + RESTART_TIME * 2**self._failures
-        if self.failure or time.monotonic() < due:
-            return
-        self._started = time.monotonic()
-        program = shutil.which(self._command[0])
-        if program is None:
-            self._fail(f'{self._command[0]}: no such program')
-            return
-        command = bound_to_parent([program, *self._command[1:]])
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, start_new_session=True
-        )
-        self.starts += 1
-        self.error = ''
+    def error(self) -> str:
+        """Why the process does not run; empty while it runs."""
+        if self._process is None:
+            return f'{self._name}: no such program'
+        code = self._process.poll()
+        return '' if code is None else f'it ended with exit code {code}'
 
     def terminate(self) -> None:
         """Ask the process to end; `close` waits for the end."""
@@ -103,10 +70,3 @@ class RestartedProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-    def _fail(self, reason: str) -> None:
-        """Count a failure; begin to count anew if the process was stable."""
-        if time.monotonic() - self._started > STABLE_TIME:
-            self._failures = 0
-        self._failures += 1
-        self.error = reason

@@ -36,7 +36,7 @@ _MILLI = 1e3
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
     """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
     values = {**values_of(rig), 'thickness': thickness, 'wave_speed': wave_speed}
-    return np.asarray(first_releases(**ratios_of(rig, values).rigid).energy_transfer)
+    return np.asarray(first_releases(**ratios_of(rig, values).lossless).energy_transfer)
 
 
 def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Figure:

@@ -14,7 +14,6 @@ from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_canvas as drawing
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording.energy_map import draw_energy_map
-from soft_throw_ros.recording.rerun_layout import with_hysteresis
 from soft_throw_ros.recording.timeseries import Floats, LayerStates, Stamps, StrainField, Values
 
 _MILLI = 1e3
@@ -51,8 +50,7 @@ class RigPicture:
         diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
         self._layer_width = diameter
         high = 1.35 * (_MILLI * rig.layer.thickness + length) + 0.8 * diameter
-        self._diameter = with_hysteresis(diameter, self._diameter)
-        self._high = with_hysteresis(high, self._high)
+        self._diameter, self._high = diameter, high
         for name, colour, w, y, h in (
             ('plate', drawing.GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter),
             ('projectile', drawing.BLUE, diameter, -length, length),

@@ -80,7 +80,6 @@ class PlaybackSchedule(Generic[Item]):
         # Times of the recording count from its beginning, and continue through repetitions.
         # At the caller's time `_now`, the time of the recording was `_passed`.
         self._now = self._passed = 0
-        self._stepped_to = -math.inf  # items up to this time are due while paused
         self._coming = self._repeat(items, time_of)
         self._next_time, self._next = next(self._coming, (0, None))
 
@@ -100,7 +99,7 @@ class PlaybackSchedule(Generic[Item]):
 
     def deadline(self) -> int | None:
         """Return when the next item is due, None if it is not, being paused or over [ns]."""
-        if self.is_over or (self.is_paused and self._next_time > self._stepped_to):
+        if self.is_over or self.is_paused:
             return None
         return self._now + round((self._next_time - self._passed) / self.rate)
 
@@ -109,8 +108,7 @@ class PlaybackSchedule(Generic[Item]):
         deadline = self.deadline()
         if deadline is None or deadline > now:
             return None
-        if not self.is_paused:
-            self._now += max(now - deadline - MAX_CATCH_UP, 0)
+        self._now += max(now - deadline - MAX_CATCH_UP, 0)
         item = self._next
         self._next_time, self._next = next(self._coming, (self._next_time, None))
         return item
@@ -119,7 +117,6 @@ class PlaybackSchedule(Generic[Item]):
         """Pause playback."""
         if not self.is_paused:
             self._now, self._passed = now, self._passed_by(now)
-            self._stepped_to = -math.inf
             self.is_paused = True
 
     def resume(self, now: int) -> None:
@@ -127,22 +124,6 @@ class PlaybackSchedule(Generic[Item]):
         if self.is_paused:
             self._now = now
             self.is_paused = False
-
-    def step(self, now: int) -> bool:
-        """
-        Make the next item due while paused, with all items of the same time.
-
-        Returns
-        -------
-        bool
-            Whether there is one, and it is paused.
-
-        """
-        if not self.is_paused or self.is_over:
-            return False
-        self._now, self._passed = now, self._next_time
-        self._stepped_to = self._next_time
-        return True
 
     def _passed_by(self, now: int) -> int:
         passed = self._passed

@@ -116,22 +116,6 @@ class TwinLayout:
     present: set[str]  # optional panels that are there
 
 
-def with_hysteresis(now: float, before: float) -> float:
-    """
-    Return the former size if the present one differs by at most 15 %.
-
-    A new layout discards the changes that a user made by hand, and costs Rerun's server a
-    megabyte of memory, so small corrections of a rig must not cause one.
-
-    Examples
-    --------
-    >>> with_hysteresis(1.1, 1.0), with_hysteresis(1.2, 1.0)
-    (1.0, 1.2)
-
-    """
-    return before if before / 1.15 <= now <= 1.15 * before else now
-
-
 def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     """Return the container of all panels of a twin."""
     before, after = BEFORE * twin.period, AFTER * twin.period

@@ -9,7 +9,6 @@ import errno
 import math
 import os
 from pathlib import Path
-import time
 from typing import TYPE_CHECKING
 
 from soft_throw_ros.recording import rerun_viewer
@@ -83,14 +82,12 @@ def check_viewer(port: int, instead: str) -> None:
     )
 
 
-def send_recording(
-    stream: rr.RecordingStream, port: int, draw: Callable[[], None], *, within: float = math.inf
-) -> None:
+def send_recording(stream: rr.RecordingStream, port: int, draw: Callable[[], None]) -> None:
     """
     Draw a recording into the running viewer, or into a new one that stays.
 
-    Raise ViewerError if there is none, or it does not receive everything `within` a time [s]. The
-    recording is still connected afterwards.
+    Raise ViewerError if there is none, or it does not receive everything. The recording is still
+    connected afterwards.
     """
     if not listens(port):
         Viewer(port, stays=True)
@@ -100,9 +97,6 @@ def send_recording(
     with connection:
         stream.connect_grpc(rerun_viewer.url_of(port))
         draw()
-        deadline = time.monotonic() + within
         while not flush(stream, PROBE_TIME):
             if not rerun_viewer.is_open(connection):
                 raise ViewerError('the viewer was closed before it had everything')
-            if time.monotonic() > deadline:
-                raise ViewerError(f'the viewer at {HOST}:{port} does not take it')

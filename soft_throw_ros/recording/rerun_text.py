@@ -52,15 +52,6 @@ _LAYER_ROWS = (
 TRACK_TASKS = ('measurement', 'model', 'identification')
 """Tasks in /diagnostics about a measured track, in the order of display."""
 
-_MODELS = {
-    'travelling_wave': 'wave',
-    'cells': 'grid',
-    'cells_elastic': 'elastic',
-    'cells_glued': 'glued on',
-    'spring_mass': 'spring',
-}
-"""Short names of the other models."""
-
 _STAGES = {'final': 'in all', 'predicted': 'as it will be'}
 
 _BASES = {'engine': ', which moves as the engine should', 'plate': ' alone'}
@@ -71,17 +62,13 @@ _VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed'}
 
 
 def throw_text(values: Values) -> str:
-    """Return the results of a throw with their errors, and those of other models."""
-    models = [
-        key.removesuffix('.ejection_time') for key in values if key.endswith('.ejection_time')
-    ]
+    """Return the results of a throw with their errors."""
     if not values.get('recontacts'):
         values = {key: value for key, value in values.items() if not key.startswith('last_')}
-    columns = {'twin': '', **{_MODELS.get(model, model): f'{model}.' for model in models}}
     number, strain, limit = (values.get(key) for key in ('throw', 'peak_strain', 'max_strain'))
     text = f'**Throw {f"{number:.0f}" if isinstance(number, float) else "?"}**, '
     text += _STAGES.get(str(values.get('stage')), 'up to the release')
-    text += f'\n\n{_table(values, _THROW_ROWS, columns)}'
+    text += '\n\n' + _table(values, _THROW_ROWS, {'twin': ''})
     if isinstance(strain, float) and isinstance(limit, float) and strain > limit:
         text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
     samples, out = (values.get(f'accuracy.{key}') for key in ('samples', 'samples_left_out'))

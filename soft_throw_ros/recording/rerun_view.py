@@ -187,7 +187,6 @@ class _TwinView:
         self._recommendation = RecommendationPanel(canvas, self._root)
         self._track: dict[str, str] = {}  # texts by the task of the node
         self._present: set[str] = set()  # optional panels that are there
-        self._period = 0.0  # of the layout [s]
         phases = rr.StateConfiguration(
             values=list(layout.PHASES), colors=list(layout.PHASES.values())
         )
@@ -280,15 +279,14 @@ class _TwinView:
     # layout
 
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
-        """Return the state of the layout; sizes that have hardly changed stay the same."""
+        """Return the state of the layout."""
         reader = self.reader
         scale = reader.time_scale if self._canvas.throw is None else 1.0
         period = 1.0 if reader.rig is None else 1.0 / (reader.rig.engine.frequency * scale)
-        self._period = layout.with_hysteresis(period, self._period)
         return layout.TwinLayout(
             root=self._root,
             title=self._node,
-            period=self._period,
+            period=period,
             side=self._side.bounds,
             residual_limit=_MICRO * reader.settings['measured.residual_threshold'],
             present=self._present | ({layout.LOG} if has_log else set()),

@@ -36,11 +36,11 @@ _TIMEOUT = 60.0
 _POLL = 0.05
 """Time between two checks whether a viewer listens. [s]"""
 
-_FRAME_PAUSE = 0.25
-"""Time between two pictures that are compared, or two requests. [s]"""
+_REQUEST_PAUSE = 0.25
+"""Time between two requests. [s]"""
 
-_MAX_PICTURES = 40
-"""Number of pictures after which a view that still moves is taken as it is."""
+_SETTLE_TIME = 2.0
+"""Time in which axes move to a new time. [s]"""
 
 _CONNECT_TIME = 0.2
 """Longest wait for a connection on this machine. [s]"""
@@ -177,13 +177,8 @@ class Viewer:
             _request(client.get_state, lambda s: s.recordings and s.views and not s.loading)
             if seconds is not None:
                 client.set_time(timeline, duration=seconds, play_state='paused')
-            picture = b''
-            for _ in range(_MAX_PICTURES):  # axes move for a while
-                before, picture = picture, _request(client.take_screenshot)
-                if picture == before:
-                    break
-                time.sleep(_FRAME_PAUSE)
-            return picture
+            time.sleep(_SETTLE_TIME)
+            return _request(client.take_screenshot)
 
     def end(self) -> None:
         """End the process."""
@@ -246,4 +241,4 @@ def _request(
             pass
         if time.monotonic() > deadline:
             raise TimeoutError(f'not within {_TIMEOUT:g} s')
-        time.sleep(_FRAME_PAUSE)
+        time.sleep(_REQUEST_PAUSE)

@@ -139,6 +139,7 @@ class TwinReader:
         self.throw: ThrowStart | None = None  # the last one
         self._motions: dict[str, str] = {}  # encoded motions by file
         self._rest_heights: tuple[float, float] | None = None  # heights measured before the throw
+        self._clock_offset_ns = 0  # of the stamps of measurements [ns]
         self.span = math.inf, -math.inf  # stamps of the first and the last state [ns]
         times, numbers = np.empty(0, np.int64), np.empty((0, len(JOINTS)))
         self._states = RigStates(times, times, numbers, numbers, numbers)  # the last ones
@@ -204,6 +205,7 @@ class TwinReader:
         if 'onset' in entry:
             onset = journal.decode_onset(entry['onset'])
             stamp, rest_heights = onset.onset_ns, (onset.rest.plate, onset.rest.projectile)
+            self._clock_offset_ns = onset.clock_offset_ns
         else:
             stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
             rest_heights = None
@@ -239,8 +241,8 @@ class TwinReader:
         """
         Read measured positions, predicted positions or residuals.
 
-        Measured positions are relative to rest, and NaN for a joint without measurement. Return
-        None for another machine, or while the rest is unknown.
+        Measured positions are relative to rest, at times by the clock of the twin, and NaN for a
+        joint without measurement. Return None for another machine, or while the rest is unknown.
         """
         joints = _read_joint_states(messages)
         if topic.joints[0] not in joints.names or joints.position.shape[1] != len(joints.names):
@@ -253,6 +255,7 @@ class TwinReader:
             if self._rest_heights is None or self.rig is None:
                 return None
             position -= [self._rest_heights[0], self._rest_heights[1] - self.rig.rest_height]
+            return joints.stamps + self._clock_offset_ns, position
         return joints.stamps, position
 
     def read_phase_changes(self, messages: Sequence[Message]) -> list[tuple[int, str]]:

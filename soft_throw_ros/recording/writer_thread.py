@@ -57,9 +57,10 @@ class WriterThread:
         # Two sums, each of one thread, and no lock
         self._put_size = 0  # [bytes]
         self._written_size = 0  # [bytes]
-        self._is_closing = False
+        self._closing = threading.Event()
+        self._is_last_try = False  # of a disk that takes nothing, at the end
         self._wake = threading.Event()  # set to request a flush
-        self._flush()
+        self._open()
         self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
         self._thread.start()
 
@@ -72,7 +73,6 @@ class WriterThread:
     def put(self, messages: Iterable[Message]) -> None:
         """Queue messages for writing; drop them if too much data waits already."""
         free = self._capacity - self._put_size + self._written_size
-        free -= self.bag.unsaved if self.bag is not None else 0
         for message in messages:
             size = message.memory
             self._count += 1
@@ -107,7 +107,7 @@ class WriterThread:
             `STALL_TIMEOUT` the thread is left alone, and all messages not saved are lost.
 
         """
-        self._is_closing = True
+        self._closing.set()
         self._wake.set()
         progress, since, is_reported = self._progress(), time.monotonic(), False
         while self._thread.is_alive():
@@ -133,29 +133,30 @@ class WriterThread:
             self.bag.is_abandoned = True
 
     def _progress(self) -> tuple[int, int, int]:
-        unsaved = self.bag.unsaved if self.bag is not None else 0
-        return len(self._waiting), self._written_size, unsaved
+        saved_size = self.bag.saved_size if self.bag is not None else 0
+        return len(self._waiting), self._written_size, saved_size
 
     def _run(self) -> None:
         next_flush = time.monotonic() + FLUSH_PERIOD
-        while not self._is_closing:
-            is_requested = self._wake.wait(_WRITE_PERIOD)
-            self._wake.clear()
+        try:
+            while not self._closing.is_set():
+                is_requested = self._wake.wait(_WRITE_PERIOD)
+                self._wake.clear()
+                self._write()
+                if is_requested or time.monotonic() >= next_flush:
+                    next_flush = time.monotonic() + FLUSH_PERIOD
+                    self._flush()
+            self._open()
             self._write()
-            if is_requested or time.monotonic() >= next_flush:
-                next_flush = time.monotonic() + FLUSH_PERIOD
-                self._flush()
-        if self.bag is None:
-            self._flush()
-        self._write()
+        except BagError:
+            pass  # closing raises it again
         self._drop_waiting()
         if self.bag is not None:
             try:
                 self.bag.close()
+                self.error = ''
             except BagError as error:
                 self.error = str(error)
-            else:
-                self.error = ''
 
     def _drop_waiting(self) -> None:
         waiting = self._waiting.copy()  # the thread may go on meanwhile
@@ -164,23 +165,43 @@ class WriterThread:
     def _write(self) -> None:
         """Write the queued messages, and call the queued functions."""
         while self._waiting and self.bag is not None:
-            item = self._waiting.popleft()
+            item = self._waiting[0]  # which waits until it is written
             if not isinstance(item, Message):
                 item(self.bag)
-                continue
-            try:
+            elif item.has_valid_times:
                 self.bag.write(item)
-            except ValueError:  # invalid times
+                self._written_size += item.memory
+            else:
                 self._dropped[item.channel] += 1
-            self._written_size += item.memory
+                self._written_size += item.memory
+            self._waiting.popleft()
 
-    def _flush(self) -> None:
-        """Flush the bag; after an error, create it or retry."""
+    def _open(self) -> None:
+        """Create the bag if there is none."""
+        if self.bag is not None:
+            return
         try:
-            if self.bag is None:
-                self.bag = self._open_bag()
-            self.bag.flush()
+            self.bag = self._open_bag()
         except BagError as error:
             self.error = str(error)
         else:
+            self.bag.wait_for_disk = self._wait_for_disk
             self.error = ''
+
+    def _flush(self) -> None:
+        """Create the bag, or flush it."""
+        self._open()
+        if self.bag is not None:
+            try:
+                self.bag.flush()
+                self.error = ''
+            except BagError as error:  # it was deleted
+                self.error = str(error)
+
+    def _wait_for_disk(self, reason: str) -> bool:
+        """Wait for `FLUSH_PERIOD`; return whether to try again, which is once after the end."""
+        self.error = reason
+        if self._is_last_try:
+            return False
+        self._is_last_try = self._closing.wait(FLUSH_PERIOD)
+        return True

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-A finished MCAP file of a bag, and the functions that the scan of damaged files shares with it.
+A finished MCAP file of a bag, and the functions that recovery shares with it.
 
 The library `mcap` parses all records. Sizes that a file claims are compared with a limit before
 the library reads or unpacks the data.
@@ -68,19 +68,15 @@ def reason_of(error: Exception) -> str:
     return f'{str(error) or type(error).__name__:.200}'
 
 
-def open_mcap(path: Path, *, is_lenient: bool = False) -> BinaryIO:
-    """
-    Open an MCAP file, which may have a damaged beginning if `is_lenient`.
-
-    BagError is raised if the file cannot be opened, is empty, or has another format.
-    """
+def open_mcap(path: Path) -> BinaryIO:
+    """Open an MCAP file; raise BagError if it cannot be opened, is empty or no MCAP file."""
     try:
         stream = open_regular_file(path, max_bytes=sys.maxsize)
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
     begin = stream.read(16)
     stream.seek(0)
-    reason = '' if begin.startswith(MAGIC) or is_lenient else 'is no MCAP file'
+    reason = '' if begin.startswith(MAGIC) else 'is no MCAP file'
     if not begin:
         reason = 'is empty'
     for magic, kind in _OTHER_FORMATS.items():
@@ -92,7 +88,7 @@ def open_mcap(path: Path, *, is_lenient: bool = False) -> BinaryIO:
     return stream
 
 
-def check_end(stream: BinaryIO) -> None:
+def _check_end(stream: BinaryIO) -> None:
     """Raise DamageError if a file has no complete end, or the checksum of its index is wrong."""
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(size - _END.size, 0))
@@ -182,7 +178,7 @@ class McapFile:
         self.path = path
         self._stream = open_mcap(path)
         try:
-            check_end(self._stream)
+            _check_end(self._stream)
             self._stream.seek(0)
             reader = SeekingReader(self._stream, record_size_limit=MAX_RECORD)
             self._read_index(reader.get_summary())

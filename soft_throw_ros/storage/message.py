@@ -15,12 +15,6 @@ LATEST = 2**63 - 1
 OVERHEAD = 500
 """Memory that an object takes besides its data. [bytes]"""
 
-LOSSES = 'losses'
-"""Metadata record of a recorder with the numbers of lost messages by topic."""
-
-MISSED_BEFORE_JOIN = 'published before recording'
-"""Metadata record of a recorder with the numbers of messages before it joined, by topic."""
-
 
 class BagError(ValueError):
     """

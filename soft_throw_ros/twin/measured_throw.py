@@ -287,7 +287,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _predict_state(self, known: float, tick: Tick) -> PredictedState:
         """Predict the projectile up to the time that the future plate cannot influence."""
-        fork, ahead = self._present.forked.lookahead, known + self._prepared.lookahead
+        fork, ahead = self._present.forked.lookahead, known + self._prepared.rig.crossing_time
         self._advance_fork(fork, ahead)
         stamp_ns = self._present.start_ns + round(ahead * SECOND)
         return PredictedState(
@@ -306,7 +306,7 @@ class MeasuredThrow(OngoingThrow):
             return None
         fork = present.forked.lookahead
         release = fork.events()[0] if fork.event_count else None
-        if release is not None and release.time <= known + prepared.release_lookahead:
+        if release is not None and release.time <= known + prepared.rig.crossing_time:
             if self._is_lost_in_noise:
                 self.ended_by = 'noise'
                 return None
@@ -339,7 +339,10 @@ class MeasuredThrow(OngoingThrow):
         )
         lead = release.time - (tick.due_ns - self._start_of(estimate)) / SECOND
         self._lead = lead if self._lead is None else self._lead
-        result = self._make_result('predicted', tick, stepper, [release], peak_speed)
+        result = self._make_result(
+            'predicted', tick, stepper, [release],
+            start_ns=self._start_of(estimate), peak_plate_speed=peak_speed,
+        )
         return self._with_measurement(result, lead, None)
 
     def _start_of(self, estimate: EngineEstimate | None) -> int:
@@ -397,7 +400,10 @@ class MeasuredThrow(OngoingThrow):
             self._accuracy = self._assess_accuracy(
                 release, estimate, peak_speed=peak_speed, is_certain=self._is_certain
             )
-        result = self._make_result(stage, tick, self._stepper, self.events, peak_speed)
+        result = self._make_result(
+            stage, tick, self._stepper, self.events,
+            start_ns=self._present.start_ns, peak_plate_speed=peak_speed,
+        )
         return self._with_measurement(result, self._lead, self._residuals.compare(release))
 
     def _with_measurement(
@@ -406,6 +412,7 @@ class MeasuredThrow(OngoingThrow):
         """Add the faults of the measurement until now, and to a valid result its accuracy."""
         plate = self._plate
         disturbances = Disturbances(
+            clock_offset_ns=plate.onset.clock_offset_ns,
             samples_missing=plate.estimator.missing_since(plate.onset.onset_ns),
             time_skipped=self._time_skipped,
         )

@@ -111,6 +111,7 @@ class Onset:
     rest: RestBaseline
     samples: tuple[Sample, ...]  # sorted, from a window before the start on
     engine_is_nominal: bool = True  # whether the last motion was that of the engine
+    clock_offset_ns: int = 0  # what was added to the stamps of the samples [ns]
 
 
 NO_STATES = PlateStates(np.empty(0), np.empty((0, 3)), np.empty(0))

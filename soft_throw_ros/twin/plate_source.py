@@ -165,7 +165,7 @@ def first_states(
     slopes = np.concatenate((since * position, ratio * (position + since * velocity)[measured]))
     values = np.concatenate((heights, ratio * speeds[measured]))
     # differences from the engine are the smallest possible ones if there are too few samples
-    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes)
+    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes, rcond=None)
     count = round(BEHIND * STATES_PER_WINDOW)
     times = state_spacing_ns(config) / SECOND * np.arange(count, dtype=np.float64)
     z, v, a = plate_states(plate, times).T

@@ -72,7 +72,7 @@ class PreparedRig:
 
     config: TwinConfig  # the configuration of this rig
     encoded_motion: Mapping[str, str]  # of a file, for the journal, by the path of the file
-    stepper: Stepper  # the rig by its model, at rest
+    stepper: Stepper  # the rig at rest
     rest: State  # where plate and projectile are at rest
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
@@ -122,16 +122,6 @@ class PreparedRig:
     def settling_time(self) -> float:
         """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
         return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
-
-    @property
-    def lookahead(self) -> float:
-        """Time from the horizon of the plate to that of the projectile: a wave's crossing [s]."""
-        return 0.0 if self.config.model == 'spring_mass' else self.rig.crossing_time
-
-    @property
-    def release_lookahead(self) -> float:
-        """Return the lookahead of the release, zero if the layer is thrown along [s]."""
-        return 0.0 if self.config.model == 'cells_glued' else self.lookahead
 
     @property
     def catch_up(self) -> float:
@@ -190,10 +180,7 @@ def stepper_of(config: TwinConfig) -> Stepper:
 
     """
     return make_stepper(
-        config.rig,
-        is_measured=config.is_measured,
-        model=config.model,
-        field_points=FIELD_POINTS,
+        config.rig, is_measured=config.is_measured, field_points=FIELD_POINTS
     )
 
 
@@ -230,10 +217,10 @@ def check_settings(settings: Settings, before: TwinConfig | None = None) -> Twin
     if config.command_lead is not None:
         _require_playable(config, config.command_lead)
     crossing = config.rig.crossing_time
-    if config.model == 'travelling_wave':
-        cost = STEP_COST * steps_per_crossing(config.rig) / crossing
+    if config.rig.layer.needs_cells:
+        cost = UPDATE_COST * cells_per_layer(config.rig) ** 2 / crossing
     else:
-        cost = UPDATE_COST * cells_per_layer(config.rig, config.model) ** 2 / crossing
+        cost = STEP_COST * steps_per_crossing(config.rig) / crossing
     window, frequency = config.measurement.smoothing_window, config.rig.engine.frequency
     if config.is_measured and window * frequency > LONGEST_WINDOW:
         raise ValueError(

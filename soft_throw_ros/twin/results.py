@@ -108,6 +108,7 @@ class Comparison:
 class Disturbances:
     """Faults of the measurement during a throw that are no fault of the rig."""
 
+    clock_offset_ns: int = 0  # what was added to the stamps of samples [ns]
     samples_missing: int = 0  # gaps in an even rate: lost, or refused because too late
     time_skipped: float = 0.0  # of steps that the twin had no processor time for [s]
 
@@ -154,6 +155,7 @@ class ThrowResult:
     step: int  # at which it is reported
     stage: str
     ended_by: str  # empty while the throw goes on
+    start_ns: int  # when the throw began, by the clock of the ticks [ns]
     rig: Rig
     first: Release | None  # of the ejection, before the projectile falls back; None before it
     last: Release | None

@@ -211,9 +211,14 @@ class Session:
                     'input', self.step, input='parameters', values=dict(values), motions=new
                 )
 
-    def measure(self, samples: Sequence[Sample]) -> None:
-        """Add samples of the rig, if the plate is measured, or refuse and count them."""
+    def measure(self, samples: Sequence[Sample], *, clock_offset_ns: int = 0) -> None:
+        """
+        Add samples of the rig, if the plate is measured, or refuse and count them.
+
+        The next throw notes the offset that has been added to their stamps.
+        """
         with self._lock:
+            self._cycle.clock_offset_ns = clock_offset_ns
             added = self._cycle.add_samples(self.step, samples)
             if added:
                 self._journal.keep_samples(self.step, added)
@@ -280,7 +285,9 @@ class Session:
                 self.measure(samples)
             return
         yield from self.advance_to(entry['step'])
-        if entry['kind'] == 'tick_schedule':
+        if entry['kind'] == 'throw' and 'onset' in entry:
+            self._cycle.clock_offset_ns = journal.decode_onset(entry['onset']).clock_offset_ns
+        elif entry['kind'] == 'tick_schedule':
             self.set_tick_schedule(journal.decode_schedule(entry))
         elif entry['kind'] == 'input':
             if entry['step'] != self.step:

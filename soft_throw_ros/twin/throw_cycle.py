@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import TypeAlias
 
@@ -131,6 +131,7 @@ class ThrowCycle:
     def __init__(self, staged: StagedSettings, writer: JournalWriter, *, step: int) -> None:
         self.throws = 0  # number of started throws
         self.schedule = TickSchedule(step=step, time_ns=0, rate=staged.config.state_rate)
+        self.clock_offset_ns = 0  # of the samples, see `Session.measure` [ns]
         self.sample_counts = SampleCounts()
         self.sensor_checks = SensorChecks()
         self.monitor: PlateMonitor | None = None
@@ -438,6 +439,8 @@ class ThrowCycle:
         onset = rig_state.onset if isinstance(rig_state, AtRest) else None
         if onset is None:
             motion, onset = monitor.advance(now_ns)
+            if onset is not None:
+                onset = replace(onset, clock_offset_ns=self.clock_offset_ns)
             crossing_time = self._prepared.rig.crossing_time
             if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
                 onset = None

@@ -118,6 +118,8 @@ class OngoingThrow(ABC):
         tick: Tick,
         stepper: Stepper,
         events: Sequence[Event],
+        *,
+        start_ns: int,
         peak_plate_speed: float,
     ) -> ThrowResult:
         """Return the result by a stepper; an invalid throw has no events."""
@@ -140,6 +142,7 @@ class OngoingThrow(ABC):
             step=tick.step,
             stage=stage,
             ended_by=self.ended_by,
+            start_ns=start_ns,
             rig=prepared.rig,
             first=releases[0] if releases else None,
             last=releases[-1] if releases else None,
@@ -183,8 +186,10 @@ class ScheduledThrow(OngoingThrow):
 
     def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
-        peak_speed = self._prepared.peak_plate_speed
-        return self._make_result(stage, tick, self._stepper, self.events, peak_speed)
+        return self._make_result(
+            stage, tick, self._stepper, self.events,
+            start_ns=self._start_ns, peak_plate_speed=self._prepared.peak_plate_speed,
+        )
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time once, when that time has passed or the throw is over."""

@@ -12,9 +12,9 @@ def test_cases_are_compared_with_the_first_and_list_their_error():
             'two', lambda: sum(range(1000)), units=2.0, error=lambda result: result - 499500.0
         ),
     ]
-    first, second = (result := race.measure(race.Table('sums', 'sum', 'error', cases))).rows
-    assert (first[1], first[4], second[1]) == (None, 1.0, 0.0)
-    assert result.ratios == {'two': second[4]}
+    first, second = (result := race.measure('sums', 'the sum', cases)).rows
+    assert (first[1], first[3], second[1]) == (None, 1.0, 0.0)
+    assert result.ratios == {'two': second[3]}
     assert len(result.lines()) == 5
 
 

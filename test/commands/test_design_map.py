@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -17,8 +16,6 @@ from scipy.io import netcdf_file
 from soft_throw_ros.commands import design, design_map, output
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.landscape import compute_landscape
-from soft_throw_ros.recording import rerun_output
-from soft_throw_ros.recording.rerun_viewer import free_port, NoGraphicsError, Viewer
 
 ROOT = Path(__file__).parents[2]
 
@@ -50,54 +47,32 @@ if __name__ == '__main__':
 def test_axes_and_options_reach_the_map(command, tmp_path):
     path = tmp_path / 'map.nc'
     printed = command.run(
-        'mu=0.1:10:5:log', 'kappa', '--model', 'spring_mass', '--frequency', 31.1,
-        '--output', path,
+        'mu=0.1:10:5:log', 'kappa', '--release', 'first', '--frequency', 31.1, '--output', path,
     )
-    assert 'neglected by this model: engine.damping_ratio, gravity' in printed
+    assert '5 x 256 throws, first release' in printed
     with netcdf_file(path, mmap=False) as data:
         values = {name: data.variables[name][:] for name in ('mu', 'kappa')}
-        assert data.model == b'spring_mass'
         assert data.engine_frequency == 31.1
     np.testing.assert_allclose(values['mu'], np.geomspace(0.1, 10.0, 5), rtol=1e-15)
     np.testing.assert_allclose(values['kappa'], np.geomspace(0.5, 50.0, 256))
-
-
-def test_map_is_sent_to_the_viewer_that_is_there(command, monkeypatch):
-    pytest.importorskip('rerun', reason='comes with [rerun]')
-    port = free_port()
-    monkeypatch.setattr(design_map, 'PORT', port)
-    with Viewer(port, '--headless') as viewer:
-        try:
-            client = viewer.client()
-        except NoGraphicsError as error:
-            pytest.skip(str(error))
-        assert 'largest alpha' in command.run(*SMALL, '--rerun')
-        deadline = time.monotonic() + 30.0
-        while not client.get_state().recordings:
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
 
 
 def test_map_without_a_release_has_a_note_and_can_be_drawn(command, tmp_path):
     pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
     printed = command.run(
         'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
-        '--amplitude', 1e-3, '--loss-tangent', 0.1, '--output', tmp_path / 'map.png',
+        '--amplitude', 1e-3, '-p', 'layer.loss_tangent:=0.1', '--output', tmp_path / 'map.png',
     )
     assert 'the projectile is released nowhere' in printed
-    assert 'cells' in printed  # which knows loss
     assert (tmp_path / 'map.png').exists()
 
 
 def test_map_is_summarized_and_saved_in_every_format(command, tmp_path):
     pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
-    pytest.importorskip('rerun', reason='comes with the extra [rerun]')
-    from test.recording.rrd_files import RrdFile
-
-    files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png', 'rrd')]
+    files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png')]
     printed = command.run(
         'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30', '--thickness', 0.01,
-        '--mass', 2e-3, '--gravity', 0, '--motion', 'harmonic', '--output', *files,
+        '--mass', 2e-3, '-p', 'gravity:=0', '--motion', 'harmonic', '--output', *files,
     )
     rig = Rig(
         engine=Engine(damping_ratio=0.0), layer=Layer(thickness=0.01),
@@ -109,17 +84,9 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path):
     best = f'{alpha} at layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg'
     assert best in printed
     assert all(path.stat().st_size > 1000 for path in files)
-    saved, recording = netcdf_file(files[0], mmap=False), RrdFile(files[2])
-    for name in ('ejection_phase', 'energy_transfer'):
-        values = getattr(landscape, name)
-        np.testing.assert_array_equal(saved.variables[name][:], values)
-        (batch,) = recording.entities[f'/values/{name}']
-        (tensor,) = batch.column('Tensor:data').to_pylist()[0]
-        assert tensor['names'] == ['thickness Lₛ (mm)', 'mass m (g)']
-        np.testing.assert_array_equal(np.reshape(tensor['buffer'], tensor['shape']), values)
-    (batch,) = recording.entities['/map']
-    assert bytes(batch.column('EncodedImage:blob').to_pylist()[0][0]) == files[1].read_bytes()
-    saved.close()
+    with netcdf_file(files[0], mmap=False) as saved:
+        for name in ('ejection_phase', 'energy_transfer'):
+            np.testing.assert_array_equal(saved.variables[name][:], getattr(landscape, name))
 
 
 def test_drawing_has_the_values_on_their_axes_and_the_optimum():
@@ -167,24 +134,9 @@ def test_file_that_cannot_be_written_is_named(command, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ['map.nc']
 
 
-@pytest.mark.parametrize(
-    ('args', 'extra'),
-    [
-        (['--rerun'], 'rerun'),
-        (['--output', 'map.rrd'], 'rerun'),
-        (['--output', 'map.png'], 'plot'),
-    ],
-)
-def test_missing_package_is_named(command, monkeypatch, args, extra):
+def test_missing_package_is_named(command, monkeypatch):
     monkeypatch.setattr(output.importlib.util, 'find_spec', lambda _: None)
-    assert f"pip installs with 'soft_throw_ros[{extra}]'" in command.refused(*args)
-
-
-def test_map_without_screen_and_viewer_names_a_remedy(command, monkeypatch):
-    pytest.importorskip('rerun', reason='comes with the extra [rerun]')
-    monkeypatch.setattr(design_map, 'PORT', free_port())
-    monkeypatch.setattr(rerun_output.rerun_viewer, 'has_display', lambda: False)
-    assert '--output FILE.rrd' in command.refused('--rerun')
+    assert "pip installs with 'soft_throw_ros[plot]'" in command.refused('--output', 'map.png')
 
 
 @pytest.mark.parametrize(
@@ -199,9 +151,8 @@ def test_map_without_screen_and_viewer_names_a_remedy(command, monkeypatch):
         (['x=0.1:0.9:1', 'C'], "x must .* 2 points, got 'x=0.1:0.9:1'"),
         (['x=0.1:1', 'C'], r'x must .* got 1\.0'),
         (['engine.damping_ratio=0:0.3:9:log', 'mu'], 'engine.damping_ratio .* :log'),
-        (['--model', 'guess'], "argument --model: .*'guess'"),
-        (['--model', 'spring_mass', '--release', 'last'], 'last release .*spring_mass'),
-        (['--output', 'map.h5'], r"--output: .* got 'map.h5'"),
+        (['--release', 'second'], "argument --release: .*'second'"),
+        (['--output', 'map.rrd'], r"--output: .* got 'map.rrd'"),
         (['--output', 'no_such/map.nc'], 'no_such/map.nc: folder no_such not found'),
     ],
 )

@@ -2,19 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands `design recommend` and `design aim`."""
 
+from functools import partial
 import re
 
 import pytest
-from soft_throw_ros.commands import design, design_search
-from soft_throw_ros.commands.design_texts import remarks_of, uncertainty_text
+from soft_throw_ros.commands import design
+from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Projectile, Rig
 from soft_throw_ros.core.throws import last_release
-from soft_throw_ros.design.aiming import aim, Target
-from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.objectives.robust import Robust
-from soft_throw_ros.design.objectives.versatile import Versatile
+from soft_throw_ros.design.aiming import aim
+from soft_throw_ros.design.objective import Limits, robust, versatile
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
@@ -33,7 +32,7 @@ jelly:
 
 @pytest.mark.parametrize(('law', 'is_warned'), [('linear', True), ('neo_hookean', False)])
 def test_table_warns_beyond_the_linear_range_of_the_law_only(command, law, is_warned):
-    args = ('--vary', 'thickness', '--stress-strain-law', law, '--amplitude', 3e-3)
+    args = ('--vary', 'thickness', '-p', f'layer.stress_strain_law:={law}', '--amplitude', 3e-3)
     printed = command.run('recommend', *args)
     assert ('leaves the linear range' in printed) is is_warned
 
@@ -43,7 +42,6 @@ def test_table_compares_the_recommended_and_the_present_layer(command):
     best, now = recommend(Rig(), vary='thickness'), predict(Rig())
     summary = command.json('recommend', '--vary', 'thickness')['recommendation']['summary']
     assert printed.startswith(f'{summary}\n\n')
-    assert printed.endswith(f'\n\n{remarks_of(best)}\n')
     for title, name, scale in (
         ('thickness L_s', 'thickness', 1e3),
         ('wave speed c_s', 'wave_speed', 1.0),
@@ -55,13 +53,6 @@ def test_table_compares_the_recommended_and_the_present_layer(command):
         shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx([scale * value for value in expected], rel=1e-5)
     assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
-    _, table = printed.split('around the recommended layer')
-    for item, scale in zip(best.sensitivities, (1e3, 1.0, 1e3), strict=False):
-        (line,) = re.findall(rf'^{item.name.replace("_", " ")} .*', table, re.MULTILINE)
-        value, within, more = map(float, re.findall(r'[-+]?\d+\.?\d*', line))
-        expected = [scale * item.value, scale * item.tolerance]
-        assert [value, within] == pytest.approx(expected, rel=0.05)
-        assert more == pytest.approx(item.sensitivity, abs=0.006)
 
 
 def test_json_has_everything_to_the_last_digit(command):
@@ -72,9 +63,7 @@ def test_json_has_everything_to_the_last_digit(command):
     assert result['wave_speed'] == best.wave_speed
     assert result['now']['energy_transfer'] == predict(rig).energy_transfer
     assert result['by_thickness']['thickness'] == best.by_thickness.thickness
-    assert [item['tolerance'] for item in result['sensitivities']] == [
-        item.tolerance for item in best.sensitivities
-    ]
+    assert result['tolerances'] == best.tolerances
     assert printed['parameters']['recommendation.vary'] == 'wave_speed'
     assert printed['uncertainty'] == prediction_uncertainty(best.rig).values()
 
@@ -87,21 +76,21 @@ def test_layer_without_a_throw_is_null_in_json(command):
 
 
 def test_options_define_the_request(command):
-    options = {
-        'objective': 'robust', 'quantile': 0.05, 'vary': 'thickness', 'thickness-max': 0.012,
-        'uncertain-wave-speed': 0.6, 'uncertain-mass': 0.05,
-    }
-    args = [text for name, value in options.items() for text in (f'--{name}', value)]
+    settings = ('recommendation.thickness_max:=0.012', 'uncertainty.wave_speed:=6e-1',
+                'uncertainty.mass:=0.05')
+    args = ['--objective', 'robust', '--vary', 'thickness']
+    args += [word for text in settings for word in ('-p', text)]
     best = recommend(
         Rig(),
         vary='thickness',
-        objective=Robust(uncertainties=Uncertainties(wave_speed=0.6, mass=0.05), quantile=0.05),
+        objective=partial(robust, uncertainties=Uncertainties(wave_speed=0.6, mass=0.05)),
         limits=Limits(thickness_max=0.012),
     )
     result = command.json('recommend', *args)['recommendation']
     assert (result['thickness'], result['score']) == (best.thickness, best.score)
-    args = ('--objective', 'versatile', '--masses', 1e-3, 3e-3, 6e-3, '--frequencies', 50, 70)
-    objective = Versatile(masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
+    args = ('--objective', 'versatile', '-p', 'recommendation.masses:=[1e-3, 3e-3, 6e-3]',
+            '-p', 'recommendation.frequencies:=[50, 70]')
+    objective = partial(versatile, masses=(1e-3, 3e-3, 6e-3), frequencies=(50.0, 70.0))
     result = command.json('recommend', *args)['recommendation']
     assert result['score'] == recommend(Rig(), objective=objective).score
 
@@ -150,14 +139,13 @@ def test_file_for_another_task_is_refused_with_that_task(command, write, name, v
         ('--objective aim', "argument --objective: .*'aim'"),
         ('--vary amplitude', "argument --vary: .*'amplitude'"),
         ('--max-strain -1', r'argument --max-strain: .* or 0, got -1\.0'),
-        ('--quantile 0.6', r'argument --quantile: .* from 0 to 0.5, got 0\.6'),
-        ('--masses 0.001 heavy', r"argument --masses: .* got \[0.001, 'heavy'\]"),
-        ('--objective versatile --masses' + 17 * ' 0.001', 'masses must be .* 16'),
-        ('--frequencies 0', r'argument --frequencies: .* from 1 to 1000 Hz, got \[0.0\]'),
-        ('--thickness-min 0.03 --thickness-max 0.02', '--thickness-min: .* got 0.03 and 0.02'),
-        ('--objective robust --uncertain-wave-speed 10', 'wave_speed .* 7.8, got 10'),
-        ('--max-strain 0.001', 'strain of at most 0.001 '),
-        ('--gravity 30 --amplitude 1e-5', 'gravity .19 of the largest'),
+        ('-p recommendation.masses:=[0.001,x]', r"argument -p: .* got \[0.001, 'x'\]"),
+        ('-p recommendation.masses:=[0.001', 'argument -p: recommendation.masses .* YAML'),
+        ('-p gravitation:=3', r"argument -p: must be NAME:=VALUE .* 'gravitation:=3'"),
+        ('-p gravity=3', "argument -p: must be NAME:=VALUE .* 'gravity=3'"),
+        ('--objective robust -p uncertainty.wave_speed:=10', 'wave_speed .* 7.8, got 10'),
+        ('--max-strain 0.001', 'no layer throws .* max_strain=0.001'),
+        ('-p gravity:=30 --amplitude 1e-5', 'gravity is 19 of the largest'),
     ],
 )
 def test_refused_arguments_are_quoted(command, args, message):
@@ -167,46 +155,33 @@ def test_refused_arguments_are_quoted(command, args, message):
 # aim
 
 
-def test_table_has_the_present_throw_the_aim_and_the_aim_with_this_layer(command):
+def test_table_has_the_present_throw_and_the_aim(command):
     printed = command.run('aim', '--target-height', 0.15)
-    best, this = (aim(Rig(), Target(height=0.15), vary=vary) for vary in ('both', 'amplitude'))
+    best = aim(Rig(), height=0.15)
     summary = command.json('aim', '--target-height', 0.15)['aim']['summary']
     assert printed.startswith(f'{summary}\n\n')
     columns = {
-        'amplitude A': [2.0, 1e3 * best.amplitude, 1e3 * this.amplitude],
-        'rise above the layer': [1e3 * last_release(Rig()).height, 150.0, 150.0],
-        'peak strain': [1e2 * each.peak_strain for each in (predict(Rig()), best, this)],
+        'amplitude A': [2.0, 1e3 * best.amplitude],
+        'rise above the layer': [1e3 * last_release(Rig()).height, 150.0],
+        'peak strain': [1e2 * each.peak_strain for each in (predict(Rig()), best)],
     }
     for title, expected in columns.items():
         shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx(expected, rel=1e-5)
     assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
-    alone = command.run('aim', '--target-height', 0.15, '--vary', 'amplitude')
-    assert len(command.row(alone, 'amplitude A')) == 2
 
 
 def test_target_speed_replaces_the_default_height(command):
-    printed = command.json('aim', '--target-speed', 1.5, '--gravity', 0)
-    assert (printed['aim']['target_height'], printed['aim']['target_speed']) == (None, 1.5)
+    printed = command.json('aim', '--target-speed', 1.5, '-p', 'gravity:=0')
     assert printed['aim']['speed'] == pytest.approx(1.5, rel=1e-9)
     assert printed['aim']['height'] is None  # infinite: JSON has no number for this
     assert printed['parameters']['recommendation.objective'] == 'aim'
 
 
-def test_target_out_of_reach_names_its_limit_and_ends_with_1(command):
-    args = ('--target-height', 0.2, '--vary', 'amplitude', '--max-strain', 0.12)
-    first = command.run('aim', *args, code=design_search.NOT_REACHED).splitlines()[0]
-    result = command.json('aim', *args, code=design_search.NOT_REACHED)['aim']
-    assert result['is_reached'] is False
-    assert result['peak_strain'] == pytest.approx(0.12, rel=1e-4)
-    assert result['summary'] == first
-    assert result['limited_by'] == 'max_strain'
-
-
 def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
     rig = 'twin: {ros__parameters: {gravity: 5.0'
     aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
-    assert command.json('aim', '--config', aims)['aim']['target_speed'] == 1.5
+    assert command.json('aim', '--config', aims)['aim']['speed'] == pytest.approx(1.5)
     assert 'no target: give' in command.refused('aim', '--config', write(rig + '}}', 'other.yaml'))
 
 
@@ -214,15 +189,13 @@ def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
     ('args', 'message'),
     [
         ('', '--target-height M or --target-speed M/S'),
-        ('--target-height 0', 'target_height .*target_speed .* got 0 for both'),
+        ('--target-height 0', 'either a height or a speed'),
         ('--target-height -1', r'argument --target-height: .*, got -1\.0'),
         ('--target-height 0.1 --target-speed 2', 'argument --target-height: .*, got 0.1 and 2'),
-        ('--target-height 0.1 --gravity 0', 'gravity, got gravity 0'),
-        ('--target-height 1 --max-amplitude 1', r'--max-amplitude: .* to 0.1 m, got 1\.0'),
-        ('--target-height 1 --vary colour', "argument --vary: .*'colour'"),
+        ('--target-height 0.1 -p gravity:=0', 'gravity, got gravity 0'),
+        ('--target-height 0.2 --max-strain 0.12', r'0\.2 m high takes an amplitude of .* 0\.12'),
         ('--objective peak', 'unrecognized arguments: --objective peak'),
-        ('--frequency 3 --max-amplitude 1e-5 --target-speed 1', 'no throw is possible .* 1 m/s'),
-        ('--target-height 1 --library no.yaml', 'argument --library: no.yaml'),
+        ('--target-height 1 -p layer.library:=no.yaml', 'argument -p: no.yaml'),
     ],
 )
 def test_refused_arguments_of_an_aim_are_quoted(command, args, message):

@@ -114,7 +114,7 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     assert not re.search(r'^\s*rate', path.read_text(), re.MULTILINE)
     for line in printed:  # with their standard errors
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
-    predicted = throw.predict(settings, ['travelling_wave'])['models']['travelling_wave']
+    predicted = throw.predict(settings)['throw']
     assert predicted['energy_transfer'] == pytest.approx(
         result['ejection']['energy_transfer']['value'], rel=1e-4
     )

@@ -5,13 +5,14 @@
 import argparse
 import os
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
 import time
 
 import pytest
-from soft_throw_ros.commands import design, options, output
+from soft_throw_ros.commands import design, options, output, throw
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
@@ -54,11 +55,32 @@ def open_with(*args):
 def test_every_parameter_of_the_rig_is_an_option():
     parser = argparse.ArgumentParser()
     add_rig_options(parser)
-    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig} - {'model'}
+    of_rig = {entry.name for entry in TWIN.entries if entry.is_of_rig}
     options_of_rig = {option_of(name) for name in of_rig}
     assert len(options_of_rig) == len(of_rig)
     assert all(option in parser.format_help() for option in options_of_rig)
     assert read_settings(parser.parse_args([])) == TWIN.defaults()
+
+
+@pytest.mark.parametrize('task', [*design.TASKS, None])
+def test_commands_of_a_rig_have_few_options(capsys, task):
+    main, words = (design.main, [task]) if task else (throw.main, [])
+    with pytest.raises(SystemExit):
+        main([*words, '--help'])
+    shown = re.findall(r'^  (-\S+)', capsys.readouterr().out, re.MULTILINE)
+    assert {'--config', '-p', '--thickness'} <= set(shown)
+    assert len(shown) <= 16
+
+
+def test_named_parameter_is_set_like_an_option():
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser, ['layer.thickness'])
+    words = ['--thickness=0.01', '-p', 'layer.density:=1.1e3', '-p',
+             'recommendation.frequencies:=[50, 7e1]', '-p', 'layer.thickness:=0.012']
+    settings = read_settings(parser.parse_args(words))
+    assert settings['layer.thickness'] == 0.012
+    assert settings['layer.density'] == 1100.0
+    assert settings['recommendation.frequencies'] == (50.0, 70.0)
 
 
 LAYER = set(TWIN.names_in('layer'))

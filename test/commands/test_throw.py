@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `throw`."""
 
-import csv
 from pathlib import Path
 import re
 import subprocess
@@ -12,7 +11,6 @@ import pytest
 from soft_throw_ros.commands import throw
 from soft_throw_ros.configuration.layers import default_file, library
 from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
@@ -20,85 +18,70 @@ from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertaint
 ROOT = Path(__file__).parents[2]
 
 COMMAND = (throw.main,)
-EXACT = ('--model', 'travelling_wave')
 
 
-def test_json_has_the_models_to_the_last_digit(command):
+def test_json_has_the_throw_and_the_spring_to_the_last_digit(command):
     printed = command.json('--thickness', 0.01)
-    assert tuple(printed['models']) == tuple(throw.MODEL_NOTES)
-    assert tuple(printed['notes']) == (*throw.MODEL_NOTES, 'uncertainty')
+    assert tuple(printed['notes']) == ('throw', 'spring', 'uncertainty')
     rig = Rig(layer=Layer(thickness=0.01))
     expected = simulate(rig)
-    model = printed['models']['travelling_wave']
     assert printed['parameters']['layer.thickness'] == 0.01
     assert printed['parameters']['layer.name'] == 'custom'
     assert printed['rig']['mass_ratio'] == rig.mass_ratio
     for name in ('ejection_time', 'ejection_speed', 'energy_transfer', 'apex_height'):
-        assert model[name] == getattr(expected, name)
+        assert printed['throw'][name] == getattr(expected, name)
     assert printed['leaves_linear_range'] is expected.leaves_linear_range is False
     ratio = rig.natural_frequency / rig.engine.frequency
-    assert printed['models']['spring_mass']['energy_transfer'] == pytest.approx(
+    assert printed['spring']['energy_transfer'] == pytest.approx(
         spring_mass.first_release(frequency_ratio=ratio).energy_transfer, rel=1e-14
     )
 
 
-def test_models_of_one_throw_agree_on_every_line(command):
-    rig = ('--layer', 'gelatin_2.0mm', '--frequency', 31.1)  # with re-contacts, and then a fall
-    names = ('travelling_wave', 'cells', 'cells_elastic', 'closed_form')
-    options = [word for name in names for word in ('--model', name)]
-    models = command.json(*options, *rig)['models']
-    first = models['closed_form']
-    for name in names[:3]:
-        assert models[name].keys() == models['travelling_wave'].keys()
-        assert models[name] == pytest.approx(models['travelling_wave'], rel=5e-4), name
-        assert {key: models[name][key] for key in first} == pytest.approx(first, rel=3e-4)
+def test_spring_is_the_limit_of_a_heavy_projectile_on_a_harmonic_plate(command):
+    rig = ('--mass', 1.0, '--wave-speed', 150, '--amplitude', 0.02, '-p', 'gravity:=0', '--motion',
+           'harmonic')
+    printed = command.json(*rig)
+    names = ('ejection_time', 'ejection_phase', 'ejection_speed', 'energy_transfer')
+    for name in names:
+        assert printed['spring'][name] == pytest.approx(printed['throw'][name], rel=3e-3)
 
 
-def test_internal_loss_requires_cells_and_shows_its_heat(command):
-    models = command.json('--loss-tangent', 0.05)
-    for name in ('closed_form', 'travelling_wave'):
-        assert models['models'][name] is None
-        assert '0.05' in models['notes'][name]
-    cells = models['models']['cells']
-    parts = cells['layer_energy'] + cells['projectile_energy'] + cells['heat']
-    assert parts == pytest.approx(cells['plate_work'], rel=1e-3)
-    assert cells['heat'] > 0.0
+def test_internal_loss_shows_its_heat(command):
+    throw_ = command.json('-p', 'layer.loss_tangent:=0.05')['throw']
+    parts = throw_['layer_energy'] + throw_['projectile_energy'] + throw_['heat']
+    assert parts == pytest.approx(throw_['plate_work'], rel=1e-3)
+    assert throw_['heat'] > 0.0
 
 
 @pytest.mark.parametrize(
     ('thickness', 'speed', 'is_late'), [(0.0168, 7.8, False), (0.1, 3.16, True)]
 )
 def test_shocks_before_the_release_are_a_note(command, thickness, speed, is_late):
-    rig = ('--thickness', thickness, '--wave-speed', speed, '--stress-strain-law', 'neo_hookean')
-    printed = command.json(*rig, '--model', 'cells')
+    rig = ('--thickness', thickness, '--wave-speed', speed, '-p',
+           'layer.stress_strain_law:=neo_hookean')
+    printed = command.json(*rig)
     layer = Layer(thickness=thickness, wave_speed=speed, stress_strain_law='neo_hookean')
     shock_time = Rig(layer=layer).shock_time
-    released = printed['models']['cells']['ejection_time']
-    assert (released > shock_time) is is_late
+    assert (printed['throw']['ejection_time'] > shock_time) is is_late
     assert ('shocks' in printed['notes']) is is_late
     assert not is_late or f'{1e3 * shock_time:.3g} ms' in printed['notes']['shocks']
 
 
-def test_table_has_the_models_side_by_side_as_in_the_json(command):
+def test_table_has_the_columns_of_the_json(command):
     lines = command.run().splitlines()
-    models = command.json()['models']
-    assert max(map(len, lines)) <= 100
-    head = [line.ljust(100) for line in lines[2:4]]
-    columns = [28 + 12 * n for n in range(len(models))]
-    words = ['_'.join(line[start:start + 12].strip() for line in head) for start in columns]
-    assert [word.strip('_') for word in words] == list(models)
+    printed = command.json()
+    assert lines[2].split() == ['throw', 'spring']
     for title, name, scale in (
         ('energy transfer alpha', 'energy_transfer', 1.0),
         ('ejection time t_e', 'ejection_time', 1e3),
     ):
-        (shown,) = [line for line in lines if line.startswith(title)]
-        numbers = [float(shown[start:start + 12]) for start in columns]
-        expected = [scale * model[name] for model in models.values()]
+        numbers = [float(text) for text in command.row('\n'.join(lines), title)[-2:]]
+        expected = [scale * printed[column][name] for column in ('throw', 'spring')]
         assert numbers == pytest.approx(expected, rel=5e-6)
 
 
 def test_uncertainty_of_the_rig_is_shown(command):
-    options = [*EXACT, '--uncertain-thickness', 1e-3, '--uncertain-mass', 0]
+    options = ['-p', 'uncertainty.thickness:=1e-3', '-p', 'uncertainty.mass:=0']
     printed = command.json(*options)
     expected = prediction_uncertainty(Rig(), Uncertainties(thickness=1e-3, mass=0.0))
     assert printed['uncertainty'] == expected.values()
@@ -107,13 +90,13 @@ def test_uncertainty_of_the_rig_is_shown(command):
 
 def test_options_replace_values_of_the_file(command, write):
     path = write('twin: {ros__parameters: {gravity: 0.0, layer.name: gelatin_2.0mm}}', 'a.yaml')
-    printed = command.json('--config', path, *EXACT)['parameters']
+    printed = command.json('--config', path)['parameters']
     assert printed['gravity'] == 0.0
     assert printed['layer.thickness'] == library().layers['gelatin_2.0mm']['layer.thickness']
-    printed = command.json('--config', path, '--thickness', 0.01, *EXACT)['parameters']
+    printed = command.json('--config', path, '--thickness', 0.01)['parameters']
     assert (printed['layer.name'], printed['layer.thickness']) == ('custom', 0.01)
     defaults = default_file().with_name('twin.yaml')
-    assert command.run('--config', defaults, *EXACT) == command.run(*EXACT)
+    assert command.run('--config', defaults) == command.run()
 
 
 @pytest.mark.parametrize(
@@ -123,16 +106,10 @@ def test_options_replace_values_of_the_file(command, write):
         (('--thickness', 'soft'), "argument --thickness: .* got 'soft'"),
         (('--layer', 'jelly'), "argument --layer: .* got 'jelly'"),
         (('--motion', 'measured'), "argument --motion: .*'measured'"),
-        (('--model', 'magic'), "argument --model: .* 'magic'"),
-        (('--max-strain', '0'), 'max_strain must be .* got 0'),
+        (('-p', 'max_strain:=0'), 'argument -p: max_strain must be .* got 0'),
         (('--layer', 'gelatin_2.0mm', '--thickness', '0.01'), 'is 0.002, got 0.01'),
         (('--thicknes', '0.01'), '--thicknes 0.01'),
         (('--config', 'no_such.yaml'), 'no_such.yaml: '),
-        (('--cases', 'no_such.csv'), 'no_such.csv: '),
-        (('--cases', '/dev/zero'), '/dev/zero: is not a regular file'),
-        (('--cases', 'a.csv', '--json'), 'argument --json: '),
-        (('--cases', 'a.csv', '--mass', '1'), 'argument --mass: '),
-        (('--cases', 'a.csv', *EXACT), 'argument --model: '),
     ],
 )
 def test_refused_arguments_are_quoted(command, args, message):
@@ -144,62 +121,16 @@ def test_bad_file_is_named_with_its_line(command, write):
     assert command.refused('--config', path).startswith(f'{path}:3: gravity must be')
 
 
-def test_cases_get_a_release_row_for_row(command, write):
-    cases = [(0.2342, 8.242, 0.0), (0.63, 7.3, 0.064), (30.0, 0.5, 0.3)]
-    path = write(
-        # another order, another column, spaces, an empty line, the mark of a spreadsheet
-        '\ufeffname; kappa;zeta;mu\r\n'
-        + ''.join(f'a, b;{kappa};{zeta} ;{mu}\r\n' for mu, kappa, zeta in cases)
-        + '\r\n'
-    )
-    rows = list(csv.DictReader(command.run('--cases', path).splitlines()))
-    assert [tuple(float(row[name]) for name in ('mu', 'kappa', 'zeta')) for row in rows] == cases
-    for row, (mu, kappa, zeta) in zip(rows, cases, strict=True):
-        exact = first_release(mass_ratio=mu, speed_ratio=kappa, damping_ratio=zeta)
-        assert float(row['te_f']) == pytest.approx(exact.ejection_phase, abs=1e-12)
-        assert float(row['alpha']) == pytest.approx(exact.energy_transfer, rel=1e-12)
-
-
-def test_no_cases_give_no_rows_and_a_hint(command, write):
-    path = write('mu,kappa,zeta\n')
-    assert command.run('--cases', path) == 'mu,kappa,zeta,te_f,alpha\n'
-    assert f'{path} has no rows' in command.err
-
-
-@pytest.mark.parametrize(
-    ('text', 'message'),
-    [
-        ('mu,kappa,zeta\n1,2,0\n\n1,soft,0\n', r":4: kappa must be .* got 'soft'"),
-        ('mu,kappa,zeta\n0,2,0\n', r":2: mu must be .* got '0'"),
-        ('mu,kappa,zeta\n1,inf,0\n', r":2: kappa must be .* got 'inf'"),
-        ('mu,kappa,zeta\n1,2,nan\n', r":2: zeta must be .* got 'nan'"),
-        ('mu,kappa,zeta\n1,2,1\n', r":2: zeta must be .* got '1'"),
-        ('mu,kappa,zeta\n1,2\n', r":2: zeta must be .* got ''"),
-        ('mu,kappa\n1,2\n', r": .* mu, kappa, zeta, got 'mu,kappa'$"),
-        ('', r": .* mu, kappa, zeta, got ''"),
-        (b'mu,kappa,zeta\n1,\xff,0\n', r': .*UTF-8'),
-        # far beyond the resolvable range: a named error and no wrong number
-        ('mu,kappa,zeta\n1,2,0\n1e6,1e5,0\n1e7,1e5,0\n', r':3: .* 1e\+06'),
-    ],
-)
-def test_bad_case_is_named_with_file_line_and_value(command, write, text, message):
-    path = write(text)
-    assert re.match(re.escape(str(path)) + message, command.refused('--cases', path))
-
-
 def test_closed_output_pipe_gives_no_traceback():
     """A pipe is closed before anything is read, as `| head` may do."""
     with subprocess.Popen(
-        [sys.executable, '-m', 'soft_throw_ros', 'throw', '--cases', '-'],
+        [sys.executable, '-m', 'soft_throw_ros', 'throw', '--json'],
         cwd=ROOT,
-        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
         process.stdout.close()
-        process.stdin.write('mu,kappa,zeta\n' + '1,2,0\n' * 5000)
-        process.stdin.close()
         errors = process.stderr.read()
         assert process.wait(timeout=100) == 0
     assert 'rror' not in errors

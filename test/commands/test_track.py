@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The command `track`, with videos rendered from throws and layers whose truth is known."""
+"""The command `track`, with videos rendered from throws whose truth is known."""
 
 import json
 import re
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from reference.method_of_steps import follow
 import rendering
-from soft_throw_ros.commands import free_layers, identify, track
+from soft_throw_ros.commands import identify, track
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 
@@ -27,7 +27,6 @@ PIXEL = 1e-4
 """Ten pixels per millimetre, as in the pictures of a high-speed camera of 50 mm height. [m]"""
 
 AS_TAKEN = ('--rate', RATE, '--scale', 12e-3, 120)
-PERIOD = 2.0 * 8e-3 / 7.8
 
 
 def write_video(path, pictures):
@@ -71,22 +70,6 @@ def throw_video(throw_pictures, tmp_path_factory):
 @pytest.fixture(scope='session')
 def first_pictures(throw_pictures, tmp_path_factory):
     return write_video(tmp_path_factory.mktemp('video') / 'short.avi', throw_pictures[:10])
-
-
-@pytest.fixture(scope='session')
-def layer_video(tmp_path_factory):
-    """Return pictures of a bright ringing layer with spots at its ends."""
-    rng = np.random.default_rng(5)
-    shape = (110, 40)
-    time = np.arange(0.0, 0.03, 1.0 / RATE)
-    change = 6.0 * np.exp(-50.0 * time) * np.cos(2.0 * np.pi * time / PERIOD)
-    pictures = []
-    for more in change:
-        levels = 40.0 + 150.0 * rendering.band(shape, 95.2, 15.2 - more)
-        for row, column in ((87.4, 12.3), (24.7 - more, 12.1)):
-            levels = levels - 110.0 * rendering.disc(shape, row, column)
-        pictures.append(rendering.exposed(levels, rng))
-    return write_video(tmp_path_factory.mktemp('video') / 'ring.avi', pictures)
 
 
 # The layer is of a known thickness and does not stiffen; one camera has seen both bodies.
@@ -163,12 +146,12 @@ def test_spot_hidden_in_the_first_picture_is_refused(command, throw_pictures, tm
     assert 't [s],plate [m]\n' in tracks
 
 
-def test_overlay_shows_the_tracks(command, layer_video, tmp_path):
+def test_overlay_shows_the_tracks(command, throw_video, tmp_path):
     path = tmp_path / 'seen.mp4'  # a picture is drawn for docs/measured.md
-    command.run(layer_video, *AS_TAKEN, '--spots', 'bottom,top', '--overlay', path)
+    command.run(throw_video, *AS_TAKEN, '--overlay', path)
     frames = list(imageio.imiter(path))
-    assert len(frames) == 120
-    assert frames[0].shape == (440, 160, 3)
+    assert len(frames) == 180
+    assert frames[0].shape == (660, 88, 3)
     # rings and paths are coloured, the picture is not
     shown = frames[20].astype(float)
     assert ((shown.max(axis=-1) - shown.min(axis=-1)) > 60.0).sum() > 100
@@ -195,29 +178,6 @@ def test_early_loss_of_the_plate_is_not_explained_by_the_rate(command, throw_pic
     assert 'of 180 pictures only' in message
 
 
-@pytest.mark.parametrize(
-    'how', [('--spots', 'bottom,top'), ('--line', 30, 2, 107)], ids=['spots', 'line']
-)
-def test_free_layer_is_tracked_in_a_video(command, json_of, layer_video, tmp_path, how):
-    tracks = tmp_path / 'ends.csv'
-    command.run(layer_video, *AS_TAKEN, *how, '--output', tracks)
-    (layer,) = json_of(free_layers.main, 8e-3, tracks)['layers']
-    without_loss = PERIOD * np.sqrt(1.0 - (50.0 * PERIOD / (2.0 * np.pi)) ** 2)
-    assert layer['period']['value'] == pytest.approx(
-        without_loss, abs=4.0 * layer['period']['error']
-    )
-    assert layer['period']['error'] < 2e-3 * PERIOD
-
-
-def test_space_time_picture_shows_edges(command, layer_video, tmp_path):
-    pytest.importorskip('matplotlib')
-    path = tmp_path / 'line.png'
-    command.run(layer_video, *AS_TAKEN, '--line', 30, 2, 107, '--space-time', path)
-    picture = imageio.imread(path)[..., :3].astype(float)
-    # Only the edges are orange
-    assert ((picture[..., 0] - picture[..., 2]) > 100.0).any(axis=0).sum() > 1150
-
-
 THROW = ('VIDEO', *AS_TAKEN)
 
 
@@ -227,10 +187,7 @@ THROW = ('VIDEO', *AS_TAKEN)
         (('VIDEO', '--rate', '1'), 'the following arguments are required: --scale'),
         ((*THROW, '--rate', 'fast'), "argument --rate: must be finite and positive, got 'fast'"),
         ((*THROW, '--scale', '1', '0'), "argument --scale: must be finite and positive, got '0'"),
-        ((*THROW, '--line', '1', '2', '3', '--spots', 'plate'), 'argument --spots: is for spots'),
-        ((*THROW, '--space-time', 'a.png'), 'argument --space-time: needs --line'),
         ((*THROW, '--spots', 'plate,projectile'), 'VIDEO: 3 round spots are seen, at column 22 '),
-        ((*THROW, '--line', '400', '2', '9'), 'VIDEO: a line from row 2 to row 9 of column 400'),
         ((*THROW, '--light-spots'), 'VIDEO: the first picture shows no light round spot, but'),
         (
             (*THROW, '--overlay', 'a.gif'),

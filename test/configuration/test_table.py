@@ -58,7 +58,7 @@ def test_numbers_beyond_either_end_are_refused_with_the_value() -> None:
         ('layer.thicknes', 0.01, ['did you mean layer.thickness?']),
         ('thickness', 0.01, ['did you mean layer.thickness?']),
         ('layer.youngs_modulus', 6e4, ['set layer.wave_speed']),
-        ('model', 'magic', ["'spring_mass'", "'magic'"]),
+        ('layer.loss', 'magic', ["'constant'", "'magic'"]),
         ('throw.period', 0.01, ['or 0', '0.01']),
         ('throw.max_events', 2.0, ['whole number', '2.0']),
         ('recommendation.masses', [0.01] * 17, ['at most 16 numbers', '0.01']),

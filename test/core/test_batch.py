@@ -14,7 +14,7 @@ from soft_throw_ros.core.rig import Layer, Ratios
 
 
 def by_closed_form(ratios, **options):
-    return first_releases(**ratios.rigid, **options)
+    return first_releases(**ratios.lossless, **options)
 
 
 BY_CELLS = partial(cell_stepper.throw_batch, layer=Layer())
@@ -28,8 +28,7 @@ each_method = pytest.mark.parametrize(
     [
         (by_closed_form, 3 * 2048, {}),
         (wave_stepper.throw_batch, 3 * 64, {}),
-        (BY_CELLS, 60, {'loss_tangent': 0.1, 'crossing_ratio': 0.02}),
-        (partial(BY_CELLS, is_on_projectile=True), 60, {}),
+        (BY_CELLS, 60, {'loss_tangent': 0.1}),
     ],
 )
 def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(throw, count, others):
@@ -92,7 +91,6 @@ def test_bad_arguments_are_quoted(throw, name, value):
     ('arguments', 'message'),
     [
         ({'loss_tangent': -0.1}, r'loss_tangent .* got -0\.1'),
-        ({'crossing_ratio': [1.0, 40.0]}, r'crossing_ratio .* 32, got 40\.0'),
         ({'cells': 7}, f'cells .* 8 to {MAX_CELLS}, got 7'),
         ({'cells': 64.0}, r'got 64\.0'),
     ],

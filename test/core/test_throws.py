@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Functions that throw by any model, compared with the models themselves."""
+"""Functions that compute many throws, compared with single throws."""
 
 import numpy as np
 import pytest
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.models import LayerModel, MODELS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.throw import simulate
@@ -34,8 +33,7 @@ CHANGES = {
     ],
 )
 def test_release_and_loads_agree_with_a_simulated_throw(rig):
-    model = 'cells' if rig.layer.needs_cells else 'travelling_wave'
-    throw = simulate(rig, model=model, max_events=1)
+    throw = simulate(rig, max_events=1)
     throws = throw_many(rig, loads=True)
     expected = (
         throw.ejection_time, throw.ejection_speed, throw.energy_transfer, throw.peak_strain,
@@ -76,8 +74,7 @@ def test_changes_agree_with_another_rig(rig):
         component = next(item for item in components if name in vars(item))
         assert getattr(component, name) == pytest.approx(value)
     assert changed.layer.is_uniform is rig.layer.is_uniform
-    model = 'cells_elastic'
-    throws, expected = throw_many(rig, CHANGES, model=model), throw_many(changed, model=model)
+    throws, expected = throw_many(rig, CHANGES), throw_many(changed)
     assert throws[:3] == pytest.approx(expected[:3], rel=1e-9)
 
 
@@ -100,14 +97,6 @@ def test_rigs_that_differ_in_more_than_values_are_refused():
         throw_many([Rig(), strained])
     with pytest.raises(ValueError, match='got 0 kinds'):
         throw_many([])
-
-
-def test_model_without_a_method_for_many_throws_is_refused(monkeypatch):
-    monkeypatch.setitem(MODELS, 'mine', LayerModel(batch=None))
-    with pytest.raises(ValueError, match='model mine has no method'):
-        throw_many(Rig(), model='mine')
-    with pytest.raises(ValueError, match="got 'guess'"):
-        throw_many(Rig(), model='guess')
 
 
 def test_projectile_that_stays_on_the_layer_raises_an_error():

@@ -9,15 +9,14 @@ import math
 import numpy as np
 import pytest
 from reference.cases import exact_release
-from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release
-from soft_throw_ros.core.models import LayerModel, MODELS
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.design.landscape import compute_landscape
 
+MOTION = SampledMotion(np.array([0.0, 0.01]), np.array([[0.0, 0.0, 0.0], [1e-3, 1.0, 0.0]]))
 HARMONIC = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
-SPRING = {'model': 'spring_mass'}
 PARAMETERS = {
     'layer.thickness': (2e-3, 0.03),
     'layer.wave_speed': (4.0, 30.0),
@@ -50,17 +49,6 @@ def test_axes_of_the_paper_are_equivalent_to_the_ratios():
             layer=replace(rig.layer, wave_speed=9.0 * rig.layer.thickness * 63.2),
         )
         assert landscape.coordinates_of(like) == pytest.approx(coordinates, rel=1e-12)
-
-
-def test_spring_mass_is_a_line_in_one_ratio_and_names_its_omissions():
-    axes = {'mu': np.geomspace(0.1, 10.0, 5), 'kappa': np.geomspace(2.0, 40.0, 6)}
-    landscape = compute_landscape(Rig(), axes, model='spring_mass')
-    ratios = axes['kappa'][None, :] / (2.0 * math.pi * np.sqrt(axes['mu'][:, None]))
-    expected = spring_mass.first_release(frequency_ratio=ratios)
-    np.testing.assert_allclose(landscape.energy_transfer, expected.energy_transfer, rtol=1e-13)
-    assert landscape.left_out == ('engine.damping_ratio', 'gravity')
-    assert compute_landscape(HARMONIC, axes, model='spring_mass').left_out == ()
-    assert compute_landscape(Rig(), axes).left_out == ()
 
 
 def test_executors_give_the_same_map():
@@ -100,7 +88,7 @@ def test_netcdf_is_read_back_by_xarray(saved, engine):
         chosen = data.energy_transfer.sel(layer_thickness=0.01, gravity=0.2)
         assert float(chosen) == landscape.energy_transfer[1, 1]
         np.testing.assert_array_equal(data.ejection_phase, landscape.ejection_phase)
-        assert (data.attrs['model'], data.attrs['release']) == ('travelling_wave', 'first')
+        assert data.attrs['release'] == 'first'
         assert data.attrs['engine_frequency'] == 1.0
 
 
@@ -149,12 +137,11 @@ def test_optimum_is_at_its_known_position(
 
 
 # The paper's rig at 31.1 Hz: alpha 0.499 first, and 1.241 in the end, with 2.0 mm
-@pytest.mark.parametrize('model', ['travelling_wave', 'cells'])
-def test_last_release_agrees_with_a_throw_after_its_recontacts(model):
+def test_last_release_agrees_with_a_throw_after_its_recontacts():
     rig = replace(HARMONIC, engine=Engine(frequency=31.1, damping_ratio=0.0))
     axes = {'layer.thickness': [2e-3, 9.5e-3], 'layer.wave_speed': [7.8]}
-    first = compute_landscape(rig, axes, model=model)
-    last = compute_landscape(rig, axes, model=model, release='last')
+    first = compute_landscape(rig, axes)
+    last = compute_landscape(rig, axes, release='last')
     assert first.energy_transfer[0, 0] == pytest.approx(0.499, abs=1e-3)
     assert last.energy_transfer[0, 0] == pytest.approx(1.241, abs=1e-3)
     assert last.energy_transfer[1, 0] == pytest.approx(first.energy_transfer[1, 0], rel=1e-3)
@@ -163,7 +150,7 @@ def test_last_release_agrees_with_a_throw_after_its_recontacts(model):
 def test_loss_may_be_an_axis_that_begins_at_zero():
     axes = {'layer.loss_tangent': [0.0, 0.05], 'layer.thickness': [0.01, 0.0168]}
     rig = replace(HARMONIC, layer=Layer(loss_tangent=0.05))
-    landscape = compute_landscape(rig, axes, model='cells')
+    landscape = compute_landscape(rig, axes)
     lossless = {'engine.amplitude': [2e-3], 'layer.thickness': axes['layer.thickness']}
     exact = compute_landscape(HARMONIC, lossless).energy_transfer[0]
     np.testing.assert_allclose(landscape.energy_transfer[0], exact, rtol=2e-3)
@@ -182,19 +169,6 @@ def test_projectile_that_is_held_is_nan():
         assert held.optimum is None
 
 
-def test_cells_agree_with_the_exact_landscape():
-    axes = {'x': np.linspace(0.2, 0.9, 4), 'C': np.linspace(2.0, 12.0, 4)}
-    exact = compute_landscape(Rig(), axes)
-    transfers = {}
-    for model in ('cells', 'cells_elastic'):
-        transfers[model] = compute_landscape(Rig(), axes, model=model).energy_transfer
-        np.testing.assert_allclose(transfers[model], exact.energy_transfer, rtol=2e-3)
-    assert (transfers['cells'] != transfers['cells_elastic']).any()
-    # a glued layer flies with the projectile and takes energy
-    glued = compute_landscape(Rig(), axes, model='cells_glued').energy_transfer
-    assert glued.max() < exact.energy_transfer.max()
-
-
 @pytest.mark.parametrize(
     ('axes', 'options', 'message'),
     [
@@ -208,11 +182,7 @@ def test_cells_agree_with_the_exact_landscape():
         ({'x': [0.5], 'mu': [1.0]}, {}, 'x and mu are not independent'),
         ({'mu': [1.0], 'layer.thickness': [0.01]}, {}, 'mu can .* with .*, got layer.thickness'),
         ({'layer.thickness': [0.01, 0.2], 'gravity': [5.0]}, {}, r'thickness .* 0.1 m, got 0\.2'),
-        ({'mu': [1.0], 'kappa': [8.0]}, {'model': 'guess'}, "model .* got 'guess'"),
         ({'mu': [1.0], 'kappa': [8.0]}, {'release': 'second'}, "got 'second'"),
-        ({'mu': [1.0], 'kappa': [8.0]}, SPRING | {'release': 'last'}, "last .* 'spring_mass'"),
-        ({'mu': [1.0], 'engine.damping_ratio': [0.1]}, SPRING, "damping_ratio .* 'spring_mass'"),
-        ({'mu': [1.0], 'layer.loss_tangent': [0.1]}, {}, "loss_tangent .* 'travelling_wave'"),
         ({'x': [0.5], 'C': [8.0]}, {'density_ratio': 0.0}, r'density_ratio .* got 0\.0'),
     ],
 )
@@ -221,16 +191,13 @@ def test_refused_requests_are_quoted(axes, options, message):
         compute_landscape(Rig(), axes, **options)
 
 
-def test_models_without_loss_refuse_it():
-    rig = Rig(layer=Layer(loss_tangent=0.05))
-    with pytest.raises(ValueError, match=r'layer.loss_tangent 0\.05 .* cells'):
-        compute_landscape(rig, {'mu': [1.0], 'kappa': [8.0]})
-
-
-def test_model_is_added_by_one_table_row(monkeypatch):
-    mine = LayerModel(batch='spring', knows=frozenset({'damping'}))
-    monkeypatch.setitem(MODELS, 'mine', mine)
-    landscape = compute_landscape(Rig(), {'mu': [1.0], 'kappa': [8.0]}, model='mine')
-    assert landscape.left_out == ('gravity',)
-    with pytest.raises(ValueError, match=r"gravity .* got model 'mine'"):
-        compute_landscape(Rig(), {'mu': [1.0], 'gravity': [8.0]}, model='mine')
+@pytest.mark.parametrize(
+    ('rig', 'axes', 'release', 'message'),
+    [
+        (Rig(layer=Stack(sheets=(Layer(), Layer()))), {'gravity': [0.0]}, 'last', 'layer.stack'),
+        (Rig(engine=Engine(motion=MOTION)), {'engine.damping_ratio': [0.1]}, 'first', 'by a file'),
+    ],
+)
+def test_axes_and_releases_that_a_rig_does_not_have_are_refused(rig, axes, release, message):
+    with pytest.raises(ValueError, match=message):
+        compute_landscape(rig, {**axes, 'layer.thickness': [0.01]}, release=release)

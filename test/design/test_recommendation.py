@@ -4,6 +4,7 @@
 
 import dataclasses
 from dataclasses import replace
+from functools import partial
 import math
 
 import numpy as np
@@ -13,23 +14,20 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throws import throw_many
-from soft_throw_ros.design.objective import LayerScore, Limits
-from soft_throw_ros.design.objectives.peak import Peak
-from soft_throw_ros.design.objectives.robust import Robust
-from soft_throw_ros.design.objectives.versatile import Versatile
+from soft_throw_ros.design.objective import LayerScore, Limits, peak, robust, versatile
 from soft_throw_ros.design.recommendation import (
     best_ratios,
     predict,
     PredictedThrow,
     recommend,
+    TOLERATED_LOSS,
 )
 from soft_throw_ros.design.search_space import search_spaces
-from soft_throw_ros.design.sensitivity import TOLERATED_LOSS
 from soft_throw_ros.design.uncertainty import Uncertainties
 
 MATERIALS = library().materials
 LOSSY = {'dragon': MATERIALS['dragon_skin_10']}
-KINDS = ('peak', 'robust', 'quantile', 'versatile', 'limits', 'library')
+KINDS = ('peak', 'robust', 'versatile', 'limits', 'library')
 LOST = 1e-3
 """Fraction of the best score that a recommendation may lose."""
 
@@ -67,11 +65,12 @@ def random_request(kind, random, *, loss_tangent=0.0):
         thickness_min=random.uniform(1e-3, 3e-3), thickness_max=random.uniform(0.01, 0.05),
         wave_speed_min=random.uniform(1.0, 4.0), wave_speed_max=random.uniform(15.0, 50.0),
     )
-    objective = Peak()
-    if kind in ('robust', 'quantile'):
-        objective = Robust(quantile=0.05 if kind == 'quantile' else 0.0)
+    objective = peak
+    if kind == 'robust':
+        objective = robust
     elif kind == 'versatile':
-        objective = Versatile(
+        objective = partial(
+            versatile,
             masses=tuple(rig.projectile.mass * random.uniform(0.5, 2.0, 2)),
             frequencies=tuple(rig.engine.frequency * random.uniform(0.7, 1.4, 2)),
         )
@@ -94,7 +93,7 @@ def best_of_a_grid(rig, *, vary, objective, limits, materials, size):
         thicknesses, wave_speeds = (
             np.geomspace(low, high, count if low < high else 1) for low, high in space.layers
         )
-        score = LayerScore(space.rig, objective.with_spread(space.spread), limits)
+        score = LayerScore(space.rig, objective, limits)
         for wave_speed in wave_speeds:
             best = max(best, score(thicknesses, wave_speed).max())
     return best
@@ -109,7 +108,7 @@ def assert_as_good_as_brute_force(rig, *, size, limits, **request):
     assert best.peak_acceleration <= limits.max_acceleration * (1.0 + 1e-9)
 
 
-BEST_PEAK = {'vary': 'both', 'objective': Peak(), 'materials': {}}
+BEST_PEAK = {'vary': 'both', 'objective': peak, 'materials': {}}
 
 
 @pytest.mark.parametrize('gravity_ratio', [0.0, 0.1, 0.3, 0.8])
@@ -128,7 +127,7 @@ def test_recommendation_for_a_random_rig_is_as_good_as_brute_force(seed, gravity
     ('seed', 'loss_tangent', 'size'), [(0, 0.0, 90), (1, 0.0, 90), (3, 0.15, 20)]
 )
 def test_recommendation_is_as_good_as_brute_force(kind, seed, loss_tangent, size):
-    random = np.random.default_rng([seed, KINDS.index(kind)])
+    random = np.random.default_rng([seed, 7, KINDS.index(kind)])
     rig, request = random_request(kind, random, loss_tangent=loss_tangent)
     assert_as_good_as_brute_force(rig, size=size, **request)
 
@@ -194,7 +193,7 @@ def test_recommended_layer_has_its_promised_energy_transfer(seed, vary):
 
 def test_layer_for_several_light_projectiles_is_thick_and_gives_each_nearly_alpha_4():
     """The paper states this value for layers with fast waves."""
-    light = Versatile(masses=(0.3e-3, 0.6e-3, 1.2e-3), frequencies=(63.2,))
+    light = partial(versatile, masses=(0.3e-3, 0.6e-3, 1.2e-3), frequencies=(63.2,))
     best = recommend(Rig(gravity=0.0), objective=light, limits=Limits(thickness_max=0.1))
     assert best.score > 3.8
     assert best.thickness > 1.5 * Rig().layer.thickness
@@ -202,61 +201,31 @@ def test_layer_for_several_light_projectiles_is_thick_and_gives_each_nearly_alph
 
 def test_robust_layer_is_better_in_the_worst_case_only():
     rig = Rig()
-    robust = Robust(uncertainties=Uncertainties(wave_speed=1.5, thickness=1e-3))
-    peak = recommend(rig, vary='thickness')
-    safe = recommend(rig, vary='thickness', objective=robust)
-    assert safe.score > LayerScore(peak.rig, robust)(peak.thickness, peak.wave_speed)[0]
-    assert safe.energy_transfer <= peak.energy_transfer * (1.0 + 1e-9)
+    objective = partial(robust, uncertainties=Uncertainties(wave_speed=1.5, thickness=1e-3))
+    best = recommend(rig, vary='thickness')
+    safe = recommend(rig, vary='thickness', objective=objective)
+    assert safe.score > LayerScore(best.rig, objective)(best.thickness, best.wave_speed)[0]
+    assert safe.energy_transfer <= best.energy_transfer * (1.0 + 1e-9)
     assert safe.now_score < safe.now.energy_transfer
-    assert safe.by_wave_speed is None
-
-
-# sensitivities
-
-
-def score_after(rig, name, values):
-    """Return the energy transfers of a rig with other values of a parameter."""
-    return np.nan_to_num(throw_many(rig, {name: np.asarray(values)}).energy_transfer)
 
 
 @pytest.mark.parametrize('loss_tangent', [0.0, 0.1])
-def test_sensitivities_are_the_derivatives_of_the_model(loss_tangent):
-    """The rig is not at an optimum, where all derivatives would be 0."""
-    rig = Rig(layer=Layer(loss_tangent=loss_tangent), gravity=0.0)
-    limits = Limits(thickness_min=16e-3, thickness_max=17e-3)
-    best = recommend(rig, vary='thickness', limits=limits)
-    assert best.thickness == 16e-3
-    for item in best.sensitivities:
-        ends = item.value * np.exp([-1e-3, 1e-3])
-        low, high = np.log(score_after(best.rig, item.name, ends))
-        assert item.sensitivity == pytest.approx((high - low) / 2e-3, rel=1e-2, abs=1e-4)
-
-
-def test_tolerances_end_at_the_tolerated_loss_of_energy():
-    best = recommend(Rig(gravity=0.0), vary='both')
-    assert {item.name for item in best.sensitivities} == {
-        'thickness', 'wave_speed', 'mass', 'frequency', 'damping_ratio',
-    }
+def test_tolerances_end_at_the_tolerated_loss_of_energy(loss_tangent):
+    best = recommend(Rig(layer=Layer(loss_tangent=loss_tangent)), vary='thickness')
     least = (1.0 - TOLERATED_LOSS) * best.score
-    for item in best.sensitivities:
-        ends = item.value + item.tolerance * np.linspace(-1.0, 1.0, 50)
-        assert score_after(best.rig, item.name, ends).min() > least * (1.0 - 1e-9)
-        if item.tolerance != 0.5 * item.value:
-            beyond = item.value + (item.tolerance + 2e-3 * item.value) * np.array([-1.0, 1.0])
-            assert score_after(best.rig, item.name, beyond).min() < least
+    for name, tolerance in best.tolerances.items():
+        ends = getattr(best, name) + tolerance * np.array([-1.0, 1.0, -1.02, 1.02])
+        scores = throw_many(best.rig, {name: ends}).energy_transfer
+        assert scores[:2].min() > least * (1.0 - 1e-3) > scores[2:].min() * (1.0 - 2e-3)
 
 
-def test_layer_at_an_edge_has_no_tolerance():
-    """At an edge, a slightly smaller value lets gravity hold the projectile for longer."""
-    limits = Limits(thickness_min=2e-3, wave_speed_max=30.0)
-    best = recommend(heavy_rig(1.404, mass=3.96e-3), limits=limits)
-    edges = 0
-    for item in best.sensitivities:
-        changed = score_after(best.rig, item.name, item.value * np.array([0.999, 1.001]))
-        is_edge = changed.min() < (1.0 - TOLERATED_LOSS) * best.score
-        assert (item.tolerance < 1e-3 * item.value) == is_edge
-        edges += is_edge
-    assert edges
+def test_limit_that_is_not_active_costs_nothing():
+    rig = heavy_rig(1.404, mass=3.96e-3)
+    limited = recommend(rig, limits=Limits(max_strain=10.0))
+    assert limited.score == pytest.approx(recommend(rig).score, rel=LOST)
+    # At an edge, a slightly smaller value lets gravity hold the projectile for longer.
+    assert min(limited.tolerances['thickness'] / limited.thickness,
+               limited.tolerances['wave_speed'] / limited.wave_speed) < 1e-3
 
 
 # contents of the recommendation
@@ -265,6 +234,7 @@ def test_layer_at_an_edge_has_no_tolerance():
 def test_every_result_in_the_table_belongs_to_a_recommendation_or_an_aim():
     best = recommend(Rig())
     results = [entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result]
+    assert len(results) <= 9
     for name in results:
         assert name == 'amplitude' or getattr(best, name) is not None
 
@@ -274,8 +244,7 @@ def test_values_are_flat_and_complete():
     values = best.values()
     assert values['wave_speed'] == values['by_wave_speed.wave_speed'] == best.wave_speed
     assert values['now.energy_transfer'] == predict(Rig()).energy_transfer
-    assert values['optimum.mass_ratio'] == best_ratios(0.064).mass_ratio
-    assert 0.0 < values['thickness.tolerance'] < best.thickness
+    assert 0.0 < values['tolerance.thickness'] < best.thickness
     assert all(isinstance(value, (float, str)) for value in values.values())
     assert {item.name for item in dataclasses.fields(PredictedThrow)} <= values.keys()
 
@@ -284,13 +253,13 @@ def test_values_are_flat_and_complete():
     ('rig', 'options', 'message'),
     [
         (Rig(), {'vary': 'density'}, "vary .* got 'density'"),
-        (Rig(engine=Engine(frequency=3.0)), {}, r'gravity \(14 of the largest acceleration'),
-        (Rig(), {'limits': Limits(wave_speed_min=0.01, wave_speed_max=0.02)}, '0.01 to 0.02 m/s'),
-        (Rig(), {'vary': 'thickness', 'limits': Limits(max_strain=0.01)}, r'of at most 0\.01 '),
+        (Rig(engine=Engine(frequency=3.0)), {}, 'gravity is 14 of the largest acceleration'),
+        (Rig(), {'limits': Limits(wave_speed_min=0.01, wave_speed_max=0.02)}, 'speed_max=0.02'),
+        (Rig(), {'vary': 'thickness', 'limits': Limits(max_strain=0.01)}, 'max_strain=0.01'),
         (
             Rig(),
-            {'vary': 'library', 'limits': Limits(max_loss_tangent=1e-3), 'materials': LOSSY},
-            r'loss tangent of at most 0\.001',
+            {'vary': 'library', 'limits': Limits(wave_speed_max=2.0), 'materials': LOSSY},
+            'from the library .*wave_speed_max=2.0',
         ),
     ],
 )

@@ -1,19 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Videos read from files, and edges followed along a line of their pictures."""
-
-import re
+"""Videos read from files."""
 
 import numpy as np
 import pytest
-from rendering import band, disc, exposed
 from soft_throw_ros.identification.tracks import TrackError
-from soft_throw_ros.identification.video import (
-    camera_rate,
-    read_pictures,
-    space_time,
-    SpaceTime,
-)
+from soft_throw_ros.identification.video import camera_rate, read_pictures
 
 pytest.importorskip('skimage', reason='comes with the extra [video]')
 imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
@@ -106,61 +98,3 @@ def test_stack_is_read_page_by_page(tmp_path, monkeypatch):
 def test_empty_folder_is_refused(tmp_path):
     with pytest.raises(TrackError, match='no picture in this folder'):
         list(read_pictures(str(tmp_path)))
-
-
-LAYER_SHAPE = (120, 40)
-RATE, SCALE = 4000.0, 1e-4
-PERIOD = 2.0 * 8e-3 / 7.8
-TIME = np.arange(140) / RATE
-BOTTOM = 100.2 - 3.0 * np.sin(2.0 * np.pi * 63.2 * TIME)
-"""Row of the lower end of the layer, on a plate that still vibrates. [px]"""
-LENGTH = 80.0 + 6.0 * np.exp(-50.0 * TIME) * np.cos(2.0 * np.pi * TIME / PERIOD)
-"""Length of the layer. [px]"""
-
-
-@pytest.fixture(scope='module')
-def layer_video():
-    """Return pictures of a bright layer with a spot, on a plate, before a dark background."""
-    rng = np.random.default_rng(5)
-    pictures = []
-    for bottom, length in zip(BOTTOM, LENGTH, strict=True):
-        layer = band(LAYER_SHAPE, bottom, bottom - length)
-        plate = band(LAYER_SHAPE, LAYER_SHAPE[0] + 20.0, bottom)
-        levels = 40.0 + 150.0 * layer + 30.0 * plate
-        levels -= 110.0 * disc(LAYER_SHAPE, bottom - 0.5 * length, 12.0)
-        pictures.append(exposed(levels, rng))
-    return pictures
-
-
-def line_of(video, column=30, first=5, last=115):
-    return space_time(video, column=column, first=first, last=last, rate=RATE, scale=SCALE)
-
-
-@pytest.mark.parametrize('column', [30, 12], ids=['beside the spot', 'through the spot'])
-def test_edges_are_followed_within_a_tenth_of_a_pixel(layer_video, column):
-    bottom, top = line_of(layer_video, column).edges()
-    for edge, truth in ((bottom, BOTTOM), (top, BOTTOM - LENGTH)):
-        left = edge.position / SCALE - (115.5 - truth)
-        assert left.std() < 0.08
-        assert abs(left.mean()) < 0.4  # one level for edges of different depth
-
-
-def test_line_without_two_edges_is_refused():
-    levels = np.full((20, 30), 50.0)
-    levels[:, 10:] = 150.0
-    with pytest.raises(TrackError, match='crosses 1 edges in picture 1'):
-        SpaceTime(levels=levels, rate=1.0, scale=1.0).edges()
-
-
-@pytest.mark.parametrize(
-    ('options', 'value'),
-    [
-        ({'last': 120}, 'row 120 of column 30'),
-        ({'first': 115}, 'row 115 to row 115'),
-        ({'first': -1}, 'row -1'),
-        ({'column': 39}, 'column 39'),
-    ],
-)
-def test_line_outside_the_picture_is_refused(layer_video, options, value):
-    with pytest.raises(TrackError, match=re.escape(value)):
-        line_of(layer_video, **options)

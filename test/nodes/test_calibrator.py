@@ -5,28 +5,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import contextlib
 from dataclasses import replace
+import itertools
+import math
 import statistics
+from test.nodes.conftest import MILLISECOND, SECOND
+from test.nodes.test_measured import Sensors
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
 from rclpy.node import Node
+from rigs import measured_throw
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine
+from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.design.motion_design import design_motion
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
-from soft_throw_ros.identification.tracks import Track
+from soft_throw_ros.identification.tracks import Track, TrackError
+from soft_throw_ros.nodes import measured_positions
 from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.conversions import msg_to_throw_result
+from soft_throw_ros.nodes.measured_positions import MeasuredPositions
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.twin.sample_buffer import Sample
 
 HIDDEN = {
     'engine.frequency': 61.8,
@@ -160,3 +170,88 @@ def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> N
     statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
     ros.spin_until(lambda: len(statuses) > 0, 'the status')
     assert statuses[0].name == '/calibrator: identification'
+
+
+@pytest.mark.parametrize(
+    ('behind', 'ended_by', 'request_'),
+    [
+        (0.3, 'noise', {'measured.stamp_error': 1e-4}),  # the twin cannot follow the throw
+        (-1e5, 'reset', {'measured.clock_limit': 1e6}),
+    ],
+)
+def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
+    ros, start_twin, capfd, behind, ended_by, request_
+) -> None:
+    words = [word for name, value in request_.items() for word in ('-p', f'{name}:={value}')]
+    twin = start_twin('-p', 'engine.motion:=measured', *words)
+    sensors = ros.node(Sensors, ros, twin)
+    ros.node(Calibrator, ros_args=('-p', 'throws:=1'))
+    statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    ros.spin_until(lambda: sensors.publisher.get_subscription_count() == 2, 'the calibrator')
+    rig = Rig(engine=Engine(frequency=55.0), layer=Layer(wave_speed=7.3))
+    for gap in (10 * MILLISECOND, 0):  # the first throw has no whole track
+        begin_ns = twin.clock.time
+        samples = measured_throw(
+            rig, begin_ns=begin_ns, onset=0.35, duration=0.55, rate=2500.0, noise=5e-6
+        )
+        first_ns = begin_ns + 352 * MILLISECOND
+        samples = [item for item in samples if not 0 <= item.stamp_ns - first_ns < gap]
+        sensors.throw(samples, behind_ns=round(behind * SECOND))
+        twin.session.reset()
+        twin.go(1)
+    finals = [result for result in twin.results if result.stage == 'final']
+    assert [final.ended_by for final in finals] == ['gap', ended_by]
+
+    def identified() -> list[DiagnosticStatus]:
+        return [item for item in statuses if item.message.startswith('identified')]
+
+    ros.spin_until(identified, 'the identification')
+    values = {item.key: item.value for item in identified()[0].values}
+    for name, value in (('engine.frequency', 55.0), ('layer.wave_speed', 7.3)):
+        assert float(values[name].split()[0]) == pytest.approx(value, rel=0.05)
+    assert capfd.readouterr().err.count('; identifying') == 1
+
+
+@pytest.fixture
+def positions(ros) -> MeasuredPositions:
+    node = ros.node(RunnableNode, 'calibrator')
+    positions = MeasuredPositions(node, '/twin')
+    node.add_cleanup(positions.close)
+    return positions
+
+
+def test_measurements_are_found_again_after_their_clock_was_set_back(ros, positions) -> None:
+    sensors = ros.node(Sensors, ros)
+    for first_ns in (10 * SECOND, 2 * SECOND):
+        stamps = range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND)
+        for stamp_ns in stamps:
+            sensors.send(Sample(stamp_ns, 1e-9 * stamp_ns, math.nan, 0.0))
+
+        def is_received(last_ns: int = stamps[-1]) -> bool:
+            positions.read_messages()
+            return positions.newest_ns == last_ns
+
+        ros.spin_until(is_received, 'the measurements')
+        start_ns = stamps[10]
+        plate = positions.between(start_ns, stamps[30], name='throw').plate
+        assert plate.time.size == 21
+        assert plate.position == pytest.approx(1e-9 * start_ns + plate.time)
+    with pytest.raises(TrackError):
+        positions.between(SECOND, 2 * SECOND, name='before the first one')
+
+
+def test_measurements_whose_stamps_stand_still_are_forgotten(ros, monkeypatch, request) -> None:
+    monkeypatch.setattr(measured_positions, '_KEPT_READS', 3)
+    positions, heights = request.getfixturevalue('positions'), itertools.count()
+    sensors = ros.node(Sensors, ros)
+
+    def oldest_height() -> float:
+        height = float(next(heights))
+        for since_ns in range(0, 100 * MILLISECOND, MILLISECOND):
+            sensors.send(Sample(SECOND + since_ns, height, math.nan, 0.0))
+        positions.read_messages()
+        with contextlib.suppress(TrackError):  # few have arrived
+            return float(positions.between(SECOND, 2 * SECOND, name='').plate.position[0])
+        return 0.0
+
+    ros.spin_until(lambda: oldest_height() > 0.0, 'room for later measurements')

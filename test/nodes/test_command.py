@@ -15,13 +15,7 @@ from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.plate_motion import (
-    find_best_motion,
-    follow,
-    PlateLimits,
-    rest_to_rest,
-)
+from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
 from soft_throw_ros.nodes.conversions import msg_to_time
 
 ENGINE = PlateLimits.of(Engine())
@@ -71,17 +65,11 @@ def stroke() -> SampledMotion:
     )
 
 
-def step() -> SampledMotion:
-    """Return a step up as a design that is the fastest, with the way back."""
-    throw = follow(Rig(), rest_to_rest(SMOOTH, travel=3e-3), loads=Limits())
-    return throw.motion  # type: ignore[no-any-return, union-attr]
-
-
 @pytest.mark.parametrize(
     ('motion_of', 'limits'),
     [
         (stroke, STROKE),
-        (step, SMOOTH),
+        (lambda: find_best_motion(Rig(), SMOOTH).motion, SMOOTH),
         (lambda: find_best_motion(Rig(layer=Layer(thickness=5.6e-3)), ENGINE).motion, ENGINE),
     ],
 )

@@ -31,6 +31,7 @@ RESULT = ThrowResult(
     step=3123,
     stage='final',
     ended_by='period',
+    start_ns=1_700_000_000_123_456_789,
     rig=Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3)),
     first=Release(ejection_time=0.1 + 0.2, ejection_speed=1.0 / 3.0, energy_transfer=0.499),
     last=Release(ejection_time=0.4, ejection_speed=2.0 / 3.0, energy_transfer=1.241),

@@ -10,7 +10,6 @@ missing by their stamps. A short run of `make soak` follows.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import time
@@ -38,9 +37,7 @@ def kill(system, name):
     (pid,) = system.pids(name)
     stop(pid)  # at a time at which it holds no lock of the middleware
     os.kill(pid, signal.SIGKILL)
-    if name == 'viewer':  # which the recorder starts again
-        system.wait_for_viewer(not_pid=pid)
-    else:
+    if name != 'viewer':  # which the recorder does not start again
         assert system.running[name].wait() == -signal.SIGKILL
         system.start(name)
 
@@ -76,7 +73,6 @@ def test_stopped_processes_resume_with_correct_counts(system, stops, late, is_lo
     assert last > outcome.reported  # a twin that ends discards states without a reader
     between = (outcome.published >= first) & (outcome.published <= last)
     assert np.isin(outcome.published[between], outcome.heard).all()
-    assert outcome.viewers == 1
 
 
 def test_restart_of_other_processes_loses_nothing(system, tmp_path):
@@ -100,18 +96,13 @@ def test_restarted_twin_is_still_recorded(system):
     system.wait_for_states()
     outcome = system.end()
     (states,) = outcome.bags
-    assert missing(states, twins=2) == outcome.missing  # one bag has both
-    assert outcome.viewers == 2
+    assert states.lost == 0  # one bag has both
 
 
 @pytest.mark.timeout(300)
-def test_promises_are_kept_for_half_a_minute(domain_id, tmp_path, capsys):
+def test_promises_are_kept_for_half_a_minute(domain_id, capsys):
     pytest.importorskip('rerun')
-    report = tmp_path / 'soak.json'
-    code = soak.main(['--minutes', '0.5', '--sink', 'file', '--json', str(report)])
+    code = soak.main(['--minutes', '0.5', '--sink', 'file'])
     output = capsys.readouterr().out
     assert code == 0, output
-    result = json.loads(report.read_text())
-    assert all(row['is_kept'] for row in result['promises'])
-    assert result['processes'].keys() > {'twin', 'recorder', 'subscriber 4'}
-    assert all(row['promise'] in output for row in result['promises'])
+    assert output.count(' | yes |') == 6

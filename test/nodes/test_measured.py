@@ -40,13 +40,13 @@ class Sensors(Node):
         self._ros = ros
         self._twin = twin
         self._sent = 0
-        self._publisher = self.create_publisher(JointState, MEASURED, QoSProfile(depth=1000))
-        ros.spin_until(lambda: self._publisher.get_subscription_count() > 0, 'the twin')
+        self.publisher = self.create_publisher(JointState, MEASURED, QoSProfile(depth=1000))
+        ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
 
     def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
         message = JointState(name=list(names), position=[sample.plate, sample.projectile])
         message.header.stamp = time_to_msg(sample.stamp_ns)
-        self._publisher.publish(message)
+        self.publisher.publish(message)
         self._sent += 1
 
     def wait(self) -> None:
@@ -111,7 +111,7 @@ def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
 
 
 def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener) -> None:
-    listener.listen(TWIN_TOPICS.diagnostics)
+    listener.listen(TWIN_TOPICS.diagnostics, TWIN_TOPICS.throw_result)
     begin_ns = twin.clock.time
     samples = measured_throw(Rig(), begin_ns=begin_ns, onset=0.35, duration=0.4)
     sensors.throw(samples, behind_ns=300 * MILLISECOND)
@@ -125,7 +125,13 @@ def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener)
         TWIN_TOPICS.diagnostics, 'measurement', lambda s: msg_to_values(s)['clock_offset'] > 0.0
     )
     assert status.level == DiagnosticStatus.WARN
-    assert msg_to_values(status)['clock_offset'] == pytest.approx(0.29, abs=0.02)
+    offset = msg_to_values(status)['clock_offset']
+    assert offset == pytest.approx(0.29, abs=0.02)
+    (message,) = listener.hear(TWIN_TOPICS.throw_result)[:1]
+    values = msg_to_values(message.status[0])
+    assert values['measurement.clock_offset_ns'] == round(offset * SECOND)
+    started_ns = values['accuracy.release_ns'] - round(values['ejection_time'] * SECOND)
+    assert values['start_ns'] == pytest.approx(started_ns, abs=1)
 
 
 def test_clock_topic_that_moves_in_steps_is_no_offset_of_the_sensors(twin, sensors) -> None:

@@ -141,7 +141,7 @@ def test_set_accepts_parameters_of_others(twin, client) -> None:
 
 
 def test_results_are_read_only_and_the_log_says_so(ros, twin, client, capfd) -> None:
-    twin.parameters.set_results({'thickness': 0.04, 'mass_ratio': 1})
+    twin.parameters.set_results({'thickness': 0.04, 'density': 1})
     assert capfd.readouterr().err == ''
     assert client.set(recommended__thickness=0.01, recommended__layer='soft') == ['', '']
     printed: list[str] = []
@@ -150,7 +150,7 @@ def test_results_are_read_only_and_the_log_says_so(ros, twin, client, capfd) -> 
     assert "got 'soft'" in printed[-1]
     assert client.get('recommended.thickness') == 0.04
     assert client.get('recommended.layer') == ''
-    assert client.get('recommended.mass_ratio') == 1.0
+    assert client.get('recommended.density') == 1.0
     assert math.isnan(client.get('recommended.wave_speed'))
     twin.parameters.set_results({'wave_speed': 20.0})
     assert math.isnan(client.get('recommended.thickness'))

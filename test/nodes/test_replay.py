@@ -49,8 +49,6 @@ def bag(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
     [
         ([], 'required: BAG'),
         (['BAG', '--rate', '0'], "--rate: .* got '0'"),
-        (['BAG', '--start', '-1'], "--start: .* got '-1'"),
-        (['BAG', '--duration', 'inf'], "--duration: .* got 'inf'"),
         (['BAG', '--clock', 'x'], "--clock: .* got 'x'"),
         (['BAG', '--check', '--rate', '2'], '--rate: .*--check'),
         (['BAG', '--speed', '2'], '--speed'),
@@ -74,14 +72,10 @@ def test_invalid_bag_is_one_line_and_exit_code_2(tmp_path, capsys, mode) -> None
         assert str(tmp_path / name) in line
 
 
-def test_missing_topic_or_start_is_refused_with_those_present(bag, capsys) -> None:
-    for arguments, words in (
-        (['--topics', '/twin/joint_state'], ['/twin/joint_state;', '/twin/joint_states']),
-        (['--start', '3'], ['0.499 s', '--start 3']),
-    ):
-        assert main([str(bag), *arguments]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert all(word in line for word in words), line
+def test_missing_topic_is_refused_with_those_present(bag, capsys) -> None:
+    assert main([str(bag), '--topics', '/twin/joint_state']) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert all(word in line for word in ['/twin/joint_state;', '/twin/joint_states']), line
 
 
 # checks of bags

@@ -79,26 +79,11 @@ def test_resume_continues_at_the_pause() -> None:
     ]
 
 
-def test_step_while_paused_returns_all_items_of_the_next_time() -> None:
-    schedule = scheduled(0, 0, 1000, 2000, 2000, 2000, 3000, is_paused=True)
-    assert schedule.deadline() is None
-    for moment in ([0, 0], [1000], [2000, 2000, 2000]):
-        assert due_now(schedule, START) == []
-        assert schedule.step(START)
-        assert schedule.deadline() == START
-        assert due_now(schedule, START) == moment
-        assert schedule.time(START + SECOND) == moment[0]
-    schedule.resume(START + 5 * SECOND)
-    assert play(schedule) == [(3000, START + 5 * SECOND + 1000)]
-    assert not schedule.step(START + 6 * SECOND)
-
-
 def test_empty_recording_ends_at_once_and_invalid_rate_is_refused() -> None:
     for is_looping in (False, True):
         schedule = scheduled(is_looping=is_looping, is_paused=True)
         assert schedule.is_over
         assert schedule.deadline() is schedule.next_due(START) is None
-        assert not schedule.step(START)
     for rate in (0.0, math.nan, math.inf):
         with pytest.raises(ValueError, match=str(rate)):
             scheduled(0, rate=rate)
@@ -116,7 +101,7 @@ def test_recording_is_read_only_as_far_as_it_is_played() -> None:
     times=st.lists(st.integers(0, 10_000), max_size=30).map(sorted),
     rate=st.sampled_from([0.3, 1.0, 7.0]),
     calls=st.lists(
-        st.tuples(st.sampled_from(['pause', 'resume', 'step', 'look']), st.integers(0, 5_000)),
+        st.tuples(st.sampled_from(['pause', 'resume', 'look']), st.integers(0, 5_000)),
         max_size=30,
     ),
 )

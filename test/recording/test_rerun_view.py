@@ -214,12 +214,9 @@ def test_texts_have_the_numbers_and_every_view_its_unit(recording) -> None:
     throw = simulate(Rig())
     assert 'Throw 2' in text
     heads, times_, _, transfers, *_ = table_of(text)
-    assert heads[:2] == ['', 'twin']
-    assert set(heads[2:]) == {'elastic', 'glued on', 'spring'}
-    spring = heads.index('spring')
+    assert heads == ['', 'twin']
     assert times_[1] == f'{1e3 * throw.ejection_time:.4g}'
     assert transfers[1] == f'{throw.energy_transfer:.4g}'
-    assert [times_[spring], transfers[spring]] == ['6.412', '3.098']  # of App. A
     assert set(recording.views) == {
         'Rig, z (mm)', 'Strain ε(y, t) in the throw', 'Energy transfer α(Lₛ, cₛ)', 'Phase',
         'Position z (mm)', 'Velocity v (m/s)', 'Compressive force F (N)', 'Energy (mJ)',
@@ -240,20 +237,6 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
     assert '/rig1/twin/landscape' not in recording.entities
     assert r'/rig\ 2/twin/landscape' in recording.entities
     assert recording.views.count('Position z (mm)') == 2
-
-
-def test_layout_is_not_sent_again_for_a_small_correction_of_the_rig(tmp_path) -> None:
-    """Each new layout takes memory and reverts the changes that a user made by hand."""
-    sent = []
-    for thicknesses in ((), (0.0176, 0.0160, 0.0168), (0.03,)):
-        twin = TwinMessages(throw__period=0.1).go(150)
-        for number, thickness in enumerate(thicknesses):
-            twin.change(layer__thickness=thickness, engine__frequency=63.2 + number)
-            twin.go(150)
-        scene = Scene('test', is_live=True)
-        path = tmp_path / f'{len(sent)}.rrd'
-        sent.append(record(path, scene, twin.messages, batch=10).views.count('Position z (mm)'))
-    assert sent[1] == sent[0] < sent[2]
 
 
 def test_late_viewer_gets_the_present_state_only(twin, tmp_path) -> None:

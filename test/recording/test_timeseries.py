@@ -21,7 +21,9 @@ from soft_throw_ros.recording.timeseries import (
     TwinReader,
 )
 from soft_throw_ros.storage.message import Message
+from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_messages import TwinMessages
+from twin_runs import BEGIN
 
 
 def one_throw(steps: int, **request: Any) -> Any:
@@ -43,10 +45,10 @@ def real() -> Any:
     return one_throw(400, rate__field=1000.0)
 
 
-@pytest.fixture(scope='module')
-def measured() -> Any:
+@pytest.fixture(scope='module', params=[0, BEGIN - 100 * SECOND], ids=['right', 'since boot'])
+def measured(request: Any) -> Any:
     """Return one throw of a measured plate, with its messages read back."""
-    twin = TwinMessages(engine__motion='measured')
+    twin = TwinMessages(engine__motion='measured', behind_ns=request.param)
     twin.measure(duration=0.1)
     twin.read = Read(twin.messages)
     return twin
@@ -156,7 +158,7 @@ def test_invalid_journal_lines_are_refused_like_damage(real, line) -> None:
     assert reader.rig is None
 
 
-def test_measured_throw_and_states_have_the_same_zero_height(measured) -> None:
+def test_measured_throw_and_states_have_the_same_time_and_zero_height(measured) -> None:
     truth = measured.read.contents[TWIN_TOPICS.measured_joint_states]
     predicted = measured.read.contents[TWIN_TOPICS.predicted_joint_states]
     times, positions = joined(predicted, 0), joined(predicted, 1)

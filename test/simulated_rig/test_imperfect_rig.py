@@ -27,7 +27,7 @@ def test_perfect_rig_throws_as_by_the_method_of_steps():
 
 def test_error_falls_with_the_square_of_the_cells():
     rig = Rig(layer=Layer(loss_tangent=0.1))
-    exact = simulate(rig, model='cells', cells=1024, until=UNTIL).trajectory([0.04])
+    exact = simulate(rig, cells=1024, until=UNTIL).trajectory([0.04])
     errors = [
         abs(float(throw(rig, until=UNTIL, cells=cells).projectile(0.04)) - exact[3][0])
         for cells in (32, 64, 128)

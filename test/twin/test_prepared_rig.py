@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Preparations for a throw, for every model."""
+"""Preparations for a throw, for both models."""
 
 from __future__ import annotations
 
@@ -8,24 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import rig_of, TWIN
+from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.models import MODELS
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.twin.other_models import predict_by_other_models
 from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import check_settings, PreparedRig
 from soft_throw_ros.twin.throws import ScheduledThrow, Tick, time_until_over
 from twin_runs import complete_settings, Run
 
 CASES = [
-    {'model': 'travelling_wave'},
+    {},
     {'layer__loss_tangent': 0.05},
-    {'model': 'cells'},
-    {'model': 'cells_elastic', 'projectile__youngs_modulus': 1e6},
-    {'model': 'cells_glued', 'layer__loss_tangent': 0.1},
-    {'model': 'spring_mass', 'layer__loss_tangent': 0.1},
+    {'layer__stress_strain_law': 'neo_hookean'},
 ]
 ANY_MODEL = pytest.mark.parametrize('request_', CASES, ids=lambda case: ' '.join(map(str, case)))
 
@@ -38,7 +32,7 @@ def prepare(values) -> PreparedRig:
 def test_throw_and_its_predicted_end_agree_with_a_simulation(request_) -> None:
     values = complete_settings(**request_)
     prepared = prepare(values)
-    exact = simulate(rig_of(values), model=prepared.config.model)
+    exact = simulate(rig_of(values))
     throw, config = ScheduledThrow(prepared, number=1), replace(prepared.config, max_events=2)
     release, tick = None, 0
     while not throw.ended_by:
@@ -78,7 +72,7 @@ def test_throw_field_agrees_with_the_layer(request_) -> None:
 def test_energies_end_at_the_release_of_a_simulation(request_) -> None:
     values = complete_settings(**request_)
     prepared = prepare(values)
-    throw = simulate(rig_of(values), model=prepared.config.model)
+    throw = simulate(rig_of(values))
     time, work, projectile, layer, total = prepared.throw_field.energies.T
     assert (time[0], work[0]) == (0.0, 0.0)
     np.testing.assert_allclose([projectile[0], total[0]], 0.0, atol=1e-9)
@@ -90,45 +84,13 @@ def test_energies_end_at_the_release_of_a_simulation(request_) -> None:
         np.testing.assert_allclose(total, work, atol=1e-3 * work.max())
 
 
-def test_other_models_predict_the_first_release() -> None:
-    rig = rig_of(TWIN.defaults())
-    releases = {
-        name: simulate(rig, model=name, max_events=1)
-        for name in ('travelling_wave', 'cells_elastic', 'cells_glued')
-    }
-    expected = {
-        name: (throw.ejection_time, throw.energy_transfer) for name, throw in releases.items()
-    }
-    spring = spring_mass.first_release(
-        frequency_ratio=rig.natural_frequency / rig.engine.frequency
-    )
-    time = float(spring.ejection_phase) / rig.engine.frequency
-    expected['spring_mass'] = time, float(spring.energy_transfer)
-    for model in MODELS:
-        models = predict_by_other_models(rig, model)
-        assert set(models) == set(expected) - {model}
-        for name, release in models.items():
-            time, alpha = expected[name]
-            assert release.ejection_time == pytest.approx(time, rel=1e-4)
-            assert release.energy_transfer == pytest.approx(alpha, rel=1e-3)
-    lossy = predict_by_other_models(rig_of(complete_settings(layer__loss_tangent=0.1)), '')
-    assert 'travelling_wave' not in lossy
-    rig = rig_of(complete_settings(gravity=30.0, engine__amplitude=1e-5))
-    weak = predict_by_other_models(rig, '')
-    assert weak['cells_elastic'] is weak['cells_glued'] is None
-
-
 STIFF = {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0, 'layer__loss_tangent': 0.1}
-WIDE = {'layer__diameter': 0.2, 'layer__wave_speed': 20.0, 'projectile__mass': 1e-5}
 
 
-@pytest.mark.parametrize(
-    ('request_', 'value'), [(STIFF, '200'), ({**WIDE, 'model': 'spring_mass'}, 'Hz')]
-)
-def test_rig_beyond_real_time_is_refused_with_the_number(request_, value) -> None:
-    values = complete_settings(**request_)
+def test_rig_beyond_real_time_is_refused_with_the_number() -> None:
+    values = complete_settings(**STIFF)
     for function in (check_settings, prepare):
-        with pytest.raises(ValueError, match=value):
+        with pytest.raises(ValueError, match='200'):
             function(values)
 
 

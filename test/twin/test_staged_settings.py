@@ -27,8 +27,9 @@ def stage(staged: StagedSettings, values, motion_of=motions.read) -> PreparedRig
 
 @pytest.mark.parametrize(
     ('name', 'value'),
-    [('gravity', 5.0), ('model', 'cells'), ('projectile.mass', 3e-3), ('engine.amplitude', 1e-3),
-     ('measured.latency', 1e-3), ('rate.field', 20.0), ('time_scale', 0.5)],
+    [('gravity', 5.0), ('layer.loss_tangent', 0.1), ('projectile.mass', 3e-3),
+     ('engine.amplitude', 1e-3), ('measured.latency', 1e-3), ('rate.field', 20.0),
+     ('time_scale', 0.5)],
 )
 def test_change_of_rig_measurement_or_rate_waits_for_the_commit(name, value) -> None:
     staged = StagedSettings(CONFIG, CONFIG)
