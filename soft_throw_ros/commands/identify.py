@@ -42,9 +42,10 @@ from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
     FIXED,
+    FREE,
     PARAMETERS,
-    parse_treatments,
-    TREATMENTS,
+    parse_error,
+    Treatment,
     values_of,
 )
 from soft_throw_ros.identification.least_squares import FitError
@@ -91,11 +92,10 @@ def add_fit_options(parser: CommandParser) -> None:
     """Add the options that describe a fit; `describe_fit` reads them."""
     add = parser.add_argument
     add(
-        '--fit', metavar='NAME[=HOW]', action='append', default=[],
+        '--fit', metavar='NAME', action='append', default=[],
         help=f'fit this too: one of {", ".join(DEFAULTS)} '
         f'(default: to fit {", ".join(DEFAULT_FREE)}, and parameters that are known with an '
-        f'error). HOW is {TREATMENTS.replace("%", "%%")}, as in '
-        "'projectile.mass=0.0012 +- 1 %%', or shorter '--mass 0.0012+-1%%'. May be repeated",
+        "error, as in '--mass 0.0012+-1%%'); may be repeated",
     )
     add(
         '--hold', metavar='NAME', action='append', default=[],
@@ -107,9 +107,9 @@ def add_fit_options(parser: CommandParser) -> None:
     )
     add(
         '--fit-file', metavar='FILE',
-        help='YAML file of the fit: `parameters` (NAME: HOW), `heights`, `reference`, and '
-        '`throws` (names of files or throws, or patterns, to parameters and names of `layer` and '
-        '`projectile` that differ there)',
+        help='YAML file of the fit: `free`, `per_throw` (names), `fixed` (NAME: VALUE), `prior` '
+        '(NAME: [VALUE, ERROR]), `heights`, `reference`, and `throws` (names of files or throws, '
+        'or patterns, to such items and names of `layer` and `projectile` that differ there)',
     )
 
 
@@ -121,31 +121,29 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
         description = description.change(dict.fromkeys(_OF_TWO_SENSORS, FIXED))
     if arguments.fit_file:
         description = FitDescription.from_file(arguments.fit_file, description)
-    fitted = {}
-    for text in arguments.fit:
-        name, _, treatment = text.partition('=')
-        fitted[name.strip()] = treatment or 'free'
-    both = sorted(set(fitted) & set(arguments.hold))
+    both = sorted(set(arguments.fit) & set(arguments.hold))
     if both:
         raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
-    options = {option_of(name).removeprefix('--'): {name: text} for name, text in known.items()}
-    options |= {'fit': fitted, 'hold': dict.fromkeys(arguments.hold, 'held')}
-    for option, changes in options.items():
+    for option, treatment in (('fit', FREE), ('hold', FIXED)):
         try:
-            description = description.change(parse_treatments(changes))
+            names = vars(arguments)[option]
+            description = description.change(dict.fromkeys(names, treatment))
         except ValueError as error:
             raise ValueError(f'argument --{option}: {error}') from None
-    return description
+    return description.change(known)
 
 
-def _split_known(arguments: argparse.Namespace) -> dict[str, str]:
+def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
     """Split the errors off options of the rig, as in `--mass 0.0012+-1%`."""
     known = {}
     for name in PARAMETERS:
         value, sign, error = str(getattr(arguments, name, '')).partition('+-')
         if sign:
             setattr(arguments, name, value)
-            known[name] = f'+- {error}'
+            try:
+                known[name] = parse_error(error, value)
+            except ValueError as refusal:
+                raise ValueError(f'argument {option_of(name)}: {refusal}') from None
     return known
 
 

@@ -25,7 +25,6 @@ from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.fit_warnings import (
     Ambiguity,
     Contradiction,
-    CorrelatedResiduals,
     fit_warnings,
     FitWarning,
     InseparablePair,
@@ -33,7 +32,6 @@ from soft_throw_ros.identification.fit_warnings import (
     NotConverged,
 )
 from soft_throw_ros.identification.least_squares import Estimate, Fit
-from soft_throw_ros.identification.parameter_layout import RINGING
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.systematics import FLOORS
 
@@ -227,31 +225,16 @@ def warning_text(warning: FitWarning) -> str:
             return (
                 f'the residuals are {ratio:.2g} times the noise: the model leaves out something '
                 f'that these tracks show, most of {track} from {start:.4g} s to {end:.4g} s; '
-                'errors are larger by as much, and may be too small'
-            )
-        case CorrelatedResiduals(track, others, autocorrelation, inflation):
-            more = f' and {others} more' if others else ''
-            return (
-                f'the residuals of {track}{more} are no white noise (correlation of neighbours '
-                f'{autocorrelation:.2f}): errors are up to '
-                f'{math.sqrt(max(inflation, 1.0)):.2g} times larger'
+                'the errors are larger by as much'
             )
         case NotConverged():
             return 'the solver stopped at its limit before it converged: the values may be wrong'
 
 
 def remark_lines(result: RigFit) -> Iterator[str]:
-    """Yield sentences about added terms and about omissions of a fit."""
-    for term in result.added_terms:
-        if term.name == RINGING:  # a loss has its own row in the table
-            yield (
-                'a plate that rings before the throw explains these throws (chi squared '
-                f'{term.reduced_chi2:.2f} per degree of freedom); without it they are not '
-                f'explained ({term.reduced_chi2_before:.2f}). {term.name}: '
-                f'{", ".join(map(str, term.values))}'
-            )
+    """Yield sentences about omissions of a fit."""
     if not result.is_complete:
-        yield 'the search for effects of the bench is incomplete: the fit takes too long'
+        yield 'the search for a loss and for other minima is incomplete: the fit takes too long'
 
 
 def budget_lines(result: RigFit) -> Iterator[str]:
@@ -329,12 +312,13 @@ def fit_lines(fit: Fit) -> Iterator[str]:
     yield f'{"":{_NAME_WIDTH}} {"samples":>8} {"noise":>10} {"residual":>10} {"neighbours":>11}'
     shown = list(fit.residuals)
     if len(shown) > _MAX_TRACKS:
-        shown = sorted(shown, key=lambda residual: residual.reduced_chi2)[-_MAX_TRACKS:]
+        shown.sort(key=lambda residual: residual.rms / residual.track.noise)
+        shown = shown[-_MAX_TRACKS:]
     for residual in shown:
         name, track = residual.name, residual.track
         short = name if len(name) <= _NAME_WIDTH else f'...{name[3 - _NAME_WIDTH :]}'
         yield (
-            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * residual.rms_noise:7.3g} um '
+            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * track.noise:7.3g} um '
             f'{1e6 * residual.rms:7.3g} um {residual.autocorrelation:11.2f}'
         )
     if len(shown) < len(fit.residuals):
@@ -347,7 +331,7 @@ def fit_lines(fit: Fit) -> Iterator[str]:
             ]
             more = len(residual.outliers) - len(listed)
             yield (
-                f'left out as outliers of {residual.name}: {", ".join(listed)}'
+                f'outliers of {residual.name}: {", ".join(listed)}'
                 + (f' and {more} more' if more else '')
             )
 
@@ -365,10 +349,9 @@ def fit_data(fit: Fit) -> dict[str, object]:
             {
                 'track': residual.name,
                 'samples': residual.track.time.size,
-                'noise': residual.rms_noise,
+                'noise': residual.track.noise,
                 'rms': residual.rms,
                 'autocorrelation': residual.autocorrelation,
-                'whiteness': residual.whiteness,
                 'outliers': residual.outliers,
             }
             for residual in fit.residuals

@@ -22,7 +22,6 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import changed_rig, LAYER, values_of
 from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
 from soft_throw_ros.identification.parameter_layout import OWN, START
-from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import Track
 
@@ -54,7 +53,6 @@ class SearchedThrow(NamedTuple):
     """A throw whose layer is searched."""
 
     rig: Rig
-    motion: PlateWithWaves
     start_time: float
     """[s]"""
     searched: tuple[str, ...]
@@ -99,7 +97,7 @@ def find_layers(model: RigModel) -> list[Rig]:
         throw = throws[number].name
         names = tuple(n for n in free if model.description.treatment(n, throw).value is None)
         begin = model.value(start, START, number)
-        searched[number] = SearchedThrow(*model.motion(start, number), begin, names)
+        searched[number] = SearchedThrow(model.rig_of(start, number), begin, names)
     early = model.cut_after(_SEARCH_PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
@@ -114,7 +112,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
     """Fit `others`, the most likely ones first; return the best fit with near alternatives."""
     if 'layer.wave_speed' not in model.layout:
         return fit
-    starts = [model.without_faults(fit.values)] if fit.is_mismatch else []
+    starts = []
     for rig in others:
         start = fit.values.copy()
         for name, value in values_of(rig, LAYER).items():
@@ -124,7 +122,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
     fits = [fit]
     for start in starts[:_MAX_STARTS]:
         with contextlib.suppress(FitError):
-            fits.append(model.fit(start, noise=fit.noise, max_evaluations=_MAX_EVALUATIONS))
+            fits.append(model.fit(start, max_evaluations=_MAX_EVALUATIONS))
     best, *others_found = sorted(fits, key=attrgetter('chi2'))
     minima = [best]
     for other in others_found:
@@ -133,7 +131,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
             minima.append(other)
     alternatives = [Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]]
     if best is not fit:
-        best = model.fit(best.values)  # with its own noise
+        best = model.fit(best.values)
     return best.spanning(alternatives)
 
 
@@ -168,13 +166,12 @@ def _refine(
 ) -> list[LayerCandidate]:
     """Fit the layer alone from each candidate; leave out those that no model can follow."""
     loss = {'layer.loss_tangent': _INITIAL_LOSS} if 'layer.loss_tangent' in free else {}
-    noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
     refined = []
     for candidate in candidates:
         trial = replace(model, rig=changed_rig(candidate.rig, loss))
         with contextlib.suppress(FitError):
             fit = trial.fit(
-                trial.start(), noise=noise, only=(*free, *OWN), max_evaluations=_MAX_EVALUATIONS
+                trial.start(), only=(*free, *OWN), max_evaluations=_MAX_EVALUATIONS
             )
             refined.append(LayerCandidate(fit.chi2, trial.rig_of(trial.start(fit))))
     return refined
@@ -213,7 +210,7 @@ def _mismatch(model: RigModel, searched: Mapping[int, SearchedThrow], rig: Rig) 
         time, height = track.time[some] - throw.start_time, track.position[some]
         changed = changed_rig(throw.rig, values_of(rig, throw.searched))
         try:
-            path = model.simulator.follow(changed, time, motion=throw.motion)
+            path = model.simulator.follow(changed, time)
         except FitError:
             return math.inf
         total += time.size * float(np.var(height - path.position)) / track.noise**2

@@ -15,7 +15,7 @@ initial guess.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from operator import itemgetter
 
@@ -39,7 +39,6 @@ _SAMPLES_PER_PERIOD = 5.0  # samples per period of the highest frequency of the 
 _PERIODS_SEEN = 0.25  # periods of the lowest frequency of the table in the record
 _MAX_MISMATCH = 0.08  # largest residual of a plate, over the amplitude (rms)
 _BLOCK = 2**18  # numbers per block of the table, to limit memory
-_STEP = 1e-5  # step of derivatives, relative to the scale of each value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,21 +78,25 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
     fixed = () if offset is None else (offset,)
     start = _start(track.without_spikes())[:free]
     frequency, amplitude = start[0], max(start[2], 1e-12)
-    steps = np.array([frequency, 0.1, amplitude, 1.0 / frequency, amplitude])[:free]
-    model = FitModel.with_steps(
-        NAMES[:free],
-        lambda values: _position(np.append(values, fixed), track.time),
-        np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free],
-        np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free],
-        _STEP * steps,
+    units = np.array([frequency, 1.0, amplitude, 1.0 / frequency, amplitude])[:free]
+    low = np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free]
+    high = np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free]
+    model = FitModel(  # of the deviations from the start, which are of order 1 in these units
+        names=NAMES[:free],
+        predict=lambda steps: _position(np.append(start + units * steps, fixed), track.time),
+        low=(low - start) / units,
+        high=(high - start) / units,
     )
-    best = fit_tracks(model, start, [('plate', track)], max_evaluations=200)
+    best = fit_tracks(model, np.zeros(free), [('plate', track)], max_evaluations=200)
+    covariance = best.covariance * np.outer(units, units)
+    best = replace(best, values=start + units * best.values, covariance=covariance)
     if best.values[2] < 3.0 * best.errors[2] or best.values[2] <= 0.0:
         raise FitError(
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
-    residual = best.residuals[0].rms
+    usual = track.without_spikes()
+    residual = float(np.std(usual.position - _position(np.append(best.values, fixed), usual.time)))
     if residual > max(_MAX_MISMATCH * best.values[2], 5.0 * track.noise):
         raise FitError(
             f'the plate does not move as a damped step: the best of {best.values[2]:.2g} m leaves '

@@ -31,13 +31,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
+    FREE,
     LAYER,
+    LOSS,
     PARAMETERS,
     values_of,
 )
@@ -49,10 +49,8 @@ from soft_throw_ros.identification.forward import (
 )
 from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.model_choice import add_terms, AddedTerm
-from soft_throw_ros.identification.parameter_layout import RINGING_AMPLITUDES, START
+from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.systematics import FLOORS, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
@@ -61,7 +59,8 @@ Floats = NDArray[np.float64]
 
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
-_LAST_RELEASE = 3.0  # time until which a projectile is released [periods of the plate]
+_INITIAL_LOSS = 0.05  # initial loss tangent of a fit with loss
+_MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
 _MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 _SECONDS_PER_THROW = 60.0
@@ -79,10 +78,8 @@ class RigFit:
     at rest `plate_offset` and `projectile_offset`. The name of a parameter that only some throws
     share ends with the number of its first throw in brackets, from 1.
     """
-    added_terms: tuple[AddedTerm, ...] = ()
-    """Terms that the tracks need besides the requested ones."""
     is_complete: bool = True
-    """Whether all terms were tried within the time of the fit."""
+    """Whether other minima and a loss were tried within the time of the fit."""
 
     @cached_property
     def rig(self) -> Rig:
@@ -159,47 +156,15 @@ class RigFit:
         """
         Compute the release of the fitted rig, and of rigs drawn from the errors of the fit.
 
-        The first release is that of the fitted rig. Ringing of the plate shifts each release, to
-        first order in its amplitudes.
+        The first release is that of the fitted rig.
         """
-        fit, model = self.fit, self.model
+        fit = self.fit
         steps = draw_normal(np.random.default_rng(seed), fit.covariance, count)
-        steps = np.vstack([np.zeros(fit.values.size), steps])
-        shift = release_shift(model, fit.values)
-        shifts = np.tile(shift, (len(steps), 1))
-        for name in RINGING_AMPLITUDES:
-            index = model.layout.indices.get(name, {}).get(0)
-            if index is not None:
-                moved = fit.values.copy()
-                moved[index] += fit.errors[index]
-                slope = (release_shift(model, moved) - shift) / fit.errors[index]
-                shifts += np.outer(steps[:, index], slope)
-        rigs, kept = [], []
-        for row, values in enumerate(fit.values + steps):
+        rigs = []
+        for values in fit.values + np.vstack([np.zeros(fit.values.size), steps]):
             with contextlib.suppress(ValueError):
-                rigs.append(model.rig_of(values))
-                kept.append(row)
-        result = first_releases(rigs)
-        time, speed = shifts[kept].T
-        return result._replace(time=result.time + time, speed=result.speed + speed)
-
-
-def release_shift(model: RigModel, values: Floats) -> Floats:
-    """Return the effect of ringing on time [s] and speed [m/s] of the release, first throw."""
-    rig, motion = model.motion(values, 0)
-    plain = next(iter(ejections(_events(model, rig, PlateWithWaves(motion.step)))), None)
-    if plain is None or not any(motion.ringing):
-        return np.zeros(2)
-    # A ringing plate may release the projectile briefly, long before the throw
-    releases = [event for event in _events(model, rig, motion) if event.kind == 'release']
-    near = min(releases, key=lambda event: abs(event.time - plain.time), default=plain)
-    return np.array([near.time - plain.time, near.velocity - plain.velocity])
-
-
-def _events(model: RigModel, rig: Rig, motion: PlateWithWaves) -> tuple[Event, ...]:
-    """Return the events of the first few periods of the plate."""
-    end = np.array([_LAST_RELEASE / rig.engine.frequency])
-    return model.simulator.follow(rig, end, motion=motion, by_cells=model.by_cells).events
+                rigs.append(self.model.rig_of(values))
+        return first_releases(rigs)
 
 
 def draw_normal(rng: np.random.Generator, covariance: Floats, count: int) -> Floats:
@@ -249,13 +214,13 @@ def fit_rig(
     simulator = ThrowSimulator(seconds)
     try:
         on_progress('fitting the plate')
-        model, terms = _fit_plates(throws, rig, description, simulator)
+        model = _fit_plates(throws, rig, description, simulator)
         others: list[Rig] = []
         if free:
             on_progress('searching the layers')
             model, others = _find_layers(model, free)
         on_progress('fitting')
-        result = replace(_fit_until_landing(model), added_terms=tuple(terms))
+        result = _fit_until_landing(model)
     except DeadlineExceeded:
         raise FitError(
             f'the fit takes more than {seconds:g} s; leave out late samples of the tracks, or fit '
@@ -264,10 +229,8 @@ def fit_rig(
     try:
         on_progress('searching for other minima')
         result = replace(result, fit=find_best_minimum(result.model, result.fit, others))
-        on_progress('searching for a loss and effects of the bench')
-        model, fit, terms = add_terms(result.model, result.fit)
-        added = (*result.added_terms, *terms)
-        result = replace(result, model=model, fit=fit, added_terms=added)
+        on_progress('searching for a loss')
+        result = _with_loss(result)
     except DeadlineExceeded:
         result = replace(result, is_complete=False)
     return replace(result, model=replace(result.model, simulator=ThrowSimulator()))
@@ -278,20 +241,12 @@ def _fit_plates(
     rig: Rig,
     description: FitDescription,
     simulator: ThrowSimulator,
-) -> tuple[RigModel, list[AddedTerm]]:
-    """Fit the plates alone, with their ringing, which no layer changes; return the whole model."""
-    throws = _with_like_noise(throws)
+) -> RigModel:
+    """Fit the plates alone, which no layer changes; return the model of all bodies."""
+    throws = tuple(_with_noise(throws))
     plates = tuple(_fit_plate(throw, description) for throw in throws)
     rig = _with_engine_of(plates, description.prepare(rig), description)
-    alone = RigModel(
-        tuple(replace(throw, projectile=None) for throw in throws),
-        rig, description, simulator, plates,
-    )
-    alone, fit, terms = add_terms(alone, alone.fit(alone.start()))
-    model = RigModel(
-        tuple(throws), rig, alone.description, simulator, plates, initial=fit.by_name
-    )
-    return model, terms
+    return RigModel(throws, rig, description, simulator, plates)
 
 
 def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[Rig]]:
@@ -317,9 +272,9 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
     return replace(model, initial=initial), []
 
 
-def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
+def _with_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     """
-    Raise estimates of the noise that are far below the others or below the error of the models.
+    Return tracks whose noise is known, none far below the others or the error of the models.
 
     One camera measures both bodies. A very small estimate shows only a smooth motion, and this
     track would dominate the fit.
@@ -331,7 +286,7 @@ def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     )
 
     def with_noise(track: Track) -> Track:
-        return replace(track, least_noise=max(track.least_noise, least))
+        return replace(track, known_noise=track.known_noise or max(track.noise, least))
 
     return [throw.apply(with_noise) for throw in throws]
 
@@ -366,6 +321,32 @@ def _fit_until_landing(model: RigModel) -> RigFit:
             break
         result = RigFit(model=cut, fit=cut.fit(cut.start()))
     return result
+
+
+def _with_loss(result: RigFit) -> RigFit:
+    r"""
+    Return a fit with a loss if it lowers the Bayesian information criterion strongly.
+
+    The criterion is :math:`\chi^2 + k \ln n` for k parameters and n samples; differences beyond
+    6 count as strong (R. E. Kass and A. E. Raftery, J. Am. Stat. Assoc. 90, 773, 1995).
+    """
+    before = result.fit
+    if not result.model.description.searches_loss or not result.model.projectiles:
+        return result
+    description = result.model.description.change({LOSS: FREE})
+    model = replace(result.model, description=description)
+    start = model.start(before)
+    for index, known in model.known.items():
+        start[index] = known.value  # the priors have absorbed what the loss explains
+    start[model.layout.indices_of(LOSS)] = _INITIAL_LOSS
+    try:
+        fit = model.fit(start)
+    except FitError:
+        return result
+    gain = (before.chi2 - fit.chi2) / max(1.0, fit.reduced_chi2)
+    added = fit.values.size - before.values.size
+    is_needed = gain - added * math.log(before.dof + before.values.size) > _MIN_GAIN
+    return replace(result, model=model, fit=fit) if is_needed else result
 
 
 def _in_flight(model: RigModel) -> RigModel:

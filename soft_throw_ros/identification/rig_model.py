@@ -35,12 +35,9 @@ from soft_throw_ros.identification.parameter_layout import (
     ParameterLayout,
     PLATE_ZERO,
     PROJECTILE_ZERO,
-    RINGING,
-    RINGING_AMPLITUDES,
     START,
 )
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
-from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
@@ -67,7 +64,6 @@ _STEPS = {  # absolute
     'layer.stiffening': 2e-2,
     **dict.fromkeys((PLATE_ZERO, PROJECTILE_ZERO), 1e-5),
     **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
-    **dict.fromkeys(RINGING_AMPLITUDES, 1e-3),
 }
 _MAX_ERROR = 1e30
 """Error in SI units beyond which a parameter is not seen at all."""
@@ -163,8 +159,7 @@ class RigModel:
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
         result: dict[int, Estimate | None] = {}
-        for index, ((value_name, _), (throw, *_)) in enumerate(self.layout.groups.items()):
-            name = RINGING if value_name in RINGING_AMPLITUDES else value_name
+        for index, ((name, _), (throw, *_)) in enumerate(self.layout.groups.items()):
             if name in DEFAULTS:
                 result[index] = self.description.known(
                     name, self.rigs[throw], self.throws[throw].name
@@ -229,17 +224,18 @@ class RigModel:
         if requests is None:
             requests = [(throw, body, track.time) for throw, body, track in self.series]
         result = []
-        motions = {throw: self.motion(values, throw) for throw in {item[0] for item in requests}}
+        rigs = {throw: self.rig_of(values, throw) for throw in {item[0] for item in requests}}
         for throw, body, time in requests:
-            rig, motion = motions[throw]
+            rig = rigs[throw]
             since = self.since(values, throw, body, time)
             if body == 'plate':
                 rest, scale = self.value(values, PLATE_ZERO, throw), 1.0
+                motion = Underdamped.of(rig.engine)
                 travel, velocity = motion.position(since), motion.velocity(since)
             else:
                 rest = self._projectile_rest(values, throw, rig)
                 scale = self.value(values, 'projectile.scale', throw)
-                path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
+                path = self.simulator.follow(rig, since, by_cells=self.by_cells)
                 travel, velocity = path.position - rig.rest_height, path.velocity
             height = rest + scale * travel + self.drift(values, throw, body, time)
             result.append(Trajectory(height, scale * velocity))
@@ -251,12 +247,6 @@ class RigModel:
         if body == 'projectile':
             since = since - self.value(values, 'projectile.delay', throw)
         return since
-
-    def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithWaves]:
-        """Return the rig of a throw, and the motion of its plate."""
-        rig = self.rig_of(values, throw)
-        cosine, sine = (self.value(values, name, throw) for name in RINGING_AMPLITUDES)
-        return rig, PlateWithWaves(Underdamped.of(rig.engine), (cosine, sine))
 
     def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Height that drift adds, none at the middle of a record [m]."""
@@ -332,19 +322,10 @@ class RigModel:
             values[index] = fitted.get(name, values[index])
         return values
 
-    def without_faults(self, values: Floats) -> Floats:
-        """Return the values with all priors at their means, except those of the plate."""
-        start: Floats = values.copy()
-        for index, known in self.known.items():
-            if not self.layout.names[index].startswith('plate'):  # as the plates alone have it
-                start[index] = known.value
-        return start
-
     def fit(
         self,
         start: Floats,
         *,
-        noise: Floats | None = None,
         max_evaluations: int = _MAX_EVALUATIONS,
         only: Sequence[str] | None = None,
     ) -> Fit:
@@ -370,7 +351,6 @@ class RigModel:
             model,
             start[free],
             self.tracks(),
-            noise=noise,
             max_evaluations=max_evaluations,
         )
         unseen = np.flatnonzero(~(result.errors < _MAX_ERROR))

@@ -328,7 +328,6 @@ def tracks_of(
         tracks[name] = Track(
             time=seen / rate,
             position=scale * (zero - row),
-            least_noise=scale * math.hypot(*(spot.error for spot in some)) / len(some),
         )
     return tracks
 
