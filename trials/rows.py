@@ -107,7 +107,7 @@ _HOLD = tuple(
     if treatment == FIXED
     for word in ('--hold', name)
 )
-_FIT_LOSS = ('--fit', 'layer.loss_tangent')
+_FIT_LOSS = ('-p', 'layer.loss_tangent:=0.05+-0.5')
 _RINGING, _SECOND_MODE = Imperfections(ringing=0.02), Imperfections(second_mode=0.01)
 _STICKING = Imperfections(sticking=2e-4)
 _SLOW = RigRange(amplitude=(0.1e-3, 0.3e-3), frequency=(20.0, 45.0))

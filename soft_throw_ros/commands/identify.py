@@ -37,12 +37,9 @@ from soft_throw_ros.commands.output import CommandParser, print_note, run_comman
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.identification.ejection import answer_of, ejection_of
 from soft_throw_ros.identification.fit_description import (
-    DEFAULT_FREE,
-    DEFAULTS,
     ENGINE,
     FitDescription,
     FIXED,
-    FREE,
     PARAMETERS,
     parse_error,
     Treatment,
@@ -92,14 +89,8 @@ def add_fit_options(parser: CommandParser) -> None:
     """Add the options that describe a fit; `describe_fit` reads them."""
     add = parser.add_argument
     add(
-        '--fit', metavar='NAME', action='append', default=[],
-        help=f'fit this too: one of {", ".join(DEFAULTS)} '
-        f'(default: to fit {", ".join(DEFAULT_FREE)}, and parameters that are known with an '
-        "error, as in '--mass 0.0012+-1%%'); may be repeated",
-    )
-    add(
         '--hold', metavar='NAME', action='append', default=[],
-        help='do not fit this, it is known; may be repeated',
+        help='do not fit this parameter, which is known; may be repeated',
     )
     add(
         '--one-camera', action='store_true',
@@ -121,15 +112,10 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
         description = description.change(dict.fromkeys(_OF_TWO_SENSORS, FIXED))
     if arguments.fit_file:
         description = FitDescription.from_file(arguments.fit_file, description)
-    both = sorted(set(arguments.fit) & set(arguments.hold))
-    if both:
-        raise ValueError(f'argument --hold: {both[0]} cannot be both fitted and held')
-    for option, treatment in (('fit', FREE), ('hold', FIXED)):
-        try:
-            names = vars(arguments)[option]
-            description = description.change(dict.fromkeys(names, treatment))
-        except ValueError as error:
-            raise ValueError(f'argument --{option}: {error}') from None
+    try:
+        description = description.change(dict.fromkeys(arguments.hold, FIXED))
+    except ValueError as error:
+        raise ValueError(f'argument --hold: {error}') from None
     return description.change(known)
 
 
@@ -139,7 +125,7 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
     for name in PARAMETERS:
         value, sign, error = str(getattr(arguments, name, '')).partition('+-')
         if sign:
-            setattr(arguments, name, value)
+            setattr(arguments, name, value.strip())
             try:
                 known[name] = parse_error(error, value)
             except ValueError as refusal:

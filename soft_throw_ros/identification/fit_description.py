@@ -15,7 +15,7 @@ from fnmatch import fnmatchcase
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import cast, Literal, NamedTuple
+from typing import Any, cast, Literal, NamedTuple
 
 from soft_throw_ros.configuration import located_yaml
 from soft_throw_ros.configuration.located_yaml import Located
@@ -330,10 +330,8 @@ def _read_treatments(
             for name, value in _items(item):
                 with _located(value):
                     check_name(name)
-                    treatments[name] = (
-                        Treatment(False, *_numbers(value.value, 1)) if key == 'fixed'
-                        else Treatment(True, *_numbers(value.value, 2))
-                    )
+                    number, error = _numbers(value.value, has_error=key == 'prior')
+                    treatments[name] = Treatment(key == 'prior', number, error)
         else:
             others.append((key, item))
     for name, item in own:
@@ -354,16 +352,16 @@ def _names(node: Located) -> list[str]:
     return node.value
 
 
-def _numbers(value: object, count: int) -> list[float]:
-    """Return a number, or a value and its error."""
+def _numbers(value: Any, *, has_error: bool) -> tuple[float, float | None]:
+    """Return a value and its error, which is None if there must be none."""
     numbers = value if isinstance(value, list) else [value]
-    is_valid = len(numbers) == count and all(
+    is_valid = len(numbers) == 1 + has_error and all(
         isinstance(number, (int, float)) and math.isfinite(number) for number in numbers
     )
-    if not is_valid or (count == 2 and numbers[1] <= 0.0):
-        rule = 'a finite number' if count == 1 else '[VALUE, ERROR] with an error above 0'
+    if not is_valid or (has_error and numbers[1] <= 0.0):
+        rule = '[VALUE, ERROR] with an error above 0' if has_error else 'a finite number'
         raise ValueError(f'must be {rule}, got {value!r}')
-    return numbers
+    return numbers[0], numbers[1] if has_error else None
 
 
 def check_name(name: str) -> None:
