@@ -170,7 +170,7 @@ def _record_plainly(folder: str) -> None:
     """Write every message of the twin in the callback that receives it, until Ctrl-C."""
     from mcap.writer import Writer
     import rclpy
-    from soft_throw_ros.configuration.interface import ALL_TWIN_TOPICS
+    from soft_throw_ros.configuration.interface import TWIN_TOPICS
 
     rclpy.init(args=[])
     node = rclpy.create_node('plain')
@@ -191,7 +191,7 @@ def _record_plainly(folder: str) -> None:
             kind = getattr(importlib.import_module(f'{package}.msg'), name)
             node.create_subscription(kind, topic.name, on_message, topic.depth, raw=True)
 
-        for topic in ALL_TWIN_TOPICS:
+        for topic in TWIN_TOPICS:
             if not topic.is_input:
                 record(topic.at('/twin'))
         try:

@@ -9,15 +9,17 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from soft_throw_ros.configuration.interface import (
-    ALL_TWIN_TOPICS,
+    ARRAY,
     JOINT_STATE,
-    NUMBER,
     resolve,
+    TWIN_TOPICS,
 )
+from soft_throw_ros.configuration.result_keys import RESULT_KEYS
 import yaml
 
 CONFIG = Path(__file__).parents[1] / 'config'
-TOPICS = {resolve(topic.name, '/twin'): topic for topic in ALL_TWIN_TOPICS}
+KEYS = {key.name for key in RESULT_KEYS}
+TOPICS = {resolve(topic.name, '/twin'): topic for topic in TWIN_TOPICS}
 
 
 def foxglove_paths():
@@ -33,25 +35,30 @@ def plotjuggler_curves():
 
 def test_foxglove_plots_topics_of_the_twin():
     for path in foxglove_paths():
-        name, field, index = re.fullmatch(r'([\w/]+)\.(\w+)(?:\[(\d+)\])?', path).groups()
+        name, rest = re.fullmatch(r'([\w/]+)\.(.*)', path).groups()
         topic = TOPICS[name]
         if topic.type == JOINT_STATE:
+            field, index = re.fullmatch(r'(\w+)\[(\d+)\]', rest).groups()
             assert field in topic.quantities
             assert int(index) < len(topic.joints)
         else:
-            assert (topic.type, field, index) == (NUMBER, 'data', None)
+            assert topic.type == ARRAY
+            (key,) = re.fullmatch(r'status\[0\]\.values\[:\]{key=="(\w+)"}\.value', rest).groups()
+            assert key in KEYS
 
 
 def test_plotjuggler_plots_topics_of_the_twin():
     for curve in plotjuggler_curves():
         name = max((name for name in TOPICS if curve.startswith(f'{name}/')), key=len)
-        topic, fields = TOPICS[name], curve.removeprefix(f'{name}/').split('/')
+        topic, rest = TOPICS[name], curve.removeprefix(f'{name}/')
         if topic.type == JOINT_STATE:
-            joint, quantity = fields
+            joint, quantity = rest.split('/')
             assert joint in topic.joints
             assert quantity in topic.quantities
-        else:
-            assert (topic.type, fields) == (NUMBER, ['data'])
+        else:  # hardware_id, name and key
+            assert topic.type == ARRAY
+            (key,) = re.fullmatch(r'/twin//twin: (?:throw|recommendation)/(\w+)', rest).groups()
+            assert key in KEYS
 
 
 @pytest.mark.parametrize('node', ['twin', 'recorder'])

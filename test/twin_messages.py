@@ -13,15 +13,14 @@ import warnings
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 from soft_throw_ros.configuration.interface import (
-    ALL_TWIN_TOPICS,
     FRAME,
     JOINTS,
     LAYER_JOINTS,
-    throw_numbers,
     TWIN_TOPICS,
 )
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.nodes.conversions import (
+    cloud_to_msg,
     status_to_msg,
     statuses_to_msg,
     throw_result_to_msg,
@@ -30,11 +29,11 @@ from soft_throw_ros.nodes.conversions import (
 from soft_throw_ros.nodes.recommendations import recommend_for, uncertainty_values
 from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.recording.schemas import find_schema
-from soft_throw_ros.storage.cdr import encode_array, JointStateEncoder
+from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Channel, Message
 from soft_throw_ros.twin.results import Outputs, Phase
 from soft_throw_ros.twin.sample_buffer import Sample
-from std_msgs.msg import Float64, String
+from std_msgs.msg import String
 from twin_runs import named, Run
 
 with warnings.catch_warnings():
@@ -61,7 +60,7 @@ class TwinMessages(Run):
         self._counts: Counter[str] = Counter()  # number of messages by topic
         self.channels = {
             topic.relative_name: self._channel(topic.at(node).name, topic.type)
-            for topic in ALL_TWIN_TOPICS
+            for topic in TWIN_TOPICS
         }
         self.channels['rosout'] = self._channel('/rosout', 'rcl_interfaces/msg/Log')
         self._encode_state = JointStateEncoder(FRAME, JOINTS).encode
@@ -134,19 +133,17 @@ class TwinMessages(Run):
             self._send('phase_change', data, 4)
             self._send('phase', serialize_message(String(data=phase.value)), 4)
         if outputs.throw_field is not None:
-            for name, values in (
-                ('throw_field', outputs.throw_field.strain),
-                ('throw_energies', outputs.throw_field.energies),
+            field = outputs.throw_field
+            for name, points in (
+                ('throw_field', field.points), ('throw_energies', field.energies)
             ):
-                axes = getattr(TWIN_TOPICS, name).axes
-                self._send(name, encode_array(axes, values), 5)
+                message = cloud_to_msg(field.start_ns, getattr(TWIN_TOPICS, name).axes, points)
+                self._send(name, serialize_message(message), 5)
         for result in outputs.results:
             beside = uncertainty_values(result.rig, self.settings)
             status = throw_result_to_msg(result, self.node, beside)
-            self._send('throw_result', serialize_message(statuses_to_msg(self.now, [status])), 6)
-            values = {**result.values(), **beside} if result.is_valid else {}
-            for topic, number in throw_numbers(result.stage, values):
-                self._send(topic.relative_name, serialize_message(Float64(data=number)), 8)
+            array = statuses_to_msg(result.stamp(self.now), [status])
+            self._send('throw_result', serialize_message(array), 6)
             line = Log(stamp=time_to_msg(self.now), level=20, name='twin', msg=throw_text(result))
             self._send('rosout', serialize_message(line), 7)
 

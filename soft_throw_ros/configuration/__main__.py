@@ -14,6 +14,7 @@ from pathlib import Path
 from soft_throw_ros.configuration import interface
 from soft_throw_ros.configuration.files import render
 from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
+from soft_throw_ros.configuration.result_keys import RESULT_KEYS
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.configuration.table import Entry, Table, value_text
 from soft_throw_ros.configuration.twin import TWIN
@@ -46,8 +47,9 @@ def _parameters_page() -> Iterator[str]:
     yield f'SI units. Written from the tables by `{_COMMAND}`.\n'
     yield (
         'A number may also be given as text, because tools that read YAML 1.1 treat `5e-06` as '
-        'text. A request\nto set a result is accepted without effect, so that `ros2 param load` '
-        'accepts the output of\n`ros2 param dump`. The values in one request must not contradict '
+        'text. A request\nto change a read-only parameter is refused; `ros2 param load` of an '
+        'older `ros2 param dump`\nthen reports the results of that time, and sets all other '
+        'parameters. The values in one request must not contradict '
         'each other; every single\nchange within its range is accepted, if the rig can be '
         'computed in time and a controller can\nplay a commanded motion.\n'
     )
@@ -80,32 +82,29 @@ def _topics_page() -> Iterator[str]:
         yield f'## {node}\n'
         yield from _markdown(
             ('topic', 'type', 'content', 'joints or axes', 'QoS'),
-            (_topic_row(topic) for topic in topics if topic.type != interface.NUMBER),
+            map(_topic_row, topics),
         )
         if node == 'twin':
-            yield from _numbers()
+            yield from _keys()
         if services:
             rows = ((f'`{item.name}`', _short(item.type), item.meaning) for item in services)
             yield from _markdown(('service', 'type', 'effect'), rows)
 
 
-def _numbers() -> Iterator[str]:
-    """Yield the tables of the numbers of results, whose topics have the same type."""
+def _keys() -> Iterator[str]:
+    """Yield the table of the keys of results."""
     yield (
-        'Numbers of results are also topics of type std_msgs/Float64 for plots: reliable,\n'
-        'transient local, keep last 1. The parameters of the rig, and all numbers of a throw\n'
-        'that could not be followed, are only in the messages.\n'
+        'Keys of `~/throw_result`. A throw gives a message at its first release and one at its\n'
+        'end; a value that is unknown or was not measured has no key. The rig follows by the\n'
+        'names of its parameters.\n'
     )
-    yield from _markdown(('number of `~/throw_result`', 'meaning', 'published'), (
-        (f'`{topic.name}`', topic.meaning, _STAGES[number.stage])
-        for number, topic in interface.THROW_TOPICS
-    ))
-    yield from _markdown(('number of `~/recommendation`', 'meaning, NaN if there is none'), (
-        (f'`{topic.name}`', topic.meaning) for _, topic in interface.RECOMMENDED_TOPICS
-    ))
-
-
-_STAGES = {'release': 'at the first release', 'final': 'at the end of the throw'}
+    yield from _markdown(
+        ('key', 'meaning'),
+        (
+            (f'`{name}`', meaning + f' [{unit}]' * bool(unit))
+            for name, meaning, unit in RESULT_KEYS
+        ),
+    )
 
 
 def _topic_row(topic: interface.Topic) -> tuple[str, ...]:

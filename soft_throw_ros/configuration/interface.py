@@ -4,33 +4,27 @@
 Table of all topics and services; nodes, recording and docs/topics.md read it.
 
 A new topic of the twin is one row of `TwinTopics` and the line in the node that fills the message.
-A new number of a result is one row of `interface_numbers`. The publisher, the decoding of recorded
-messages and docs/topics.md follow from the row. The module does not need ROS; `nodes.topics`
-creates publishers and subscriptions from the rows.
+The publisher, the decoding of recorded messages and docs/topics.md follow from the row. The module
+does not need ROS; `nodes.topics` creates publishers and subscriptions from the rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from soft_throw_ros.configuration.interface_numbers import (
-    Number,
-    RECOMMENDED_NUMBERS,
-    THROW_NUMBERS,
-)
-
 FRAME = 'rig'
-"""Frame of all messages with a header: z points up from the plate's rest position."""
+"""Frame of all messages with a header, below the namespace of the node: z points up from the
+plate's rest position."""
 
 JOINTS = ('plate', 'projectile')
-"""Joints of the rig."""
+"""Joints of the rig, by their default names; `joint_names.*` of a node replaces them."""
 
 FIELD_POINTS = 64
 """Number of published points of the layer, evenly spaced from plate to top."""
 
-ENERGIES = ('time', 'plate_work', 'projectile', 'layer', 'total')
+ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')
 """Columns of `~/throw_energies`."""
 
 LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
@@ -38,7 +32,7 @@ LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
 
 ARRAY = 'diagnostic_msgs/msg/DiagnosticArray'
 JOINT_STATE = 'sensor_msgs/msg/JointState'
-MULTI_ARRAY = 'std_msgs/msg/Float64MultiArray'
+CLOUD = 'sensor_msgs/msg/PointCloud2'
 NUMBER = 'std_msgs/msg/Float64'
 TEXT = 'std_msgs/msg/String'
 TRAJECTORY = 'trajectory_msgs/msg/JointTrajectory'
@@ -84,7 +78,7 @@ class Topic:
     quantities: tuple[str, ...] = ('position', 'velocity', 'effort')
     """Filled arrays of a JointState."""
     axes: tuple[str, ...] = ()
-    """Labels of the dimensions of an array."""
+    """Fields of the points of a cloud."""
     is_input: bool = False
     """Whether the node subscribes to the topic; otherwise it publishes."""
 
@@ -126,28 +120,39 @@ class TwinTopics(NamedTuple):
         'each of them, positive in compression, at `rate.field`',
         depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
-        '~/throw_field', MULTI_ARRAY,
-        'Strain of the layer over time and height, from start to after release, once per throw',
-        is_latched=True, axes=('t', 'y'))
+        '~/throw_field', CLOUD,
+        'Strain of the layer over time t since the stamp [s] (rows) and height y in the layer at '
+        'rest [m] (columns, from plate to top), from start to after release, once per throw, with '
+        'the start as stamp',
+        is_latched=True, axes=('t', 'y', 'strain'))
     throw_energies: Topic = Topic(
-        '~/throw_energies', MULTI_ARRAY,
-        'Time since the start [s], work of the plate, and energy of projectile, layer and both '
-        'relative to rest [J], up to the first release, once per throw',
-        is_latched=True, axes=('t', 'energy'))
+        '~/throw_energies', CLOUD,
+        'Time t since the stamp [s], work of the plate, and energy of projectile, layer and both '
+        'relative to rest [J], up to the first release, once per throw, with the start as stamp',
+        is_latched=True, axes=ENERGIES)
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
-        depth=_SEVERAL, is_latched=True)
+        is_latched=True)
     phase_change: Topic = Topic(
         '~/phase_change', JOINT_STATE,
         'Phase as a number, with the time of the change as stamp: 0 `rest`, 1 `contact`, '
         '2 `flight`, 3 `landed`, 4 `returning`',
-        depth=_SEVERAL, is_latched=True, joints=('phase',), quantities=('position',))
+        is_latched=True, joints=('phase',), quantities=('position',))
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
-        'Result of a throw, at its first release and at its end; with a measured plate also the '
-        'prediction with its errors, first within measured.prediction_error and again when it is '
-        'certain',
-        depth=_SEVERAL, is_latched=True)
+        'Result of a throw, at its first release and at its end, with the time of the event as '
+        'stamp; with a measured plate also the prediction with its errors, first within '
+        'measured.prediction_error and again when it is certain',
+        depth=2, is_latched=True)
+    ejection_time: Topic = Topic(
+        '~/throw/ejection_time', NUMBER,
+        'Time from the start of the last throw to its first release [s]; nan without a release',
+        is_latched=True)
+    ejection_speed: Topic = Topic(
+        '~/throw/ejection_speed', NUMBER, 'Speed at this release [m/s]', is_latched=True)
+    energy_transfer: Topic = Topic(
+        '~/throw/energy_transfer', NUMBER, 'Energy transfer factor alpha of this release',
+        is_latched=True)
     recommendation: Topic = Topic(
         '~/recommendation', ARRAY, 'Best layer for the rig, after every change',
         is_latched=True)
@@ -177,29 +182,6 @@ class TwinTopics(NamedTuple):
     diagnostics: Topic = Topic(
         '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
         depth=_SEVERAL)
-
-
-class NumberTopic(NamedTuple):
-    """A number of a result, and its topic."""
-
-    number: Number
-    topic: Topic
-
-
-def _number_topics(name: str, numbers: Iterable[Number]) -> tuple[NumberTopic, ...]:
-    """Return the topics of numbers below a name."""
-    return tuple(
-        NumberTopic(
-            number,
-            Topic(
-                f'{name}/{number.name.replace(".", "/")}',
-                NUMBER,
-                number.meaning + (f' [{number.unit}]' if number.unit else ''),
-                is_latched=True,
-            ),
-        )
-        for number in numbers
-    )
 
 
 class RecorderTopics(NamedTuple):
@@ -275,9 +257,6 @@ class ReplayServices(NamedTuple):
 
 
 TWIN_TOPICS = TwinTopics()
-THROW_TOPICS = _number_topics('~/throw', THROW_NUMBERS)
-RECOMMENDED_TOPICS = _number_topics('~/recommended', RECOMMENDED_NUMBERS)
-ALL_TWIN_TOPICS = (*TWIN_TOPICS, *(row.topic for row in (*THROW_TOPICS, *RECOMMENDED_TOPICS)))
 RECORDER_TOPICS = RecorderTopics()
 VIEWER_TOPICS = ViewerTopics()
 RIG_TOPICS = RigTopics()
@@ -296,7 +275,7 @@ class Interface(NamedTuple):
 
 
 INTERFACES = {
-    'twin': Interface(ALL_TWIN_TOPICS, TWIN_SERVICES),
+    'twin': Interface(TWIN_TOPICS, TWIN_SERVICES),
     'recorder': Interface(RECORDER_TOPICS, RECORDER_SERVICES),
     'viewer': Interface(VIEWER_TOPICS),
     'replay': Interface(REPLAY_TOPICS, REPLAY_SERVICES),
@@ -304,22 +283,6 @@ INTERFACES = {
     'calibrator': Interface(CALIBRATOR_TOPICS),
 }
 """The interfaces of all nodes, by their usual names."""
-
-
-def throw_numbers(stage: str, values: Mapping[str, object]) -> Iterator[tuple[Topic, float]]:
-    """
-    Yield the topic and the value of each known number that is published at a stage of a throw.
-
-    Examples
-    --------
-    >>> [(topic.name, value) for topic, value in throw_numbers('final', {'landings': 3})]
-    [('~/throw/landings', 3.0)]
-
-    """
-    for number, topic in THROW_TOPICS:
-        value = values.get(number.name)
-        if number.stage == stage and isinstance(value, (int, float)):
-            yield topic, float(value)
 
 
 class NodeTopic(NamedTuple):
@@ -351,4 +314,4 @@ def find_topic(name: str, type_name: str) -> NodeTopic | None:
     return NodeTopic(name.removesuffix(resolve(topic.name, '')), topic)
 
 
-_FINDABLE = (*ALL_TWIN_TOPICS, *RECORDER_TOPICS)
+_FINDABLE = (*TWIN_TOPICS, *RECORDER_TOPICS)

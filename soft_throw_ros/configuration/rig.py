@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from soft_throw_ros.configuration.table import NAME, row, Settings, Table
-from soft_throw_ros.configuration.twin import resolve_stack, TWIN
+from soft_throw_ros.configuration.twin import JOINT_ROWS, resolve_stack, TWIN
 
 _LIKE_THE_TWIN = (
     'engine.frequency', 'engine.amplitude', 'engine.damping_ratio',
     'layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.diameter',
     'layer.loss_tangent', 'layer.stress_strain_law', 'layer.loss', 'layer.stack', 'layer.library',
-    'projectile.mass', 'gravity', 'throw.period',
+    'projectile.mass', 'gravity', 'throw.period', 'joint_names.plate', 'joint_names.projectile',
 )
 
 _CAUGHT = 1
@@ -82,6 +82,7 @@ CALIBRATOR = Table(
             'Number of throws in a row within `measured.residual_threshold` after which the twin '
             'commands the best motion of the plate, and the gain is measured; 0 for never',
             low=1, high=10_000, or_zero=True),
+        *JOINT_ROWS,
     ),
 )
 """The parameters of the calibrator."""

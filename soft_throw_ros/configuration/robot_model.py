@@ -8,8 +8,9 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from soft_throw_ros.configuration import files
-from soft_throw_ros.configuration.interface import LAYER_JOINTS
+from soft_throw_ros.configuration.interface import JOINTS, LAYER_JOINTS
 from soft_throw_ros.configuration.table import Settings
+from soft_throw_ros.configuration.twin import joint_names
 
 _PLATE_OVER_LAYER = 2.5
 """Diameter of the drawn plate over that of the layer, so that its rim is visible. [-]"""
@@ -53,6 +54,9 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
         elif name in LAYER_JOINTS:
             _resize(link, diameter=diameter, length=slice_thickness)
         link.set('name', frame_prefix + name)
+    names = dict(zip(JOINTS, joint_names(settings), strict=True))
+    for joint in robot.iter('joint'):
+        joint.set('name', names.get(joint.attrib['name'], joint.attrib['name']))
     for tag in ('parent', 'child'):
         for end in robot.iter(tag):
             end.set('link', frame_prefix + end.attrib['link'])

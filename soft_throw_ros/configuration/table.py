@@ -86,6 +86,8 @@ class Entry:
     """Description of a valid text, in words."""
     max_length: int = 1000
     """Largest number of items of a list."""
+    is_fixed: bool = False
+    """Whether the node reads the parameter at its start only."""
     examples: tuple[str, ...] = ()
     """Some of the allowed texts, for the description of the parameter."""
 
@@ -98,6 +100,11 @@ class Entry:
     def is_result(self) -> bool:
         """Whether only the twin sets the parameter."""
         return self.group == 'recommended'
+
+    @property
+    def is_read_only(self) -> bool:
+        """Whether a request cannot change the parameter."""
+        return self.is_result or self.is_fixed
 
     @property
     def is_of_rig(self) -> bool:

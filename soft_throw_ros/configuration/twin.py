@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from soft_throw_ros.configuration import motions
-from soft_throw_ros.configuration.interface_numbers import RECOMMENDED_NUMBERS
+from soft_throw_ros.configuration.interface import JOINTS
 from soft_throw_ros.configuration.layers import (
     BOUNDS,
     CUSTOM,
@@ -93,6 +93,25 @@ MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
     'measured': _engine,
 }
 """Motions of the plate, each with the function that makes the engine of complete settings."""
+
+JOINT_ROWS = tuple(
+    row(f'joint_names.{body}', body, f'Name of the {body} in all messages with joints',
+        kind='a text of at least one character', pattern='.+', is_fixed=True)
+    for body in JOINTS
+)
+"""Rows of the names of the joints."""
+
+
+def joint_names(settings: Settings) -> tuple[str, str]:
+    """Return the names of plate and projectile; raise ParameterError if they are the same."""
+    plate, projectile = (settings[entry.name] for entry in JOINT_ROWS)
+    if plate == projectile:
+        raise ParameterError(
+            f'joint_names.projectile must differ from joint_names.plate, got {quote(plate)}',
+            'joint_names.projectile',
+        )
+    return plate, projectile
+
 
 _ENTRIES = (
     row('engine.motion', 'underdamped',
@@ -181,6 +200,7 @@ _ENTRIES = (
     row('rate.state', 1000.0, 'Rate of `~/joint_states`', unit='Hz', low=10.0, high=5000.0),
     row('rate.field', 50.0, 'Rate of `~/layer/joint_states`, at most rate.state',
         unit='Hz', low=0.1, high=1000.0),
+    *JOINT_ROWS,
     row('time_scale', 1.0, 'Time of the rig over time of the clock; 0.01 is slow motion',
         low=1e-4, high=10.0),
     row('max_strain', LINEAR_STRAIN,
@@ -245,10 +265,17 @@ _ENTRIES = (
         'How fast the projectile is to leave when aiming; 0 aims at a height',
         unit='m/s', low=1e-3, high=200.0, or_zero=True),
     row('recommended.layer', '', 'Layer to pick from the library'),
-    *(
-        row(f'recommended.{number.name}', math.nan, number.meaning, unit=number.unit)
-        for number in RECOMMENDED_NUMBERS
-    ),
+    row('recommended.thickness', math.nan, 'Best thickness', unit='m'),
+    row('recommended.wave_speed', math.nan, 'Best wave speed', unit='m/s'),
+    row('recommended.density', math.nan, 'Density of the best layer', unit='kg/m3'),
+    row('recommended.loss_tangent', math.nan, 'Loss tangent of the best layer'),
+    row('recommended.energy_transfer', math.nan,
+        'Energy transfer factor alpha of the recommended throw'),
+    row('recommended.ejection_speed', math.nan, 'Ejection speed of the recommended throw',
+        unit='m/s'),
+    row('recommended.amplitude', math.nan, 'Amplitude that reaches the target', unit='m'),
+    row('recommended.peak_strain', math.nan,
+        'Largest strain of the layer up to the release'),
 )
 
 

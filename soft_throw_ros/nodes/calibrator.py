@@ -31,6 +31,7 @@ from soft_throw_ros.configuration.interface import (
     TWIN_TOPICS,
 )
 from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
+from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
 from soft_throw_ros.identification.flight import motion_delay
@@ -83,7 +84,8 @@ class Calibrator(RunnableNode):
         self.parameters = NodeParameters(self, CALIBRATOR, arguments=arguments)
         settings = self.parameters.settings
         twin, rig = full_name(self, settings['twin']), settings['rig']
-        self._measured = MeasuredPositions(self, twin)
+        self._joints = joint_names(settings)
+        self._measured = MeasuredPositions(self, twin, self._joints)
         self.add_cleanup(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
         create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
@@ -164,7 +166,7 @@ class Calibrator(RunnableNode):
 
     def _on_measured_throw(self, result: ThrowResult, end_ns: int) -> None:
         """Collect a throw, or count it if the twin predicted it well."""
-        comparison, accuracy = result.comparison, result.accuracy
+        comparison = result.comparison
         if result.disturbances is None or result.ended_by == 'gap':  # there is no whole track
             return
         if result.rig != self._rig_of_throws:  # one fit needs throws of one rig
@@ -172,8 +174,8 @@ class Calibrator(RunnableNode):
             self._rig_of_throws = result.rig
         if comparison is not None and comparison.is_within_threshold:
             self._mispredicted.clear()
-            if result.first is not None and accuracy is not None:
-                self._on_well_predicted(result, accuracy.release_ns)
+            if result.first is not None:
+                self._on_well_predicted(result, result.first.release_ns)
             return
         self._predicted = []
         begin_ns = result.start_ns - round(1e9 * _BEFORE / result.rig.engine.frequency)
@@ -210,7 +212,8 @@ class Calibrator(RunnableNode):
         start_ns = msg_to_time(commands[-1].header.stamp)
         release_ns = start_ns + round(1e9 * result.first.ejection_time)
         tracks = self._measured.between(start_ns, release_ns, name='')
-        delay_ns = round(1e9 * motion_delay(tracks.plate, msg_to_motion(commands[-1])))
+        motion = msg_to_motion(commands[-1], self._joints[0])
+        delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
         trial.after.append(self._measure_flight(result, release_ns + delay_ns))
         if len(trial.after) == self.parameters.settings['throws']:
             message, values = describe_gain(trial.before, trial.after)

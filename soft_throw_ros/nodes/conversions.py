@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 import struct
@@ -14,6 +15,7 @@ from builtin_interfaces.msg import Duration as DurationMessage
 from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.qos import (
     DurabilityPolicy,
@@ -24,8 +26,9 @@ from rclpy.qos import (
 )
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
+from sensor_msgs.msg import PointCloud2, PointField
 from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings
-from soft_throw_ros.configuration.interface import FRAME, JOINTS
+from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.configuration.motions import trajectory_points
 from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
@@ -46,7 +49,6 @@ _POLICIES = {
 
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
 
-_PLATE = JOINTS[0]
 _STATE = 3  # position, velocity and acceleration
 _STAMP = struct.Struct('<iI')  # seconds and nanoseconds
 _HEADER_SIZE = 4  # of a serialized message, before its first field [byte]
@@ -135,10 +137,37 @@ def msg_to_values(msg: DiagnosticStatus) -> dict[str, Scalar]:
     return {item.key: _value(item.value) for item in msg.values}
 
 
-def statuses_to_msg(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
+def statuses_to_msg(
+    stamp_ns: int, statuses: Sequence[DiagnosticStatus], frame: str = FRAME
+) -> DiagnosticArray:
     """Combine statuses into one message with a stamp."""
-    header = Header(stamp=time_to_msg(stamp_ns), frame_id=FRAME)
+    header = Header(stamp=time_to_msg(stamp_ns), frame_id=frame)
     return DiagnosticArray(header=header, status=list(statuses))
+
+
+def cloud_to_msg(
+    stamp_ns: int, names: Sequence[str], points: NDArray[np.float64], frame: str = FRAME
+) -> PointCloud2:
+    """
+    Return points whose fields have the given names as a message.
+
+    `points` has the shape (columns, fields), or (rows, columns, fields) for an organized cloud.
+    """
+    rows, columns, count = (1, *points.shape)[-3:]
+    data = points.astype('<f8').tobytes()
+    return PointCloud2(
+        header=Header(stamp=time_to_msg(stamp_ns), frame_id=frame),
+        height=rows,
+        width=columns,
+        fields=[
+            PointField(name=name, offset=8 * index, datatype=PointField.FLOAT64, count=1)
+            for index, name in enumerate(names)
+        ],
+        point_step=8 * count,
+        row_step=8 * count * columns,
+        data=array('B', data),
+        is_dense=True,
+    )
 
 
 def throw_result_to_msg(
@@ -193,11 +222,11 @@ def _value(text: str) -> Scalar:
 
 
 @lru_cache(maxsize=4)
-def _serialize_motion(motion: SampledMotion) -> bytes:
+def _serialize_motion(motion: SampledMotion, joint: str, frame: str) -> bytes:
     """Return the serialized message of a motion of the plate that starts at time 0."""
     message = JointTrajectory(
-        header=Header(frame_id=FRAME),
-        joint_names=[_PLATE],
+        header=Header(frame_id=frame),
+        joint_names=[joint],
         points=[
             JointTrajectoryPoint(
                 **{**point, 'time_from_start': DurationMessage(**point['time_from_start'])}
@@ -208,20 +237,20 @@ def _serialize_motion(motion: SampledMotion) -> bytes:
     return bytes(serialize_message(message))
 
 
-def encode_command(start_ns: int, motion: SampledMotion) -> bytes:
+def encode_command(start_ns: int, motion: SampledMotion, joint: str, frame: str) -> bytes:
     """
-    Return the serialized message of a motion that starts at a time [ns].
+    Return the serialized message of a motion of a joint that starts at a time [ns].
 
     A motion is serialized once, which takes 10 us per state; then only the stamp changes.
     """
-    data = bytearray(_serialize_motion(motion))
+    data = bytearray(_serialize_motion(motion, joint, frame))
     _STAMP.pack_into(data, _HEADER_SIZE, *divmod(start_ns, SECOND))
     return bytes(data)
 
 
-def msg_to_motion(message: JointTrajectory) -> SampledMotion:
+def msg_to_motion(message: JointTrajectory, joint: str) -> SampledMotion:
     """
-    Return the motion of the plate in a message.
+    Return the motion of the plate, which is a joint, in a message.
 
     Raises
     ------
@@ -230,8 +259,8 @@ def msg_to_motion(message: JointTrajectory) -> SampledMotion:
         are no motion.
 
     """
-    if list(message.joint_names) != [_PLATE]:
-        raise ValueError(f'the joints must be [{_PLATE!r}], got {list(message.joint_names)!r:.80}')
+    if list(message.joint_names) != [joint]:
+        raise ValueError(f'the joints must be [{joint!r}], got {list(message.joint_names)!r:.80}')
     states = [
         [*point.positions, *point.velocities, *point.accelerations] for point in message.points
     ]

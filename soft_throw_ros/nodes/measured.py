@@ -13,7 +13,7 @@ from collections.abc import Callable
 import math
 
 from rclpy.node import Node
-from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
@@ -27,9 +27,6 @@ MAX_MESSAGE_SIZE = 2**14
 
 MAX_DATA_RATE = 16e6
 """Largest data rate, about 100,000 samples per second, which bounds a tick [bytes/s]."""
-
-_PLATE, _PROJECTILE = JOINTS
-
 
 class Measurement:
     """
@@ -45,6 +42,8 @@ class Measurement:
         Node that subscribes.
     session : Session
         Session that receives the samples.
+    joints : tuple of str
+        Names of plate and projectile.
     now : callable
         Returns the time on the clock of the ticks. [ns]
     clock_limit : callable
@@ -63,6 +62,7 @@ class Measurement:
         self,
         node: Node,
         session: Session,
+        joints: tuple[str, str],
         *,
         now: Callable[[], int],
         clock_limit: Callable[[], float],
@@ -72,10 +72,12 @@ class Measurement:
         self._arrival_ns = 0  # latest time of the clock at which samples arrived [ns]
         self._arrived: list[int] = []  # their stamps [ns]
         self._session = session
+        self._joints = joints
         self._now = now
         self._clock_limit = clock_limit
         self._logger = node.get_logger()
         self._is_warned = False
+        self._names: tuple[str, ...] = ()  # of a message without the plate
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
         self._read = JointStateReader().read
 
@@ -121,6 +123,15 @@ class Measurement:
                 'divide them by 1000'
             )
 
+    def _warn_of_names(self, names: tuple[str, ...]) -> None:
+        """Log the joints of refused messages once."""
+        if names != self._names:
+            self._names = names
+            self._logger.warning(
+                f'measured messages have the joints {list(names)!r:.200}, and the heights of '
+                f'joint_names.plate {self._joints[0]!r} are missing'
+            )
+
     def _by_our_clock(self, samples: list[Sample]) -> list[Sample]:
         """Correct the stamps of samples by the offset of the sensor's clock."""
         clock, now = self.clock, self._now()
@@ -155,27 +166,29 @@ class Measurement:
                 refused['too large'] += 1
                 continue
             try:
-                sample = _to_sample(self._read(data))
+                values = self._read(data)
             except MessageError:
                 refused['unreadable'] += 1
                 continue
+            sample = _to_sample(values, self._joints)
             if sample is None:
                 refused['names'] += 1
+                self._warn_of_names(values.names)
             else:
                 samples.append(sample)
         return samples
 
 
-def _to_sample(values: JointValues) -> Sample | None:
-    """Return the sample in a message, None if the message lacks the plate."""
+def _to_sample(values: JointValues, joints: tuple[str, str]) -> Sample | None:
+    """Return the sample in a message; None without the plate, the first of the joints."""
     stamp_ns, names, position, velocity, _ = values
-    count = len(names)
-    if _PLATE not in names or len(position) != count or len(velocity) not in (0, count):
+    count, (plate, projectile) = len(names), joints
+    if plate not in names or len(position) != count or len(velocity) not in (0, count):
         return None
-    plate = names.index(_PLATE)
+    at = names.index(plate)
     return Sample(
         stamp_ns,
-        position[plate],
-        velocity[plate] if velocity else math.nan,
-        position[names.index(_PROJECTILE)] if _PROJECTILE in names else math.nan,
+        position[at],
+        velocity[at] if velocity else math.nan,
+        position[names.index(projectile)] if projectile in names else math.nan,
     )

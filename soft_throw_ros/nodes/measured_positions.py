@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.measured import MAX_DATA_RATE, MAX_MESSAGE_SIZE
 from soft_throw_ros.nodes.process import RunnableNode
@@ -30,10 +30,11 @@ class MeasuredPositions:
     """
     The measured positions of plate and projectile in the last seconds, by the clock of a twin.
 
-    The attribute `clock_offset_ns` is added to the stamps [ns].
+    `joints` are their names. The attribute `clock_offset_ns` is added to the stamps [ns].
     """
 
-    def __init__(self, node: RunnableNode, twin: str) -> None:
+    def __init__(self, node: RunnableNode, twin: str, joints: tuple[str, str]) -> None:
+        self._joints = joints
         self._log = node.get_logger()
         topic = TWIN_TOPICS.measured_joint_states.at(twin)
         self._subscription = RawSubscription.of(node, topic)
@@ -54,10 +55,11 @@ class MeasuredPositions:
             return
         try:
             states = self._read(datas)
-            columns = [states.names.index(joint) for joint in JOINTS]
+            columns = [states.names.index(joint) for joint in self._joints]
         except (MessageError, ValueError) as error:
             self._log.warning(
-                f'{len(datas)} messages have no positions of plate and projectile: {error}',
+                f'{len(datas)} messages have no positions of joint_names.*, which are '
+                f'{self._joints}: {error}',
                 throttle_duration_sec=1.0,
             )
             return

@@ -19,10 +19,6 @@ LOG_PERIOD = 0.5
 """Time between two logs of changes [s]: short for a user, and long for a slider."""
 
 
-class _Result(Parameter):
-    """A parameter with a result, which only the node sets."""
-
-
 class NodeParameters:
     """
     Declare all parameters of a table on a node, and check their changes.
@@ -82,7 +78,8 @@ class NodeParameters:
         self._on_changed = on_changed
         self._check = check
         self._describe = describe
-        self._lines: dict[str, str] = {}  # of the log that wait, by subject
+        self._results: dict[str, Value] = {}  # the present ones
+        self._lines: dict[str, str] = {}  # of the log that wait, by parameter
         node.create_steady_timer(LOG_PERIOD, self._log_changes)
         node.add_cleanup(self._log_changes)
         overrides = parameter_overrides(node)
@@ -103,7 +100,7 @@ class NodeParameters:
 
     def set_results(self, results: Mapping[str, float | str]) -> None:
         """
-        Set parameters `recommended.*`, which requests cannot set.
+        Set parameters `recommended.*`, which requests cannot change.
 
         They are named without `recommended.`; those that are missing become nan, or empty.
 
@@ -111,12 +108,17 @@ class NodeParameters:
         values = {entry.name: entry.default for entry in self._table.entries if entry.is_result}
         for name, value in results.items():
             values[f'recommended.{name}'] = value if isinstance(value, str) else float(value)
-        self._set([_Result(name, value=value) for name, value in values.items()])
+        self._results = values
+        self._set([Parameter(name, value=value) for name, value in values.items()])
 
     def _set(self, parameters: list[Parameter]) -> None:
         result = self._node.set_parameters_atomically(parameters)
         if not result.successful:
             raise ParameterError(result.reason)
+
+    def _present(self, entry: Entry) -> Value:
+        results = self._results if entry.is_result else self.settings
+        return results.get(entry.name, entry.default)
 
     def _is_foreign(self, name: str) -> bool:
         """Return whether other code has declared a parameter."""
@@ -136,12 +138,12 @@ class NodeParameters:
         for parameter in parameters:
             name, value = parameter.name, parameter.value
             entry = self._table.by_name.get(name)
-            if isinstance(parameter, _Result) or self._is_foreign(name):
-                passed.append(parameter)
-            elif entry is not None and entry.is_result:
-                passed.append(self._node.get_parameter(name))  # as it is, so that a dump loads
-                reason = f'{name} keeps its value, since it is a result; got {quote(value)}'
-                self._lines['results'] = reason
+            is_present = entry is not None and repr(value) == repr(self._present(entry))
+            if self._is_foreign(name) or (entry is not None and entry.is_read_only and is_present):
+                passed.append(parameter)  # as it is, so that a dump loads
+            elif entry is not None and entry.is_read_only:
+                setter = 'set by the twin' if entry.is_result else 'set at the start'
+                raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}', name)
             elif name in request:
                 raise ParameterError(
                     f'{name} is given twice, {quote(request[name])} and {quote(value)}'

@@ -14,6 +14,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
 from soft_throw_ros.configuration.rig import RIG, to_twin
+from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
@@ -64,7 +65,9 @@ class SimulatedRig(RealTimeNode):
             check=lambda settings, config: check_settings(to_twin(settings), config),
             arguments=arguments,
         )
-        self.send = Publishers(self, RIG_TOPICS).sender(RIG_TOPICS.measured_joint_states)
+        self._joints = joint_names(self.parameters.settings)
+        outgoing = Publishers(self, RIG_TOPICS, self._joints)
+        self.send = outgoing.sender(RIG_TOPICS.measured_joint_states)
         settings = self.parameters.settings
         self._played = self.parameters.checked.settings
         self.load_kernels(self._played)
@@ -146,7 +149,7 @@ class SimulatedRig(RealTimeNode):
         """Prepare a commanded motion, and start it at its stamp."""
         start_ns, now_ns = msg_to_time(message.header.stamp), self._current_clock().now()
         try:
-            motion = msg_to_motion(message)
+            motion = msg_to_motion(message, self._joints[0])
         except ValueError as error:
             self.get_logger().warning(f'a commanded motion is refused: {error}')
             return

@@ -12,9 +12,9 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from soft_throw_ros.configuration import interface, ParameterError
-from soft_throw_ros.configuration.interface import FRAME, Service, Topic
-from soft_throw_ros.nodes.conversions import encode_command, statuses_to_msg
-from soft_throw_ros.storage.cdr import encode_array, JointStateEncoder
+from soft_throw_ros.configuration.interface import FRAME, JOINTS, Service, Topic
+from soft_throw_ros.nodes.conversions import cloud_to_msg, encode_command, statuses_to_msg
+from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
@@ -45,6 +45,11 @@ def full_name(node: Node, name: str) -> str:
     return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
 
 
+def frame_of(node: Node) -> str:
+    """Return the frame of the rig in the namespace of a node."""
+    return full_name(node, FRAME).lstrip('/')
+
+
 def create_subscription(node: Node, topic: Topic, on_message: Callable[..., None]) -> None:
     """Subscribe a node to a topic."""
     node.create_subscription(load_type(topic.type), topic.name, on_message, qos_profile(topic))
@@ -68,6 +73,8 @@ class Publishers:
     """
     The publishers of a node, made from its rows of topics, which convert plain values.
 
+    `joints` are the names of plate and projectile.
+
     Notes
     -----
     rclpy logs subscriptions that request another quality of service than a publisher offers. The
@@ -76,7 +83,10 @@ class Publishers:
 
     """
 
-    def __init__(self, node: Node, topics: Iterable[Topic]) -> None:
+    def __init__(
+        self, node: Node, topics: Iterable[Topic], joints: tuple[str, str] = JOINTS
+    ) -> None:
+        self._joints = dict(zip(JOINTS, joints, strict=True))
         self._senders = {
             topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
         }
@@ -87,8 +97,8 @@ class Publishers:
 
         Its arguments depend on the type of the topic. Joint states take a stamp [ns] and the
         values of one quantity after another, or one array per quantity where there are many
-        joints. Diagnostics take a stamp and statuses, trajectories a start [ns] and a motion.
-        Other types take an array, a number or a text.
+        joints. Diagnostics take a stamp and statuses, clouds a stamp and an array of points,
+        trajectories a start [ns] and a motion. Other types take a number or a text.
 
         """
         return self._senders[topic.name]
@@ -97,8 +107,7 @@ class Publishers:
         """Publish once; `sender` describes the values."""
         self._senders[topic.name](*values)
 
-    @staticmethod
-    def _make_sender(node: Node, topic: Topic) -> Callable[..., None]:
+    def _make_sender(self, node: Node, topic: Topic) -> Callable[..., None]:
         """Return a function that converts values into a message and publishes it."""
         message_type = load_type(topic.type)
         publisher = node.create_publisher(
@@ -108,14 +117,20 @@ class Publishers:
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=not topic.is_latched),
         )
         publish = publisher.publish
+        frame, plate = frame_of(node), self._joints[JOINTS[0]]
         if topic.type == interface.JOINT_STATE:
-            encoder = JointStateEncoder(FRAME, topic.joints, series=len(topic.quantities))
+            names = [self._joints.get(name, name) for name in topic.joints]
+            encoder = JointStateEncoder(frame, names, series=len(topic.quantities))
             encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
             return lambda stamp_ns, values: publish(encode(stamp_ns, values))
-        if topic.type == interface.MULTI_ARRAY:
-            return lambda array: publish(encode_array(topic.axes, array))
+        if topic.type == interface.CLOUD:
+            return lambda stamp_ns, points: publish(
+                cloud_to_msg(stamp_ns, topic.axes, points, frame)
+            )
         if topic.type == interface.ARRAY:
-            return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses))
+            return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses, frame))
         if topic.type == interface.TRAJECTORY:
-            return lambda start_ns, motion: publish(encode_command(start_ns, motion))
+            return lambda start_ns, motion: publish(
+                encode_command(start_ns, motion, plate, frame)
+            )
         return lambda value: publish(message_type(data=value))

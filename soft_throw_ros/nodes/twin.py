@@ -20,12 +20,10 @@ from typing import Any
 from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import (
-    ALL_TWIN_TOPICS,
-    RECOMMENDED_TOPICS,
-    throw_numbers,
     TWIN_SERVICES,
     TWIN_TOPICS,
 )
+from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
@@ -42,7 +40,7 @@ from soft_throw_ros.nodes.recommendations import (
 )
 from soft_throw_ros.nodes.sensor_texts import sensor_text
 from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
-from soft_throw_ros.nodes.topics import create_service, Publishers
+from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
@@ -98,9 +96,10 @@ class Twin(RealTimeNode):
             check=check_settings,
             arguments=arguments,
         )
+        self._joints = joint_names(self.parameters.settings)
         self.load_kernels(self.parameters.settings)
         self._serialize_command()
-        self.outgoing = Publishers(self, ALL_TWIN_TOPICS)
+        self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
@@ -110,6 +109,7 @@ class Twin(RealTimeNode):
         self.measurement = Measurement(
             self,
             session,
+            self._joints,
             now=lambda: self._current_clock().now(),
             clock_limit=lambda: float(self.parameters.settings['measured.clock_limit']),
         )
@@ -196,13 +196,14 @@ class Twin(RealTimeNode):
             send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
             send(TWIN_TOPICS.phase, phase.value)
         if outputs.throw_field is not None:
-            send(TWIN_TOPICS.throw_field, outputs.throw_field.strain)
-            send(TWIN_TOPICS.throw_energies, outputs.throw_field.energies)
+            field = outputs.throw_field
+            send(TWIN_TOPICS.throw_field, field.start_ns, field.points)
+            send(TWIN_TOPICS.throw_energies, field.start_ns, field.energies)
         for result in outputs.results:
             self._publish_result(result, due)
 
     def _publish_result(self, result: ThrowResult, due: int) -> None:
-        """Publish a result as one message, and its numbers for plots."""
+        """Publish a result as one message, and the numbers of its first release, or NaN."""
         last, self._last_result = self._last_result, result
         send = self.outgoing.send
         settings = self.parameters.settings
@@ -210,10 +211,14 @@ class Twin(RealTimeNode):
         if not self.is_compiling:  # otherwise this process would compile their kernels, too
             beside = uncertainty_values(result.rig, settings)
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
-        send(TWIN_TOPICS.throw_result, due, [status])
-        if result.is_valid:
-            for topic, number in throw_numbers(result.stage, {**result.values(), **beside}):
-                send(topic, number)
+        send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
+        first = result.first
+        if result.stage == 'release' or (result.stage == 'final' and first is None):
+            for topic in (
+                TWIN_TOPICS.ejection_time, TWIN_TOPICS.ejection_speed, TWIN_TOPICS.energy_transfer
+            ):
+                name = topic.name.rpartition('/')[2]
+                send(topic, math.nan if first is None else getattr(first, name))
         if result.stage != 'predicted' or last is None or last.throw != result.throw:
             self._log_result(result, due)
 
@@ -292,9 +297,6 @@ class Twin(RealTimeNode):
             self.get_logger().warning(recommended.describe())
         else:
             self.get_logger().info(recommended.describe())
-        values = recommended.values()
-        for number, topic in RECOMMENDED_TOPICS:
-            self.outgoing.send(topic, float(values.get(number.name, math.nan)))
         status = recommended.to_status(self.get_fully_qualified_name())
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
@@ -311,16 +313,16 @@ class Twin(RealTimeNode):
         config = self.parameters.checked
         motion = config.rig.engine.motion
         if config.command_lead is not None and motion is not None:
-            encode_command(0, motion)
+            encode_command(0, motion, self._joints[0], frame_of(self))
 
     def _describe_change(self, name: str) -> str:
         """Return when a change takes effect, as the end of a log line."""
         return ', from the next throw or ~/reset on' if name in self.session.pending else ''
 
     def _on_throw(self) -> str:
-        self.session.request_throw()
+        number = self.session.request_throw()
         topic = TWIN_TOPICS.throw_result.at(self.get_fully_qualified_name())
-        return f'the result will be published on {topic.name}'
+        return f'throw {number}: its result follows on {topic.name}'
 
     def _on_reset(self) -> str:
         self.session.reset()

@@ -40,11 +40,11 @@ class RecordedStates:
         recorded, values, read = array('q'), array('d'), JointStateReader().read
         for message in reader.messages([topic], by_log_time=False):
             try:
-                stamp, names, *series = read(message.data)
+                stamp, _, *series = read(message.data)
             except MessageError:
                 self.unreadable += 1
                 continue
-            if names != JOINTS or any(len(numbers) != len(JOINTS) for numbers in series):
+            if any(len(numbers) != len(JOINTS) for numbers in series):
                 self.unreadable += 1
                 continue
             recorded.append(stamp)

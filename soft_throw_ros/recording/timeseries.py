@@ -3,8 +3,8 @@
 """
 Time series from the messages of a twin, recorded or live.
 
-All times are stamps. A message without a stamp (a line of the journal, a field, a line of the log)
-was published right after the state message of its step, and gets the stamp of this state message.
+All times are stamps. A message without a stamp (a line of the journal or of the log) was published
+right after the state message of its step, and gets the stamp of this state message.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from scipy.integrate import trapezoid
 from scipy.interpolate import CubicHermiteSpline
 from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import (
-    ENERGIES,
     FIELD_POINTS,
     find_topic,
     JOINTS,
@@ -47,9 +46,6 @@ DECODING_ERRORS = (
 
 _KEPT_STATES = 20_000
 """Number of state messages kept for the times of a throw's field, which comes after the throw."""
-
-_FIELD_SPAN = 1.5
-"""Time span of the field of a throw. [ejection times]"""
 
 _LARGEST = 1e6
 """Largest plausible number in SI units, and of points; damaged bytes exceed it."""
@@ -150,6 +146,10 @@ class TwinReader:
         is_measured = self.settings['engine.motion'] == 'measured'
         return 1.0 if is_measured else float(self.settings['time_scale'])
 
+    def _names(self, joints: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of joints by the settings."""
+        return tuple(self.settings[f'joint_names.{joint}'] for joint in joints)
+
     def wanted_rig(self) -> Rig | None:
         """Return the rig of the next throw, with all pending changes; None if unknown."""
         return rig_of(self.wanted, self._motion_of) if self.wanted else None
@@ -222,12 +222,12 @@ class TwinReader:
     def read_states(self, messages: Sequence[Message]) -> RigStates | None:
         """Read messages of plate and projectile; return None for those of another machine."""
         joints = _read_joint_states(messages)
-        if not set(JOINTS) <= set(joints.names):
-            return None
-        columns = [joints.names.index(name) for name in JOINTS]
         series = joints.position, joints.velocity, joints.effort
+        is_ours = joints.names == self._names(JOINTS)
+        if not is_ours or any(values.shape[1] != len(JOINTS) for values in series):
+            return None
         published = np.array([_published(message) for message in messages])
-        states = RigStates(joints.stamps, published, *(values[:, columns] for values in series))
+        states = RigStates(joints.stamps, published, *series)
         first, last = self.span
         self.span = min(first, int(states.stamps.min())), max(last, int(states.stamps.max()))
         self._states = RigStates(*(
@@ -245,10 +245,11 @@ class TwinReader:
         joint without measurement. Return None for another machine, or while the rest is unknown.
         """
         joints = _read_joint_states(messages)
-        if topic.joints[0] not in joints.names or joints.position.shape[1] != len(joints.names):
+        names = self._names(topic.joints)
+        if names[0] not in joints.names or joints.position.shape[1] != len(joints.names):
             return None
-        position = np.full((len(messages), len(topic.joints)), math.nan)
-        for column, name in enumerate(topic.joints):
+        position = np.full((len(messages), len(names)), math.nan)
+        for column, name in enumerate(names):
             if name in joints.names:
                 position[:, column] = joints.position[:, joints.names.index(name)]
         if topic == TWIN_TOPICS.measured_joint_states:
@@ -281,15 +282,11 @@ class TwinReader:
 
     def read_field(self, message: Message) -> StrainField | None:
         """Read the field of the throw under way; None while no throw is known."""
-        strain, throw = _read_array(message, FIELD_POINTS), self.throw
-        if self.rig is None or throw is None:
+        points, throw = _read_cloud(message, TWIN_TOPICS.throw_field), self.throw
+        if throw is None:
             return None
-        span = max(throw.seconds_to(self.stamp_of(message)), throw.time_scale / SECOND)
-        if throw.ejection_time is not None:
-            span = _FIELD_SPAN * throw.ejection_time
-        times = np.linspace(0.0, span, strain.shape[0])
-        stamps = throw.stamps_at(times)
-        return StrainField(throw, times, stamps, strain, self.rig.layer.thickness)
+        times, thickness = points[:, 0, 0], float(points[0, -1, 1])
+        return StrainField(throw, times, throw.stamps_at(times), points[..., 2], thickness)
 
     def read_energies(self, message: Message) -> tuple[Stamps, Floats] | None:
         """
@@ -297,8 +294,8 @@ class TwinReader:
 
         Return None while no throw is known.
         """
-        array = _read_array(message, len(ENERGIES))
-        return None if self.throw is None else (self.throw.stamps_at(array[:, 0]), array[:, 1:])
+        (rows,) = _read_cloud(message, TWIN_TOPICS.throw_energies)
+        return None if self.throw is None else (self.throw.stamps_at(rows[:, 0]), rows[:, 1:])
 
     def interpolate_throw(self, field: StrainField) -> tuple[Floats, LayerStates] | None:
         """
@@ -375,14 +372,16 @@ def _read_joint_states(messages: Sequence[Message]) -> JointStates:
     return joints
 
 
-def _read_array(message: Message, columns: int) -> Floats:
-    """Read an array of at least two rows, and of a number of columns."""
-    array = decode(message)
-    values = np.reshape(array.data, [axis.size for axis in array.layout.dim])
-    if values.ndim != 2 or values.shape[0] < 2 or values.shape[1] != columns:
-        raise MessageError(f'an array of {columns} columns, got shape {values.shape}')
-    _check_numbers(values)
-    return values
+def _read_cloud(message: Message, topic: Topic) -> Floats:
+    """Read the points of a cloud with the fields of a topic, shape (rows, columns, fields)."""
+    cloud, count = decode(message), len(topic.axes)
+    names = tuple(field.name for field in cloud.fields)
+    shape = cloud.height, cloud.width, count
+    if names != topic.axes or len(cloud.data) != 8 * math.prod(shape) or min(shape) < 1:
+        raise MessageError(f'a cloud of {", ".join(topic.axes)}, got {", ".join(names)}')
+    points = np.frombuffer(bytes(cloud.data), '<f8').reshape(shape)
+    _check_numbers(points)
+    return points
 
 
 def _check_numbers(*arrays: Floats) -> None:

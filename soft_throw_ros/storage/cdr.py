@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 import contextlib
 from dataclasses import dataclass
 from functools import lru_cache
-import math
 import re
 import struct
 from typing import Any, NamedTuple
@@ -115,18 +114,6 @@ class JointStateEncoder:
         for array, values in zip(self._arrays, series, strict=True):
             array[:] = values
         return bytes(self._data)
-
-
-def encode_array(labels: Sequence[str], values: Floats) -> bytes:
-    """Write std_msgs/Float64MultiArray with labels of its dimensions, the slowest first."""
-    writer = _Writer()
-    writer.numbers('<u4', values.ndim)
-    for index, (label, size) in enumerate(zip(labels, values.shape, strict=True)):
-        writer.text(label)
-        writer.numbers('<u4', size, math.prod(values.shape[index:]))
-    writer.numbers('<u4', 0, values.size)  # data_offset, and how many follow
-    writer.numbers('<f8', values)
-    return bytes(writer.data)
 
 
 class JointValues(NamedTuple):

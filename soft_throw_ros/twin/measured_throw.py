@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import dataclasses
 from dataclasses import dataclass, field
+from functools import partial
 import math
 from typing import TypeAlias
 
@@ -339,9 +340,11 @@ class MeasuredThrow(OngoingThrow):
         )
         lead = release.time - (tick.due_ns - self._start_of(estimate)) / SECOND
         self._lead = lead if self._lead is None else self._lead
+        start_ns = self._start_of(estimate)
         result = self._make_result(
             'predicted', tick, stepper, [release],
-            start_ns=self._start_of(estimate), peak_plate_speed=peak_speed,
+            start_ns=start_ns, stamp_of=lambda event: start_ns + round(event.time * SECOND),
+            peak_plate_speed=peak_speed,
         )
         return self._with_measurement(result, lead, None)
 
@@ -372,7 +375,6 @@ class MeasuredThrow(OngoingThrow):
         return Accuracy(
             basis='plate' if estimate is None else 'engine',
             is_certain=is_certain,
-            release_ns=self._start_of(estimate) + round(release.time * SECOND),
             release_time_error=errors.time,
             ejection_speed_error=errors.speed * abs(speed),
             energy_transfer_error=errors.energy_transfer * transfer,
@@ -402,7 +404,8 @@ class MeasuredThrow(OngoingThrow):
             )
         result = self._make_result(
             stage, tick, self._stepper, self.events,
-            start_ns=self._present.start_ns, peak_plate_speed=peak_speed,
+            start_ns=self._present.start_ns, stamp_of=partial(self.event_ns, tick=tick),
+            peak_plate_speed=peak_speed,
         )
         return self._with_measurement(result, self._lead, self._residuals.compare(release))
 

@@ -157,7 +157,8 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
         stepper.read_layer(layer)
         strain[row] = layer[3]
     checksum = crc32(strain.data, crc32(times.data))  # takes a tenth of a millisecond
-    return ThrowField(times, strain, np.array(energies), checksum, start_ns)
+    heights = np.linspace(0.0, stepper.rig.layer.thickness, FIELD_POINTS)
+    return ThrowField(times, heights, strain, np.array(energies), checksum, start_ns)
 
 
 def _energies(stepper: Stepper) -> tuple[float, float, float, float]:

@@ -66,11 +66,18 @@ class ThrowField(NamedTuple):
     """Strain of the layer over time and height, and the energies over time."""
 
     times: Floats  # since the start of the throw, shape (rows,) [s]
-    strain: Floats  # from plate to top, shape (rows, points) [-]
+    heights: Floats  # in the layer at rest, from plate to top, shape (points,) [m]
+    strain: Floats  # shape (rows, points) [-]
     # Rows up to the first release, with the columns `interface.ENERGIES`. [s], [J]
     energies: Floats
     checksum: int  # CRC-32 of times and strain
     start_ns: int = 0  # when the throw began, by the clock of the ticks [ns]
+
+    @property
+    def points(self) -> Floats:
+        """Return t, y and strain for each time and height, shape (rows, points, 3)."""
+        axes = np.meshgrid(self.times, self.heights, indexing='ij')
+        return np.stack([*axes, self.strain], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +87,7 @@ class Release:
     ejection_time: float  # from the start of the throw [s]
     ejection_speed: float  # [m/s]
     energy_transfer: float  # square of the ejection speed over the plate's peak speed [-]
+    release_ns: int  # when the projectile leaves, by the clock of the ticks [ns]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +131,6 @@ class Accuracy:
 
     basis: str  # 'engine' for a fit of the engine's motion, 'plate' for the smoothed plate
     is_certain: bool  # whether the plate cannot change the release any more
-    release_ns: int  # when the projectile leaves, by the clock of the ticks [ns]
     release_time_error: float  # [s]
     ejection_speed_error: float  # [m/s]
     energy_transfer_error: float  # [-]
@@ -177,6 +184,10 @@ class ThrowResult:
     def is_valid(self) -> bool:
         """Whether the plate was known all the time."""
         return self.ended_by not in INVALID_ENDS
+
+    def stamp(self, due_ns: int) -> int:
+        """Return the time of the release, or of the end that is reported in a step [ns]."""
+        return due_ns if self.stage == 'final' or self.first is None else self.first.release_ns
 
     @property
     def is_ahead(self) -> bool:

@@ -155,9 +155,14 @@ class Session:
 
     # inputs
 
-    def request_throw(self) -> None:
+    def request_throw(self) -> int:
         """
         Start a throw with the next step, or after a return to rest if changes are pending.
+
+        Returns
+        -------
+        int
+            Number of the throw.
 
         Raises
         ------
@@ -171,7 +176,7 @@ class Session:
             refusal = self._cycle.request_throw(self.step)
             if refusal is None:
                 self._journal.write('input', self.step, input='throw')
-                return
+                return self.throws + 1
         raise RequestRejected(refusal())  # may take milliseconds, outside the lock
 
     def reset(self) -> None:

@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import dataclasses
+from functools import partial
 from typing import NamedTuple
 
 from soft_throw_ros.configuration.twin_config import TwinConfig
@@ -120,9 +121,14 @@ class OngoingThrow(ABC):
         events: Sequence[Event],
         *,
         start_ns: int,
+        stamp_of: Callable[[Event], int],
         peak_plate_speed: float,
     ) -> ThrowResult:
-        """Return the result by a stepper; an invalid throw has no events."""
+        """
+        Return the result by a stepper; an invalid throw has no events.
+
+        `stamp_of` returns the time of an event by the clock of the ticks [ns].
+        """
         prepared, loads = self._prepared, stepper.loads
         if self.ended_by in INVALID_ENDS:
             events = ()
@@ -132,6 +138,7 @@ class OngoingThrow(ABC):
                 ejection_time=event.time,
                 ejection_speed=event.velocity,
                 energy_transfer=(event.velocity / peak_plate_speed) ** 2,
+                release_ns=stamp_of(event),
             )
             for event in ejected
         ]
@@ -172,6 +179,7 @@ class ScheduledThrow(OngoingThrow):
         self._start_step = start_step
         self._start_ns = start_ns  # by the clock of the ticks [ns]
         self._time = 0.0  # since the start [s]
+        self._stamps: dict[Event, int] = {}  # of events, by the clock of the ticks [ns]
 
     def advance(self, tick: Tick, motion: PlateStates) -> Outputs:  # noqa: ARG002
         """Advance to a step."""
@@ -182,13 +190,14 @@ class ScheduledThrow(OngoingThrow):
     def event_ns(self, event: Event, tick: Tick) -> int:
         """Return the time of an event, relative to the step because steps may be skipped [ns]."""
         since = (self._time - event.time) / self._prepared.config.time_scale
-        return tick.due_ns - round(since * SECOND)
+        return self._stamps.setdefault(event, tick.due_ns - round(since * SECOND))
 
     def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
         return self._make_result(
             stage, tick, self._stepper, self.events,
-            start_ns=self._start_ns, peak_plate_speed=self._prepared.peak_plate_speed,
+            start_ns=self._start_ns, stamp_of=partial(self.event_ns, tick=tick),
+            peak_plate_speed=self._prepared.peak_plate_speed,
         )
 
     def throw_field(self) -> ThrowField | None:

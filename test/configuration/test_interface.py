@@ -1,14 +1,13 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 from soft_throw_ros.configuration.interface import (
-    ALL_TWIN_TOPICS,
     find_topic,
     JOINT_STATE,
     RECORDER_TOPICS,
     TWIN_TOPICS,
 )
 
-OWN = [topic for topic in (*ALL_TWIN_TOPICS, *RECORDER_TOPICS) if '~' in topic.name]
+OWN = [topic for topic in (*TWIN_TOPICS, *RECORDER_TOPICS) if '~' in topic.name]
 
 
 def test_topic_is_found_by_its_full_name_and_type() -> None:
@@ -21,4 +20,4 @@ def test_topic_is_found_by_its_full_name_and_type() -> None:
 
 
 def test_names_are_unique() -> None:
-    assert len({topic.name for topic in ALL_TWIN_TOPICS}) == len(ALL_TWIN_TOPICS)
+    assert len({topic.name for topic in TWIN_TOPICS}) == len(TWIN_TOPICS)

@@ -24,7 +24,7 @@ def one_change() -> st.SearchStrategy:
     """Draw a single change that is within its range."""
     options = []
     for entry in TWIN.entries:
-        if entry.is_result or entry.name in ('layer.library', 'engine.motion_file'):
+        if entry.is_read_only or entry.name in ('layer.library', 'engine.motion_file'):
             continue  # files are tested separately
         if entry.name == 'layer.name':
             values = st.sampled_from(['custom', *LAYERS])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import contextlib
+from dataclasses import replace
 import fcntl
 import os
 from pathlib import Path
@@ -47,6 +48,9 @@ from std_srvs.srv import Trigger
 with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
     import lark  # noqa: F401  rclpy imports lark with the first node, and lark obsolete modules
+
+_KEPT = 100
+"""Messages that a listener keeps at least, since it does not spin while a twin runs."""
 
 TIMEOUT = 60.0
 """Longest wait for anything; a busy machine must not reach it. [s]"""
@@ -251,7 +255,8 @@ class Listener(Node):
         """Subscribe to topics and wait until they are connected."""
         for topic in listed:
             named = topic.at(self._name)
-            create_subscription(self, named, self.heard.setdefault(topic.name, []).append)
+            kept = replace(named, depth=max(named.depth, _KEPT))
+            create_subscription(self, kept, self.heard.setdefault(topic.name, []).append)
             self._ros.spin_until(
                 lambda name=named.name: self._is_matched(name), f'connection to {named.name}'
             )

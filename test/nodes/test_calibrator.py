@@ -215,7 +215,7 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
 @pytest.fixture
 def positions(ros) -> MeasuredPositions:
     node = ros.node(RunnableNode, 'calibrator')
-    positions = MeasuredPositions(node, '/twin')
+    positions = MeasuredPositions(node, '/twin', ('plate', 'projectile'))
     node.add_cleanup(positions.close)
     return positions
 

@@ -11,7 +11,6 @@ import pytest
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.storage.cdr import (
     decode,
-    encode_array,
     JointStateEncoder,
     JointStateReader,
     MAX_SCHEMA,
@@ -53,31 +52,6 @@ def test_joint_state_bytes_are_canonical(typestore, frame, names, series) -> Non
     canonical = joint_state(names, complete, frame=frame, typestore=typestore)
     encoder = JointStateEncoder(frame, names, series=series)
     assert encoder.encode(STAMP, values.ravel().tolist()) == canonical
-
-
-@pytest.mark.parametrize('dimensions', [{}, {'y': 0}, {'y': 64}, {'t': 3, 'y': 5}, {'abc': 1}])
-def test_array_bytes_are_canonical_and_decoded(typestore, dimensions) -> None:
-    types, kind = typestore.types, 'std_msgs/msg/Float64MultiArray'
-    values = np.random.default_rng(1).normal(size=tuple(dimensions.values()))
-    sizes = list(dimensions.values())
-    layout = types['std_msgs/msg/MultiArrayLayout'](
-        dim=[
-            types['std_msgs/msg/MultiArrayDimension'](
-                label=label, size=size, stride=math.prod(sizes[index:])
-            )
-            for index, (label, size) in enumerate(dimensions.items())
-        ],
-        data_offset=0,
-    )
-    data = encode_array(list(dimensions), values)
-    assert data == bytes(typestore.serialize_cdr(types[kind](layout, values.reshape(-1)), kind))
-    definition, _ = typestore.generate_msgdef(kind, ros_version=2)
-    topic = Channel(topic='/a', type=kind, schema=definition)
-    message = decode(Message(topic, data, 0, 0))
-    assert [item.label for item in message.layout.dim] == list(dimensions)
-    assert list(message.data) == values.ravel().tolist()
-    with pytest.raises(MessageError, match=kind):
-        decode(Message(topic, data[:7], 0, 0))
 
 
 @pytest.mark.parametrize('lengths', [(0, 0, 0), (3, 0, 3), (0, 1, 0), (2, 3, 4)])
