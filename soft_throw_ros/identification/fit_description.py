@@ -37,6 +37,7 @@ DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.los
 NUISANCE_PARAMETERS = {
     'layer.stiffening': 0.0,
     'plate.drift': 0.0,
+    'plate.ringing': 0.0,
     'projectile.drift': 0.0,
     'projectile.scale': 1.0,
     'projectile.delay': 0.0,
@@ -45,8 +46,9 @@ NUISANCE_PARAMETERS = {
 Nuisance parameters of a bench, and their values without it.
 
 `stiffening` is the increase of the wave speed with the speed of the plate, to which the strain is
-proportional. `drift` is the drift of heights over a record, over the amplitude. `scale` is the
-measured over the true height of a projectile, and `delay` the delay of its measurement [s].
+proportional. `drift` is the drift of heights over a record, and `ringing` the oscillation of the
+plate before the throw, both over the amplitude. `scale` is the measured over the true height of a
+projectile, and `delay` the delay of its measurement [s].
 """
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
@@ -71,7 +73,6 @@ PARTS = ('layer', 'projectile')
 
 _MAX_NAMES = 8
 """Names of throws that a message lists, so that it stays readable."""
-
 
 
 class Treatment(NamedTuple):
@@ -118,12 +119,17 @@ DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
     'projectile.drift': Treatment(True, error=0.02, is_per_throw=True),
 }
 """
-Default treatments; errors of lengths and mass are those of the paper. The loss is fitted, too, if
-the tracks show it.
+Default treatments; errors of lengths and mass are those of the paper.
 
 With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
 error.
 """
+
+SEARCHED: Mapping[str, Treatment] = {
+    LOSS: FREE,
+    'plate.ringing': Treatment(True, error=0.02, is_per_throw=True),
+}
+"""Treatments of parameters that are fixed by default, and fitted if the tracks show them."""
 
 IDEAL_BENCH: Mapping[str, Treatment] = {
     name: FIXED for name in DEFAULTS if name not in DEFAULT_FREE
@@ -275,11 +281,10 @@ class FitDescription:
         """Return whether a parameter is fitted without a prior."""
         return self.treatment(name).is_free
 
-    @property
-    def searches_loss(self) -> bool:
-        """Whether a loss is fitted if the tracks show it: nothing is said about it."""
+    def searches(self, name: str) -> bool:
+        """Whether a parameter is fitted if the tracks show it: nothing is said about it."""
         conditions = [item.treatments for item in self.throws.values()]
-        return not any(LOSS in item for item in (self.parameters, *conditions))
+        return not any(name in item for item in (self.parameters, *conditions))
 
     def value(self, name: str, rig: Rig, throw: str | None = None) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""

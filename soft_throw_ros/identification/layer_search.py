@@ -22,6 +22,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import changed_rig, LAYER, values_of
 from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
 from soft_throw_ros.identification.parameter_layout import OWN, START
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import Track
 
@@ -53,6 +54,7 @@ class SearchedThrow(NamedTuple):
     """A throw whose layer is searched."""
 
     rig: Rig
+    motion: PlateWithWaves
     start_time: float
     """[s]"""
     searched: tuple[str, ...]
@@ -97,7 +99,7 @@ def find_layers(model: RigModel) -> list[Rig]:
         throw = throws[number].name
         names = tuple(n for n in free if model.description.treatment(n, throw).value is None)
         begin = model.value(start, START, number)
-        searched[number] = SearchedThrow(model.rig_of(start, number), begin, names)
+        searched[number] = SearchedThrow(*model.motion(start, number), begin, names)
     early = model.cut_after(_SEARCH_PERIODS / model.rig.engine.frequency)
     if not early.projectiles:
         early = model
@@ -210,7 +212,7 @@ def _mismatch(model: RigModel, searched: Mapping[int, SearchedThrow], rig: Rig) 
         time, height = track.time[some] - throw.start_time, track.position[some]
         changed = changed_rig(throw.rig, values_of(rig, throw.searched))
         try:
-            path = model.simulator.follow(changed, time)
+            path = model.simulator.follow(changed, time, motion=throw.motion)
         except FitError:
             return math.inf
         total += time.size * float(np.var(height - path.position)) / track.noise**2

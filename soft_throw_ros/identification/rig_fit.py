@@ -31,14 +31,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Event
+from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
-    FREE,
     LAYER,
     LOSS,
     PARAMETERS,
+    SEARCHED,
     values_of,
 )
 from soft_throw_ros.identification.forward import (
@@ -49,8 +51,14 @@ from soft_throw_ros.identification.forward import (
 )
 from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.parameter_layout import START
+from soft_throw_ros.identification.parameter_layout import (
+    RINGING,
+    RINGING_AMPLITUDES,
+    START,
+    value_names,
+)
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.systematics import FLOORS, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
@@ -59,6 +67,7 @@ Floats = NDArray[np.float64]
 
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
+_LAST_RELEASE = 3.0  # time until which a projectile is released [periods of the plate]
 _INITIAL_LOSS = 0.05  # initial loss tangent of a fit with loss
 _MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
 _MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
@@ -156,15 +165,49 @@ class RigFit:
         """
         Compute the release of the fitted rig, and of rigs drawn from the errors of the fit.
 
-        The first release is that of the fitted rig.
+        The first release is that of the fitted rig. Ringing of the plate shifts each release, to
+        first order in its amplitudes.
         """
-        fit = self.fit
+        fit, model = self.fit, self.model
         steps = draw_normal(np.random.default_rng(seed), fit.covariance, count)
-        rigs = []
-        for values in fit.values + np.vstack([np.zeros(fit.values.size), steps]):
+        steps = np.vstack([np.zeros(fit.values.size), steps])
+        shift = release_shift(model, fit.values)
+        shifts = np.tile(shift, (len(steps), 1))
+        for name in RINGING_AMPLITUDES:
+            index = model.layout.indices.get(name, {}).get(0)
+            if index is not None:
+                moved = fit.values.copy()
+                moved[index] += fit.errors[index]
+                slope = (release_shift(model, moved) - shift) / fit.errors[index]
+                shifts += np.outer(steps[:, index], slope)
+        rigs, kept = [], []
+        for row, values in enumerate(fit.values + steps):
             with contextlib.suppress(ValueError):
-                rigs.append(self.model.rig_of(values))
-        return first_releases(rigs)
+                rigs.append(model.rig_of(values))
+                kept.append(row)
+        result = first_releases(rigs)
+        time, speed = shifts[kept].T
+        return result._replace(time=result.time + time, speed=result.speed + speed)
+
+
+def release_shift(model: RigModel, values: Floats) -> Floats:
+    """Return the effect of ringing on time [s] and speed [m/s] of the release, first throw."""
+    rig, motion = model.motion(values, 0)
+    if not any(motion.ringing):
+        return np.zeros(2)
+    plain = next(iter(ejections(_events(model, rig, PlateWithWaves(motion.step)))), None)
+    if plain is None:
+        return np.zeros(2)
+    # A ringing plate may release the projectile briefly, long before the throw
+    releases = [event for event in _events(model, rig, motion) if event.kind == 'release']
+    near = min(releases, key=lambda event: abs(event.time - plain.time), default=plain)
+    return np.array([near.time - plain.time, near.velocity - plain.velocity])
+
+
+def _events(model: RigModel, rig: Rig, motion: PlateWithWaves) -> tuple[Event, ...]:
+    """Return the events of the first few periods of the plate."""
+    end = np.array([_LAST_RELEASE / rig.engine.frequency])
+    return model.simulator.follow(rig, end, motion=motion, by_cells=model.by_cells).events
 
 
 def draw_normal(rng: np.random.Generator, covariance: Floats, count: int) -> Floats:
@@ -230,7 +273,9 @@ def fit_rig(
         on_progress('searching for other minima')
         result = replace(result, fit=find_best_minimum(result.model, result.fit, others))
         on_progress('searching for a loss')
-        result = _with_loss(result)
+        if model.projectiles:
+            model, fit = _with_term(result.model, result.fit, LOSS, _INITIAL_LOSS)
+            result = replace(result, model=model, fit=fit)
     except DeadlineExceeded:
         result = replace(result, is_complete=False)
     return replace(result, model=replace(result.model, simulator=ThrowSimulator()))
@@ -242,11 +287,14 @@ def _fit_plates(
     description: FitDescription,
     simulator: ThrowSimulator,
 ) -> RigModel:
-    """Fit the plates alone, which no layer changes; return the model of all bodies."""
+    """Fit the plates alone, with their ringing, which no layer changes; return the whole model."""
     throws = tuple(_with_noise(throws))
     plates = tuple(_fit_plate(throw, description) for throw in throws)
     rig = _with_engine_of(plates, description.prepare(rig), description)
-    return RigModel(throws, rig, description, simulator, plates)
+    without = tuple(replace(throw, projectile=None) for throw in throws)
+    alone = RigModel(without, rig, description, simulator, plates)
+    alone, fit = _with_term(alone, alone.fit(alone.start()), RINGING)
+    return replace(alone, throws=throws, initial=fit.by_name)
 
 
 def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[Rig]]:
@@ -323,30 +371,32 @@ def _fit_until_landing(model: RigModel) -> RigFit:
     return result
 
 
-def _with_loss(result: RigFit) -> RigFit:
+def _with_term(
+    model: RigModel, before: Fit, name: str, initial: float = 0.0
+) -> tuple[RigModel, Fit]:
     r"""
-    Return a fit with a loss if it lowers the Bayesian information criterion strongly.
+    Return a fit with one more parameter if it lowers the Bayesian information criterion strongly.
 
     The criterion is :math:`\chi^2 + k \ln n` for k parameters and n samples; differences beyond
     6 count as strong (R. E. Kass and A. E. Raftery, J. Am. Stat. Assoc. 90, 773, 1995).
     """
-    before = result.fit
-    if not result.model.description.searches_loss or not result.model.projectiles:
-        return result
-    description = result.model.description.change({LOSS: FREE})
-    model = replace(result.model, description=description)
-    start = model.start(before)
-    for index, known in model.known.items():
-        start[index] = known.value  # the priors have absorbed what the loss explains
-    start[model.layout.indices_of(LOSS)] = _INITIAL_LOSS
+    if not model.description.searches(name):
+        return model, before
+    wider = replace(model, description=model.description.change({name: SEARCHED[name]}))
+    start = wider.start(before)
+    for index, known in wider.known.items():
+        if not wider.layout.names[index].startswith('plate'):
+            start[index] = known.value  # the priors have absorbed what the loss explains
+    for value_name in value_names(name):
+        start[wider.layout.indices_of(value_name)] = initial
     try:
-        fit = model.fit(start)
+        fit = wider.fit(start)
     except FitError:
-        return result
+        return model, before
     gain = (before.chi2 - fit.chi2) / max(1.0, fit.reduced_chi2)
     added = fit.values.size - before.values.size
     is_needed = gain - added * math.log(before.dof + before.values.size) > _MIN_GAIN
-    return replace(result, model=model, fit=fit) if is_needed else result
+    return (wider, fit) if is_needed else (model, before)
 
 
 def _in_flight(model: RigModel) -> RigModel:

@@ -35,9 +35,12 @@ from soft_throw_ros.identification.parameter_layout import (
     ParameterLayout,
     PLATE_ZERO,
     PROJECTILE_ZERO,
+    RINGING,
+    RINGING_AMPLITUDES,
     START,
 )
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
@@ -64,6 +67,7 @@ _STEPS = {  # absolute
     'layer.stiffening': 2e-2,
     **dict.fromkeys((PLATE_ZERO, PROJECTILE_ZERO), 1e-5),
     **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
+    **dict.fromkeys(RINGING_AMPLITUDES, 1e-3),
 }
 _MAX_ERROR = 1e30
 """Error in SI units beyond which a parameter is not seen at all."""
@@ -159,7 +163,8 @@ class RigModel:
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
         result: dict[int, Estimate | None] = {}
-        for index, ((name, _), (throw, *_)) in enumerate(self.layout.groups.items()):
+        for index, ((value_name, _), (throw, *_)) in enumerate(self.layout.groups.items()):
+            name = RINGING if value_name in RINGING_AMPLITUDES else value_name
             if name in DEFAULTS:
                 result[index] = self.description.known(
                     name, self.rigs[throw], self.throws[throw].name
@@ -224,18 +229,17 @@ class RigModel:
         if requests is None:
             requests = [(throw, body, track.time) for throw, body, track in self.series]
         result = []
-        rigs = {throw: self.rig_of(values, throw) for throw in {item[0] for item in requests}}
+        motions = {throw: self.motion(values, throw) for throw in {item[0] for item in requests}}
         for throw, body, time in requests:
-            rig = rigs[throw]
+            rig, motion = motions[throw]
             since = self.since(values, throw, body, time)
             if body == 'plate':
                 rest, scale = self.value(values, PLATE_ZERO, throw), 1.0
-                motion = Underdamped.of(rig.engine)
                 travel, velocity = motion.position(since), motion.velocity(since)
             else:
                 rest = self._projectile_rest(values, throw, rig)
                 scale = self.value(values, 'projectile.scale', throw)
-                path = self.simulator.follow(rig, since, by_cells=self.by_cells)
+                path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
                 travel, velocity = path.position - rig.rest_height, path.velocity
             height = rest + scale * travel + self.drift(values, throw, body, time)
             result.append(Trajectory(height, scale * velocity))
@@ -247,6 +251,12 @@ class RigModel:
         if body == 'projectile':
             since = since - self.value(values, 'projectile.delay', throw)
         return since
+
+    def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithWaves]:
+        """Return the rig of a throw, and the motion of its plate."""
+        rig = self.rig_of(values, throw)
+        cosine, sine = (self.value(values, name, throw) for name in RINGING_AMPLITUDES)
+        return rig, PlateWithWaves(Underdamped.of(rig.engine), (cosine, sine))
 
     def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
         """Height that drift adds, none at the middle of a record [m]."""

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names and numbers in the report of a fit."""
 
+from types import SimpleNamespace
+
 import pytest
 from soft_throw_ros.commands.identify_report import remark_lines, warning_text
 from soft_throw_ros.identification.fit_warnings import (
@@ -33,6 +35,8 @@ def test_warning_has_its_names_and_numbers(warning, values):
     assert [value for value in values if value not in text] == []
 
 
-def test_incomplete_search_is_remarked():
-    (incomplete,) = remark_lines(RigFit(model=None, fit=None, is_complete=False))
+def test_remarks_name_ringing_and_an_incomplete_search():
+    model = SimpleNamespace(layout={'plate.ringing_cosine': 0})
+    ringing, incomplete = remark_lines(RigFit(model=model, fit=None, is_complete=False))
+    assert 'rings' in ringing
     assert 'incomplete' in incomplete

@@ -49,9 +49,9 @@ def test_error_that_is_not_positive_is_refused(error, value):
 
 def test_loss_is_searched_unless_something_is_said_about_it():
     conditions = ThrowConditions({LOSS: FREE}, {})
-    assert FitDescription().searches_loss
-    assert not FitDescription({LOSS: FIXED}).searches_loss
-    assert not FitDescription(throws={'a': conditions}).searches_loss
+    assert FitDescription().searches(LOSS)
+    assert not FitDescription({LOSS: FIXED}).searches(LOSS)
+    assert not FitDescription(throws={'a': conditions}).searches(LOSS)
 
 
 def test_measured_quantities_have_the_errors_of_the_paper():

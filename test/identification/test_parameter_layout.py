@@ -3,7 +3,12 @@
 """The order of the values of a fit."""
 
 import numpy as np
-from soft_throw_ros.identification.fit_description import FitDescription, FREE, IDEAL_BENCH
+from soft_throw_ros.identification.fit_description import (
+    FitDescription,
+    FREE,
+    IDEAL_BENCH,
+    SEARCHED,
+)
 from soft_throw_ros.identification.parameter_layout import ParameterLayout
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
@@ -31,6 +36,8 @@ def test_shared_values_come_first_and_names_have_the_number_of_the_throw():
     assert 'layer.thickness' not in layout
 
 
-def test_layer_has_no_value_without_a_projectile():
-    layout = ParameterLayout.of([ThrowTracks(name='a', plate=TRACK)], FitDescription(IDEAL_BENCH))
-    assert 'layer.wave_speed' not in layout
+def test_ringing_has_two_values_for_each_throw():
+    throw = ThrowTracks(name='a', plate=TRACK)
+    layout = ParameterLayout.of([throw], FitDescription({**IDEAL_BENCH, **SEARCHED}))
+    assert {'plate.ringing_cosine', 'plate.ringing_sine'} < set(layout.names)
+    assert 'layer.wave_speed' not in layout  # nothing is seen of the projectile

@@ -22,7 +22,7 @@ from soft_throw_ros.identification.fit_description import (
     ThrowConditions,
     values_of,
 )
-from soft_throw_ros.identification.fit_warnings import fit_warnings, InseparablePair, Mismatch
+from soft_throw_ros.identification.fit_warnings import fit_warnings, InseparablePair
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.rig_fit import fit_rig
@@ -234,11 +234,22 @@ def imperfect_throw(see, rig, imperfections):
     return see(time, thrown.plate(since), thrown.projectile(since)), thrown.changes[0]
 
 
-def test_ringing_plate_is_reported(see):
-    ringing = Imperfections(ringing=0.04, ringing_phase=0.5)
-    tracks, _ = imperfect_throw(see, Rig(layer=Layer(thickness=8e-3)), ringing)
-    found = fit_rig([tracks], Rig(layer=Layer(thickness=8e-3)))
-    assert any(isinstance(warning, Mismatch) for warning in fit_warnings(found.fit))
+@pytest.mark.slow
+@pytest.mark.parametrize('phase', [0.5, 3.5])
+def test_ringing_before_the_throw_leads_to_no_other_minimum(see, phase):
+    # So thin a layer that the projectile does not leave it before the throw
+    rig = Rig(layer=Layer(thickness=8e-3))
+    ringing = Imperfections(ringing=0.015, ringing_phase=phase)
+    tracks, release = imperfect_throw(see, rig, ringing)
+    assert release.time > 0.0
+    found = fit_rig([tracks], replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0)))
+    assert 'plate.ringing_sine' in found.fit
+    assert fit_warnings(found.fit) == []
+    assert_true(found, rig, DEFAULT_FREE, errors=3.5)
+    ejection = ejection_of(found)
+    peak, truth = ejection.peak_plate_speed, Underdamped.of(Rig().engine).peak_velocity
+    assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
+    assert ejection.speed.value == pytest.approx(release.velocity, rel=0.02)
 
 
 def test_free_loss_may_be_zero(see):

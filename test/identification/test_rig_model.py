@@ -24,6 +24,7 @@ TREATMENTS = {
     'projectile.mass': Treatment(True, error=0.02, is_relative=True),
     'projectile.delay': Treatment(True, error=1e-4),
     'plate.drift': Treatment(True, error=0.02, is_per_throw=True),
+    'plate.ringing': Treatment(True, error=0.03, is_per_throw=True),
 }
 DELAY = 'projectile.delay'
 
@@ -90,6 +91,10 @@ def test_priors_are_those_of_the_description_for_each_value(model):
         'projectile.mass': Estimate(rig.projectile.mass, 0.02 * rig.projectile.mass),
         DELAY: Estimate(0.0, 1e-4),
         **{f'plate.drift[{throw}]': Estimate(0.0, 0.02) for throw in (1, 2)},
+        **{
+            f'plate.ringing_{wave}[{throw}]': Estimate(0.0, 0.03)
+            for wave in ('cosine', 'sine') for throw in (1, 2)
+        },
     }
 
 
