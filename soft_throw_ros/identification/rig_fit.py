@@ -169,10 +169,12 @@ class RigFit:
         first order in its amplitudes.
         """
         fit, model = self.fit, self.model
-        steps = draw_normal(np.random.default_rng(seed), fit.covariance, count)
+        rng = np.random.default_rng(seed)
+        steps = draw_normal(rng, fit.covariance, count)
         steps = np.vstack([np.zeros(fit.values.size), steps])
         shift = release_shift(model, fit.values)
         shifts = np.tile(shift, (len(steps), 1))
+        shifts[1:] += np.outer(rng.normal(size=count), shift)  # it is known to first order only
         for name in RINGING_AMPLITUDES:
             index = model.layout.indices.get(name, {}).get(0)
             if index is not None:

@@ -39,6 +39,8 @@ FLOORS: Mapping[str, Floor] = {
     'engine.amplitude': Floor(0.2, '%'),
     # The same modes, and a stress law that another wave speed does not explain
     'layer.wave_speed': Floor(1.5, '%'),
+    # The same modes, which look like a loss
+    'layer.loss_tangent': Floor(0.02, ''),
     # A layer that holds the projectile for up to 0.2 ms after the computed release
     'ejection.time': Floor(2e-4, 's'),
     # The plate's mode at the release, and the force of the layer while it sticks
