@@ -61,7 +61,7 @@ setup(
         # Its interface changes with every minor version; this one has no wheel for Python 3.10.
         'rerun': ['matplotlib', 'rerun-sdk>=0.41,<0.42; python_version >= "3.11"'],
         'plot': ['matplotlib'],
-        'video': ['av', 'imageio', 'scikit-image>=0.20'],
+        'video': ['av', 'imageio', 'tifffile', 'trackpy>=0.6.4'],
         'test': [
             'av',
             'colcon-common-extensions',
@@ -87,8 +87,9 @@ setup(
             'pytest-timeout',
             'pytest-xdist',
             'rosbags',
-            'scikit-image>=0.20',
             'setuptools>=70.1,<80',  # older ones need wheel, and colcon fails with newer ones
+            'tifffile',
+            'trackpy>=0.6.4',
             'types-PyYAML',
             'types-tqdm',
             'urdf-parser-py',

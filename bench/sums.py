@@ -101,7 +101,7 @@ def real_time() -> Result:
         Case('travelling waves', partial(run, WaveStepper(Rig())), 1.0,
              lambda time: abs(time - fine) * Rig().engine.frequency, 1.6e3),
         cells('no loss', 3.3e3, Layer()),
-        cells('loss', 6.7e3, Layer(loss_tangent=0.05)),
+        cells('loss', 1.3e4, Layer(loss_tangent=0.05)),
         cells('constant loss', 1e4, Layer(loss_tangent=0.05, loss='constant')),
         cells('large strain', 1e4, Layer(stress_strain_law='neo_hookean')),
         cells('large strain and constant loss', 1e4, GEL),

@@ -86,7 +86,7 @@ def _run(name: str, arguments: list[str]) -> int | None:
         if handler != signal.SIG_IGN:
             signal.signal(number, lambda number, _: os._exit(0 if is_node else 128 + number))
     try:
-        _ensure_kernel_cache()
+        importlib.import_module('soft_throw_ros.kernel_cache').use_kernel_cache()
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         print(f'soft-throw: {name} needs a module that is not installed: {error}', file=sys.stderr)
@@ -99,36 +99,6 @@ def _run(name: str, arguments: list[str]) -> int | None:
     except KeyboardInterrupt:  # the executable has not installed a signal handler
         return 0 if is_node else 128 + signal.SIGINT
     return exit_code
-
-
-def _ensure_kernel_cache() -> None:
-    """
-    Set a private temporary folder as numba's cache if no other folder is writable.
-
-    Otherwise numba raises an exception for the first kernel, for example in a container without a
-    home directory. Child processes inherit the folder in their environment.
-
-    """
-    import atexit
-    from pathlib import Path
-    import shutil
-    import tempfile
-
-    of_user = os.environ.get('XDG_CACHE_HOME') or Path('~/.cache').expanduser()
-    folders = (Path(__file__).with_name('core') / '__pycache__', Path(of_user))
-    existing = (
-        next(path for path in (folder, *folder.parents) if path.exists()) for folder in folders
-    )
-    is_writable = any(path.is_dir() and os.access(path, os.W_OK | os.X_OK) for path in existing)
-    if is_writable or 'NUMBA_CACHE_DIR' in os.environ:
-        return
-    cache = os.environ['NUMBA_CACHE_DIR'] = tempfile.mkdtemp(prefix='soft_throw_ros_')
-    atexit.register(shutil.rmtree, cache, ignore_errors=True)
-    print(
-        'soft-throw: no folder for compiled kernels is writable, so every start compiles them '
-        'again; set NUMBA_CACHE_DIR to a writable folder',
-        file=sys.stderr,
-    )
 
 
 def _usage() -> str:

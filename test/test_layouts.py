@@ -61,14 +61,16 @@ def test_plotjuggler_plots_topics_of_the_twin():
             assert key in KEYS
 
 
-@pytest.mark.parametrize('node', ['twin', 'recorder'])
-def test_diagnostics_of_every_namespace_are_grouped_by_node(node):
+@pytest.mark.parametrize(
+    ('node', 'task'), [('twin', 'timing'), ('recorder', 'bag'), ('calibrator', 'identification')]
+)
+def test_diagnostics_are_grouped_in_every_namespace_by_the_kind_of_node(node, task):
     (parameters,) = yaml.safe_load((CONFIG / 'diagnostic_aggregator.yaml').read_text()).values()
     groups = {
         key: value['regex'][0]
         for key, value in parameters['ros__parameters'].items()
         if isinstance(value, dict)
     }
-    for namespace in ('', '/rig1', '/hall/rig1'):
-        status = f'{namespace}/{node}: timing'
-        assert [name for name, regex in groups.items() if re.fullmatch(regex, status)] == [node]
+    for name in (f'/{node}', '/rig1/renamed', '/hall/rig1/t'):
+        status = f'{name}: {task}'
+        assert [key for key, regex in groups.items() if re.fullmatch(regex, status)] == [node]

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `soft-throw NAME ...`."""
 
-import os
-from pathlib import Path
-import stat
 import subprocess
 import sys
 import types
@@ -66,39 +63,6 @@ def test_early_signal_ends_the_executable_without_a_traceback(
     monkeypatch.setitem(umbrella.EXECUTABLES, 'echo', (module, 'repeats its arguments'))
     assert umbrella.main(['echo']) == code
     assert capsys.readouterr() == ('', '')
-
-
-@pytest.fixture
-def unwritable(tmp_path, monkeypatch):
-    """Leave numba without a writable folder, and return the apparent folder of the package."""
-    (tmp_path / 'core').touch()  # a file in place of the folder stops even root
-    monkeypatch.setenv('NUMBA_CACHE_DIR', '')  # restored after the test
-    monkeypatch.delenv('NUMBA_CACHE_DIR')
-    monkeypatch.setenv('XDG_CACHE_HOME', '/dev/null/cache')
-    monkeypatch.setattr(umbrella, '__file__', str(tmp_path / '__main__.py'))
-    return tmp_path
-
-
-def test_kernels_are_cached_in_a_private_folder_if_no_other_is_writable(echo, unwritable, capsys):
-    umbrella.main(['echo'])
-    folder = Path(os.environ['NUMBA_CACHE_DIR'])
-    assert stat.S_IMODE(folder.stat().st_mode) == stat.S_IRWXU
-    (line,) = capsys.readouterr().err.splitlines()
-    assert 'NUMBA_CACHE_DIR' in line
-    umbrella.main(['echo'])  # as in a child process
-    assert os.environ['NUMBA_CACHE_DIR'] == str(folder)
-    assert capsys.readouterr().err == ''
-
-
-@pytest.mark.parametrize('writable', ['core', 'cache'])
-def test_numba_chooses_among_writable_folders(echo, unwritable, monkeypatch, capsys, writable):
-    if writable == 'core':
-        (unwritable / 'core').unlink()
-    else:
-        monkeypatch.setenv('XDG_CACHE_HOME', str(unwritable / 'new'))
-    umbrella.main(['echo'])
-    assert 'NUMBA_CACHE_DIR' not in os.environ
-    assert capsys.readouterr().err == ''
 
 
 def test_umbrella_imports_little_before_it_handles_signals():

@@ -47,7 +47,7 @@ ON_PYPI = {
     'tqdm': ('tqdm', 'python3-tqdm'),
     'yaml': ('pyyaml', 'python3-yaml'),
 }
-OPTIONAL = {'av', 'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'skimage', 'xarray'}
+OPTIONAL = {'av', 'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'trackpy', 'xarray'}
 # Packages that the launch files import or start, without the optional rviz2.
 TO_LAUNCH = {'launch', 'launch_ros', 'robot_state_publisher'}
 # Build tools and dependencies are already installed, so pip must not download anything.

@@ -59,9 +59,6 @@ OPTIONS = (
 SHAPE = (300, 64)
 """Rows and columns of the video. [px]"""
 
-WIRE, WIRE_WIDTH = 100.0, 6.0
-"""Row and width of a wire in front of the path of the projectile. [px]"""
-
 START = 0.008
 """Start of the throw. [s]"""
 
@@ -73,14 +70,13 @@ _COLOURS = 48
 
 
 def pictures() -> Iterator[Bytes]:
-    """Yield noisy pictures of a throw: three dark spots behind a wire."""
+    """Yield noisy pictures of a throw: three dark spots."""
     rng = np.random.default_rng(0)
     time = np.arange(0.0, DURATION, 1.0 / RATE) - START
     path = simulate(RIG, until=DURATION).trajectory(np.maximum(time, 0.0))
     low = Underdamped.of(RIG.engine).position(time) / PIXEL
     high = (path.projectile_position - path.projectile_position[0]) / PIXEL
     rows, columns = np.indices(SHAPE)
-    wire = 1.0 / (1.0 + np.exp((np.abs(rows - WIRE) - 0.5 * WIRE_WIDTH) / 0.5))
     for plate, projectile in zip(low, high, strict=True):
         levels = np.full(SHAPE, 200.0)
         for row, column in (
@@ -90,7 +86,6 @@ def pictures() -> Iterator[Bytes]:
         ):
             distance = np.hypot(rows - row, columns - column)
             levels -= 140.0 / (1.0 + np.exp((distance - 4.0) / 0.6))
-        levels += wire * (70.0 - levels)
         noisy = levels + 4.0 * rng.normal(size=SHAPE)
         yield np.clip(np.round(noisy), 0, 255).astype(np.uint8)
 

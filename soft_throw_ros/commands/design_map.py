@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from soft_throw_ros.commands.options import (
     add_executor_options,
     add_rig_options,
-    MAIN_PARAMETERS,
     new_file,
     open_executor,
     read_settings,
@@ -75,7 +74,7 @@ def add_arguments(parser: CommandParser) -> None:
         help='.nc (NetCDF) or .png (picture)',
     )
     add_executor_options(parser)
-    add_rig_options(parser, MAIN_PARAMETERS)
+    add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -14,7 +14,6 @@ from soft_throw_ros.commands.design_texts import motion_summary
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
-    MAIN_PARAMETERS,
     new_file,
     read_settings,
 )
@@ -49,7 +48,7 @@ def add_arguments(parser: CommandParser) -> None:
     )
     names = [f'recommendation.{name}' for name in _LIMITS]
     add_options(parser, names, title='limits of the actuator')
-    add_rig_options(parser, MAIN_PARAMETERS)
+    add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

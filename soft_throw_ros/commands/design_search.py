@@ -15,7 +15,6 @@ from soft_throw_ros.commands.design_texts import summary_of, uncertainty_text
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
-    MAIN_PARAMETERS,
     read_settings,
     RECOMMENDATION_PARAMETERS,
     UNCERTAINTY_PARAMETERS,
@@ -76,7 +75,7 @@ def _add_arguments(
     parser.usage = '%(prog)s [OPTION ...]'
     parser.add_json_option()
     add_options(parser, names, title=title, entries=entries)
-    add_rig_options(parser, MAIN_PARAMETERS)
+    add_rig_options(parser)
 
 
 def run_recommend(arguments: argparse.Namespace) -> int:

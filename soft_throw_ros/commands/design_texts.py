@@ -50,10 +50,10 @@ def _recommendation_summary(
             f'({score_name} {best.score:.2f})'
         )
     else:
-        now = f'{best.now_score:.2f}' if best.now_score else 'nothing'
+        now = f'{best.now_score:.2f} -> ' if best.now_score else ''
         text = (
             f'{_changes(best, old, limits)}: {_gain(best.gain)} '
-            f'({score_name} {now} -> {best.score:.2f})'
+            f'({score_name} {now}{best.score:.2f})'
         )
     text += (
         f'; +-{1e3 * best.tolerances["thickness"]:.2g} mm or '

@@ -10,6 +10,7 @@ from soft_throw_ros.commands.identify_input import add_track_options, read_layer
 from soft_throw_ros.commands.identify_report import IdentificationReport, with_unit
 from soft_throw_ros.commands.options import (
     add_rig_options,
+    MEASURED_PARAMETERS,
     new_file,
     not_negative,
     parameter_type,
@@ -29,10 +30,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _parser() -> CommandParser:
-    parser = CommandParser(
-        description=__doc__,
-        usage='%(prog)s [OPTION ...] M FILE [M FILE ...]',
-    )
+    parser = CommandParser(description=__doc__, usage='%(prog)s [OPTION ...] M FILE [M FILE ...]')
     add = parser.add_argument
     add(
         'layers', metavar='M FILE', nargs='+',
@@ -45,7 +43,7 @@ def _parser() -> CommandParser:
     add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
     parser.add_json_option()
     add_track_options(parser)
-    add_rig_options(parser)
+    add_rig_options(parser, MEASURED_PARAMETERS[1:])  # not the thickness
     return parser
 
 
@@ -63,10 +61,8 @@ def _run(arguments: argparse.Namespace) -> int:
     speed = fit_wave_speed(thicknesses, periods, thickness_error=arguments.thickness_error)
     layers = list(zip(thicknesses, periods, strict=True))
     lines = [f'{1e3 * size:.4g} mm: period {with_unit(period, "s")}' for size, period in layers]
-    warning = (
-        'the periods are not proportional to the thicknesses (probability '
-        f'{speed.probability:.1g}): is it one material?'
-    )
+    warning = 'the periods are not proportional to the thicknesses (probability '
+    warning += f'{speed.probability:.1g}): is it one material?'
     known = stated_parameters(arguments) | {'layer.wave_speed'}
     IdentificationReport(
         sources=tuple(paths),

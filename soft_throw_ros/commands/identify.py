@@ -29,7 +29,8 @@ from soft_throw_ros.commands.identify_report import (
 )
 from soft_throw_ros.commands.options import (
     add_rig_options,
-    option_of,
+    argument_of,
+    MEASURED_PARAMETERS,
     read_settings,
     stated_parameters,
 )
@@ -52,6 +53,7 @@ from soft_throw_ros.identification.systematics import FLOORS
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
+_NOISE = 'measured.position_noise'  # noise of all heights, if it is stated
 
 
 def main(args: list[str] | None = None) -> int:
@@ -73,7 +75,8 @@ def _parser() -> CommandParser:
         usage='%(prog)s [OPTION ...] FILE ...',
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
         'projectile in the next ones; a first line may name them. Without a projectile only the '
-        'engine is found. soft-throw track makes such files of videos.',
+        'engine is found. soft-throw track makes such files of videos. A parameter of the rig may '
+        "have an error, as in '--mass 0.0012+-1%%'; the fit then finds it, too.",
     )
     parser.add_argument(
         'files', metavar='FILE', nargs='+', help='tracks of throws: CSV files, or bags'
@@ -81,7 +84,7 @@ def _parser() -> CommandParser:
     add_fit_options(parser)
     add_track_options(parser)
     add_report_options(parser)
-    add_rig_options(parser)
+    add_rig_options(parser, MEASURED_PARAMETERS)
     return parser
 
 
@@ -98,9 +101,8 @@ def add_fit_options(parser: CommandParser) -> None:
     )
     add(
         '--fit-file', metavar='FILE',
-        help='YAML file of the fit: `free`, `per_throw` (names), `fixed` (NAME: VALUE), `prior` '
-        '(NAME: [VALUE, ERROR]), `heights`, `reference`, and `throws` (names of files or throws, '
-        'or patterns, to such items and names of `layer` and `projectile` that differ there)',
+        help='YAML file of the fit (docs/measured.md): `free`, `fixed`, `prior`, `per_throw`, '
+        '`throws` whose parameters differ, `heights`, `reference`, and the `topic` of bags',
     )
 
 
@@ -129,16 +131,18 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
             try:
                 known[name] = parse_error(error, value)
             except ValueError as refusal:
-                raise ValueError(f'argument {option_of(name)}: {refusal}') from None
+                raise ValueError(f'{argument_of(arguments, name)}: {name} {refusal}') from None
     return known
 
 
-def read_all(arguments: argparse.Namespace) -> tuple[list[ThrowTracks], list[str]]:
+def read_all(
+    arguments: argparse.Namespace, *, noise: float | None = None, topic: str | None = None
+) -> tuple[list[ThrowTracks], list[str]]:
     """Return all throws, without false detections in a long record, and notes on defects."""
     throws: list[ThrowTracks] = []
     notes: list[str] = []
     for path in arguments.files:
-        result = read_throws(path, arguments, notes)
+        result = read_throws(path, arguments, notes, noise=noise, topic=topic)
         good = []
         for throw in result if len(result) > 1 else ():
             try:
@@ -155,13 +159,13 @@ def _identify(
     arguments: argparse.Namespace, settings: Settings, description: FitDescription
 ) -> IdentificationReport:
     """Fit a rig to throws."""
-    throws, notes = read_all(arguments)
+    stated = stated_parameters(arguments)
+    noise = float(settings[_NOISE]) if _NOISE in stated else None
+    throws, notes = read_all(arguments, noise=noise, topic=description.topic)
     has_projectile = any(throw.projectile is not None for throw in throws)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': FIXED})
-    description = description.assume(
-        stated_parameters(arguments), [throw.name for throw in throws]
-    )
+    description = description.assume(stated, [throw.name for throw in throws])
     result = fit_rig(throws, rig_of(settings), description, on_progress=_show_progress)
     remarks = tuple(remark_lines(result))
     lines = [*budget_lines(result), '', *remarks, *fit_lines(result.fit)]

@@ -16,7 +16,7 @@ import math
 from pathlib import Path
 
 import numpy as np
-from soft_throw_ros.commands.options import any_number, positive
+from soft_throw_ros.commands.options import any_number
 from soft_throw_ros.commands.output import CommandParser, report_io_errors
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TWIN_TOPICS
 from soft_throw_ros.identification.least_squares import FitError
@@ -53,9 +53,6 @@ def add_track_options(parser: CommandParser) -> None:
     add = parser.add_argument
     add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
     add(
-        '--noise', metavar='M', type=positive, help='standard deviation of heights, if it is known'
-    )
-    add(
         '--from', dest='start', metavar='S', type=any_number, default=-math.inf,
         help='ignore samples before this time',
     )
@@ -63,22 +60,25 @@ def add_track_options(parser: CommandParser) -> None:
         '--to', dest='end', metavar='S', type=any_number, default=math.inf,
         help='ignore samples after this time',
     )
-    add('--topic', help='topic to read from bags, if several have a plate')
 
 
-def read_throws(path: str, arguments: argparse.Namespace, notes: list[str]) -> list[ThrowTracks]:
+def read_throws(
+    path: str, arguments: argparse.Namespace, notes: list[str], *,
+    noise: float | None = None, topic: str | None = None,
+) -> list[ThrowTracks]:
     """
-    Read the throws of a CSV file or a bag; a ValueError names file and line.
+    Read the throws of a CSV file, or of a topic of a bag; a ValueError names file and line.
 
-    A sentence about each defect of the tracks is appended to the notes.
+    `noise` is the standard deviation of heights, if it is known. A sentence about each defect of
+    the tracks is appended to the notes.
     """
     if Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
-        tracks = _read_bag(path, arguments.topic, notes)
+        tracks = _read_bag(path, topic, notes)
     else:
         tracks = _read_csv(path, JOINTS, arguments.unit)
     if 'plate' not in tracks:
         raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
-    tracks = {body: _with_noise(track, arguments) for body, track in tracks.items()}
+    tracks = {body: replace(track, known_noise=noise) for body, track in tracks.items()}
     plate, projectile = tracks['plate'], tracks.get('projectile')
     whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
     with report_io_errors(whole.name, TrackError):
@@ -119,14 +119,9 @@ def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
         raise TrackError(f'{path}: must have a time and both ends of the layer, got one end')
     with report_io_errors(path, TrackError):
         bottom, top = (
-            _with_noise(tracks[end], arguments).between(arguments.start, arguments.end)
-            for end in ('bottom', 'top')
+            tracks[end].between(arguments.start, arguments.end) for end in ('bottom', 'top')
         )
     return bottom, top
-
-
-def _with_noise(track: Track, arguments: argparse.Namespace) -> Track:
-    return track if arguments.noise is None else replace(track, known_noise=arguments.noise)
 
 
 def _read_csv(path: str, bodies: Sequence[str], unit: str) -> dict[str, Track]:
@@ -182,6 +177,6 @@ def _choose_topic(path: str, topics: Sequence[str], request: str | None) -> str:
     if len(best) != 1:
         raise TrackError(
             f'{path}: no topic {request or "of its own"} has positions of a joint plate; those '
-            f'that have: {", ".join(topics) or "none"}' + ' (choose with --topic)' * bool(topics)
+            f'that have: {", ".join(topics) or "none"}' + ' (`topic` of --fit-file)' * bool(topics)
         )
     return best[0]

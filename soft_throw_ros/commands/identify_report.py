@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import math
 from pathlib import Path
 
-from soft_throw_ros.commands.options import new_file, option_of
+from soft_throw_ros.commands.options import new_file
 from soft_throw_ros.commands.output import (
     CommandParser,
     print_note,
@@ -79,8 +79,8 @@ class IdentificationReport:
     def table(self) -> Iterator[str]:
         """Yield the lines of the report."""
         width = max(map(len, PARAMETERS))
-        assumed = [f'{name} ({option_of(name)})' for name in self.assumed if name in self.held]
-        head = [f'assumed, because nobody stated them: {", ".join(assumed)}'] if assumed else []
+        assumed = ', '.join(name for name in self.assumed if name in self.held)
+        head = [f'assumed, because nobody stated them (-p NAME:=VALUE): {assumed}'] * bool(assumed)
         if head or self.answer:
             yield from (*head, *self.answer, '')
         for name, text in self._estimates():

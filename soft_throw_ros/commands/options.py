@@ -19,7 +19,6 @@ from soft_throw_ros.commands.output import require
 from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.table import float_of, value_text
-from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 import yaml
 
 
@@ -44,6 +43,11 @@ MAIN_PARAMETERS = (
     'layer.thickness', 'layer.wave_speed', 'projectile.mass',
 )
 """Parameters of a rig that are options of `throw` and `design`; `-p` sets the others."""
+
+MEASURED_PARAMETERS = (
+    'layer.thickness', 'layer.density', 'layer.diameter', 'projectile.mass',
+)
+"""Parameters of a rig that are measured before an identification, whose options they are."""
 
 _MOTION = replace(
     TWIN.by_name['engine.motion'],
@@ -82,9 +86,9 @@ class _SetParameter(argparse.Action):
 
 
 def add_rig_options(
-    parser: argparse.ArgumentParser, names: Iterable[str] = RIG_PARAMETERS
+    parser: argparse.ArgumentParser, names: Iterable[str] = MAIN_PARAMETERS
 ) -> None:
-    """Add `--config`, `-p` and an option for each parameter; `read_settings` reads them."""
+    """Add `--config`, `-p` and options for some parameters; `read_settings` reads them."""
     parser.add_argument(
         '--config', metavar='FILE', default=argparse.SUPPRESS, help='parameter file of the twin'
     )
@@ -158,12 +162,16 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
         settings.update(TWIN.change(settings, request))
     except ParameterError as error:
         options = (
-            f'argument {"-p" if name in values.get(_NAMED, ()) else option_of(name)}: '
-            for name in error.names
-            if name in request
+            f'{argument_of(arguments, name)}: ' for name in error.names if name in request
         )
         raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
     return settings
+
+
+def argument_of(arguments: argparse.Namespace, name: str) -> str:
+    """Return the argument that has set a parameter, for messages."""
+    option = '-p' if name in getattr(arguments, _NAMED, ()) else option_of(name)
+    return f'argument {option}'
 
 
 def stated_parameters(arguments: argparse.Namespace) -> set[str]:

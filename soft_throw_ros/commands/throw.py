@@ -15,7 +15,6 @@ from typing import TypedDict
 from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
     add_rig_options,
-    MAIN_PARAMETERS,
     read_settings,
     UNCERTAINTY_PARAMETERS,
 )
@@ -61,7 +60,7 @@ def _parser() -> CommandParser:
         usage='%(prog)s [OPTION ...]',
     )
     parser.add_json_option()
-    add_rig_options(parser, MAIN_PARAMETERS)
+    add_rig_options(parser)
     return parser
 
 
@@ -107,11 +106,6 @@ def predict(settings: Settings) -> Prediction:
         notes['uncertainty'] = f'95 % of throws: {uncertainty_text(intervals)}'
     except ValueError as error:
         notes['uncertainty'] = f'none, {error}'
-    if throws['throw'] and throws['throw']['ejection_time'] > rig.shock_time:
-        notes['shocks'] = (
-            f'the layer compresses into shocks after {1e3 * rig.shock_time:.3g} ms, before the '
-            'release: ejection time and speed have errors up to 4e-3'
-        )
     return {
         'parameters': {
             name: settings[name]

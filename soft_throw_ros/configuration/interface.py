@@ -137,7 +137,7 @@ class TwinTopics(NamedTuple):
         '~/phase_change', JOINT_STATE,
         'Phase as a number, with the time of the change as stamp: 0 `rest`, 1 `contact`, '
         '2 `flight`, 3 `landed`, 4 `returning`',
-        is_latched=True, joints=('phase',), quantities=('position',))
+        depth=_SEVERAL, is_latched=True, joints=('phase',), quantities=('position',))
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
         'Result of a throw, at its first release and at its end, with the time of the event as '

@@ -100,7 +100,7 @@ class Row(NamedTuple):
     maxwell_stiffness: int = 16  # of the Maxwell elements [N/m]
     viscosity: int = 19  # of a link, in flight and in contact [N s/m]
     coupling: int = 21  # share of a link in the matrix of masses, in flight and in contact [kg]
-    elimination_factor: int = 23  # of a link: momentum that a neighbour gets [-]
+    elimination_factor: int = 23  # of a link: momentum that the upper node gets [-]
     inverse_pivot: int = 25  # velocity over momentum of an eliminated node [1/kg]
     momentum_factor: int = 27  # mass of a node if it is coupled, otherwise 1 [kg]
     impulse_factor: int = 29  # half a step, over the mass if it is not coupled [s]
@@ -146,7 +146,6 @@ RECORD = np.dtype(
         # the linear system of the mean velocities, see `factorise`
         ('first', 'i8', (2,)),  # first and last of the nodes that are coupled
         ('end', 'i8', (2,)),
-        ('middle', 'i8', (2,)),  # node at which the eliminations from both ends meet
         ('first_stiff', 'i8'),  # first and last link that is too fast for the step
         ('last_stiff', 'i8'),
         # the plate
@@ -241,41 +240,21 @@ def factorise(s: Record, nodes: Any, case: int) -> None:
         if coupling[j] > 0.0 or j == rigid:
             low, high = min(low, j), max(high, j)
     first, end = max(low, 1), high + 1  # the motion of node 0 is given
-    if end < first:  # nothing is coupled
-        first, end = last + 1, last
     for j in range(1, last + 1):
         is_coupled = first <= j <= end
         nodes[ROW.momentum_factor + case, j] = mass[j] if is_coupled else 1.0
-        nodes[ROW.impulse_factor + case, j] = 0.5 * step
-        if not is_coupled:
-            nodes[ROW.impulse_factor + case, j] = 0.5 * step / mass[j] if mass[j] > 0.0 else 0.0
-    middle = first + 2 * ((end - first) // 4)
-    s.first[case], s.end[case], s.middle[case] = first, end, middle
-    if first <= end:
-        _eliminate(nodes, case, first, middle, end, rigid)
-
-
-@subroutine
-def _eliminate(nodes, case, first, merge, end, rigid):
-    """Eliminate nodes from both ends towards one that they merge in."""
-    mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
+        nodes[ROW.impulse_factor + case, j] = 0.5 * step / (1.0 if is_coupled else mass[j])
+    s.first[case], s.end[case] = first, end
     factor, pivots = nodes[ROW.elimination_factor + case], nodes[ROW.inverse_pivot + case]
-    total = mass[merge]
-    for side in range(2):
-        j, direction = (first, 1) if side == 0 else (end, -1)
-        added = coupling[first - 1] if side == 0 else coupling[end]
-        while j != merge:
-            link = j if side == 0 else j - 1
-            pivot = mass[j] + added
-            if link == rigid:
-                factor[link], pivots[j], added = 1.0, 0.0, pivot
-            else:
-                pivots[j] = 1.0 / (pivot + coupling[link])
-                factor[link] = coupling[link] * pivots[j]
-                added = factor[link] * pivot
-            j += direction
-        total += added
-    pivots[merge] = 1.0 / total
+    added = coupling[first - 1]
+    for j in range(first, end + 1):
+        pivot = mass[j] + added
+        if j == rigid:  # the projectile gets all of the momentum, and has the same velocity
+            factor[j], pivots[j], added = 1.0, 0.0, pivot
+        else:
+            pivots[j] = 1.0 / (pivot + coupling[j])
+            factor[j] = coupling[j] * pivots[j]
+            added = factor[j] * pivot
 
 
 @inlined
@@ -285,47 +264,15 @@ def _across(nodes, row, j):
 
 
 @inlined
-def _two_terms(a, factor, here, next_factor, next_):
-    """Return two terms of a recurrence, without a longer dependency chain than for one."""
-    return here + factor * a, next_ + next_factor * here + next_factor * factor * a
-
-
-@inlined
-def _substitute(nodes, x, case, first, middle, end):
-    """
-    Solve for row x, from both ends to the middle and back, side by side and two nodes at a time.
-
-    Each direction is a chain of operations that wait for each other. Thomas's algorithm, a single
-    chain, makes steps with loss take twice the time.
-    """
+def _substitute(nodes, x, case, first, end):
+    """Solve for row x by Thomas's algorithm."""
     factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
-    # Unsigned, since numba asks of any other index whether it counts from the end
-    one, two = np.uintp(1), np.uintp(2)
-    middle, length = np.uintp(middle), np.uintp(middle - first)
-    low, high = middle - length, middle + length  # of chains of one length, which is even
-    a, b = 0.0, 0.0
-    for k in range(end, int(high), -1):
-        b = nodes[x, k] = nodes[x, k] + nodes[factor, k] * b
-    for i in range(np.uintp(0), length, two):
-        j, k = low + i, high - i
-        s, t = nodes[factor, j - one], nodes[factor, j]
-        nodes[x, j], a = _two_terms(a, s, nodes[x, j], t, nodes[x, j + one])
-        nodes[x, j + one] = a
-        s, t = nodes[factor, k], nodes[factor, k - one]
-        nodes[x, k], b = _two_terms(b, s, nodes[x, k], t, nodes[x, k - one])
-        nodes[x, k - one] = b
-    a = nodes[x, middle] + nodes[factor, middle - one] * a + nodes[factor, middle] * b
-    a = b = nodes[x, middle] = nodes[pivot, middle] * a
-    for i in range(one, length, two):
-        j, k = middle - i, middle + i
-        y, z = nodes[pivot, j] * nodes[x, j], nodes[pivot, j - one] * nodes[x, j - one]
-        nodes[x, j], a = _two_terms(a, nodes[factor, j], y, nodes[factor, j - one], z)
-        nodes[x, j - one] = a
-        y, z = nodes[pivot, k] * nodes[x, k], nodes[pivot, k + one] * nodes[x, k + one]
-        nodes[x, k], b = _two_terms(b, nodes[factor, k - one], y, nodes[factor, k], z)
-        nodes[x, k + one] = b
-    for k in range(int(high) + 1, end + 1):
-        b = nodes[x, k] = nodes[pivot, k] * nodes[x, k] + nodes[factor, k - 1] * b
+    value = 0.0
+    for j in range(first, end + 1):
+        value = nodes[x, j] = nodes[x, j] + nodes[factor, j - 1] * value
+    value = 0.0
+    for j in range(end, first - 1, -1):
+        value = nodes[x, j] = nodes[pivot, j] * nodes[x, j] + nodes[factor, j] * value
 
 
 @inlined
@@ -352,7 +299,7 @@ def solve(s: Record, nodes: Any) -> None:
         if j > 0:
             nodes[w, j] -= momentum
     nodes[w, first] += nodes[ROW.coupling + case, first - 1] * nodes[w, first - 1]
-    _substitute(nodes, w, case, first, s.middle[case], end)
+    _substitute(nodes, w, case, first, end)
 
 
 @subroutine
@@ -674,8 +621,7 @@ def _compare_loads(s, nodes):
         inner = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 1])
         strain += s.edge_weights[end] * (inner - strain)
         s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
-    acceleration = s.on_projectile_now / s.mass - s.gravity
-    s.acceleration = max(s.acceleration, abs(acceleration))
+    s.acceleration = max(s.acceleration, s.on_projectile_now / s.mass - s.gravity)
     s.plate_force = max(s.plate_force, abs(s.on_plate_now))
 
 

@@ -222,11 +222,6 @@ class SampledMotion:
         between = np.linspace(self.times[:-1], self.times[1:], 17)
         return float(self.velocity(between).max())
 
-    @property
-    def peak_acceleration(self) -> float:
-        """Largest magnitude of the acceleration in the states [m/s2]."""
-        return float(np.abs(self.states[:, 2]).max())
-
     def position(self, time: ArrayLike) -> Floats:
         """Height of the plate [m]."""
         return np.asarray(self._path(np.clip(time, self.start_time, self.end_time)))

@@ -416,23 +416,6 @@ class Rig:
         return self.layer.thickness - self.static_sag
 
     @property
-    def shock_time(self) -> float:
-        """
-        Time after which compression waves of the plate are shocks, if the layer is not linear [s].
-
-        Waves of a neo-Hookean layer steepen for the time :math:`c_s / a`, with the largest
-        acceleration :math:`a` of the plate; in a stack :math:`c_s` is that of the mean slowness.
-        """
-        if self.layer.stress_strain_law == 'linear':
-            return math.inf
-        engine, sheets = self.engine, self.layer.sheets
-        acceleration = engine.speed_scale * engine.angular_frequency
-        if engine.motion is not None:
-            acceleration = engine.motion.peak_acceleration
-        slowness = sum(sheet.crossing_time / sheet.wave_speed for sheet in sheets)
-        return self.crossing_time / (slowness * acceleration)
-
-    @property
     def gravity_ratio(self) -> float:
         r""":math:`g / (A \omega^2)` [-]."""
         return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)

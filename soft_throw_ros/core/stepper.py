@@ -81,8 +81,8 @@ class Loads(NamedTuple):
     """
     Largest magnitudes from the start to the first release, or up to now before the release.
 
-    Strains [-] anywhere in the layer, at the plate and at its top, the projectile's acceleration
-    [m/s2], and the force of the layer on the plate [N].
+    Strains [-] anywhere in the layer, at the plate and at its top, the projectile's upward
+    acceleration [m/s2], and the force of the layer on the plate [N].
     """
 
     strain: float

@@ -21,16 +21,15 @@ in contact again when the gap closes, its speed unchanged. Flight, landing and g
 The step h divides :math:`t_s`, so waves travel from grid point to grid point without any error,
 and the kinks that the start of an underdamped plate sends through the layer, at odd multiples of
 :math:`t_s`, fall on grid points. Only the response of the mass has to be computed: p is known
-:math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a jump),
+:math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a kink),
 and the equation of V is solved exactly for this cubic, however small :math:`\tau` is. So the first
-release is of fourth order in h. Releases and landings are roots within a step.
+release is of fourth order in h. Heights are sums of p by the trapezoidal rule, which is enough for
+the gap in flight, of second order.
 
-A landing makes m jump, and a release makes its slope jump, between two grid points. A jump travels
-through the layer for ever, and meets the top every :math:`2 t_s` at the same fraction of a step. A
-queue holds all jumps in the order of their arrival: with :math:`F = 2 p - V + g \tau`, a landing
-sends a jump F of p back to the top, and a release :math:`-F`, which is 0 unless a jump has caused
-it. The equation of V is solved on both sides of a jump, where p is a line. So later events are of
-second order in h.
+Releases and landings are roots within a step, one in each step. A landing makes m jump between two
+grid points; the nearer one of them takes the value that keeps the area under m, so that the wave
+has the right momentum when it comes back. Later events are therefore of second order in h, except
+a release that the jump itself causes, which is known to a step.
 
 A dip of the contact force below zero, or of the gap, that begins and ends within one step is not
 seen.
@@ -73,20 +72,6 @@ _SPARE_STEPS = 1024
 _NOISE = 1e-12
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
 
-_SMALLEST_JUMP = 1e-6
-"""Smallest jump of a wave that is followed, over the plate's peak speed. [-]"""
-
-_EXACT_EVENTS = 100
-"""
-Number of events up to which jumps are followed. [-]
-
-Each event sends a jump, and each jump may release the projectile again. On a thin stiff layer the
-number of events would grow to many thousands, whose flights no longer matter.
-"""
-
-_EVENTS_PER_STEP = 8
-"""Most events in a step; a projectile that chatters faster waits for the next step. [-]"""
-
 _RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 
 # A stepper has three records: the state at a grid point, a state between two grid points, and the
@@ -99,7 +84,6 @@ RECORD = np.dtype(
         ('rate', 'f8'),  # h / tau
         ('decay', 'f8'),  # e^{-h / tau}
         ('cubic', 'f8', (4,)),  # V(t + h) = decay V(t) + cubic . p, of four points
-        ('smallest_jump', 'f8'),  # smaller jumps of p are not followed [m/s]
         ('relaxation', 'f8'),  # tau [s]
         ('gravity', 'f8'),  # g [m/s2]
         ('gravity_offset', 'f8'),  # g tau [m/s]
@@ -116,10 +100,7 @@ RECORD = np.dtype(
         ('offset', 'f8'),  # beyond it
         ('base', 'i8'),  # grid point at index 0 of the waves
         ('filled', 'i8'),  # up to where p is known at the plate
-        ('discontinuity', 'i8'),  # next grid point at which p jumps, at the top
-        ('jumps', 'i8'),  # number of jumps on their way in the layer
-        ('next_jump', 'i8'),  # row of the one that reaches the top next
-        ('last_jump', 'i8'),  # grid point before the last jump at the top
+        ('kink', 'i8'),  # next grid point at which p has a kink, at the top
         # the mass and the top of the layer
         ('contact', '?'),
         ('landed', '?'),
@@ -186,15 +167,13 @@ def prepare(
     cubic[1] = x * (m0 - m1 / 2.0 - m2 + m3 / 2.0)
     cubic[2] = x * (m1 + m2 / 2.0 - m3 / 2.0)
     cubic[3] = x * (-m1 / 6.0 + m3 / 6.0)
-    s.smallest_jump = _SMALLEST_JUMP * speed
     s.relaxation, s.gravity, s.impedance = relaxation, gravity, impedance
     s.gravity_offset = gravity * relaxation
     s.release_threshold = -s.gravity_offset - _NOISE * speed
-    s.base = -N - PAD
+    s.base = -2 * N - PAD
     s.block = -1
-    s.last_jump = -3
     s.contact = True
-    s.discontinuity = N if s.plate_kind == DAMPED else 1 << 62
+    s.kink = N if s.plate_kind == DAMPED else 1 << 62
     s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
 
 
@@ -216,49 +195,26 @@ def _mass_velocity(s, d, V, a, b, c, e):
 
 
 @subroutine
-def _jump_cell(s, jumps, number):
-    """Return the grid point before one of the next jumps of p arrives at the top."""
-    if number >= s.jumps:
-        return 1 << 62
-    return int(jumps[(s.next_jump + number) % jumps.shape[0], 0])
-
-
-@subroutine
-def _reflect_jump(s, jumps, offset, size, slope):
-    """Append a jump of p that returns to the top last of all, or add to one at the same time."""
-    cell, capacity = s.cell + 2 * s.steps, jumps.shape[0]
-    last = jumps[(s.next_jump + s.jumps + capacity - 1) % capacity]
-    if s.jumps > 0 and last[0] == cell and last[1] == offset:
-        last[2] += size
-        last[3] += slope
-    elif s.events <= _EXACT_EVENTS and max(abs(size), abs(slope)) > s.smallest_jump:
-        row = jumps[(s.next_jump + s.jumps) % capacity]
-        row[0], row[1], row[2], row[3] = cell, offset, size, slope
-        s.jumps += 1
-
-
-@subroutine
-def _expand(s, waves, jumps):
-    """Expand p at the top after `s.cell`, up to a jump, from points without jumps and kinks."""
-    i = s.cell - s.base - s.steps
-    here, ahead = waves[0, i], waves[0, i + 1]
-    if s.cell <= s.last_jump + 1 or s.cell + 1 >= _jump_cell(s, jumps, 0):
-        number = 0
-        while _jump_cell(s, jumps, number) == s.cell:
-            row = jumps[(s.next_jump + number) % jumps.shape[0]]
-            ahead -= row[2] + (1.0 - row[1]) * row[3]
-            number += 1
-        return here, ahead - here, 0.0, 0.0
-    aside = 1 if s.cell == s.discontinuity else (-1 if s.cell + 1 == s.discontinuity else 0)
-    i += aside
+def _expand(s, waves):
+    """Expand p at the top after `s.cell` in a cubic through points on one side of a kink."""
+    aside = 1 if s.cell == s.kink else (-1 if s.cell + 1 == s.kink else 0)
+    i = s.cell - s.base - s.steps + aside
     behind, here, ahead, beyond = waves[0, i - 1], waves[0, i], waves[0, i + 1], waves[0, i + 2]
     e = _RECIPROCAL[6] * (beyond - behind + 3.0 * (here - ahead))
     c = 0.5 * (behind + ahead) - here
     b = ahead - here - c - e
-    if aside == 0:
-        return here, b, c, e
-    d = -float(aside)
-    return here + d * (b + d * (c + d * e)), b + d * (2.0 * c + 3.0 * d * e), c + 3.0 * d * e, e
+    return _shift(-float(aside), here, b, c, e)
+
+
+@subroutine
+def _shift(d, a, b, c, e):
+    """Expand a cubic about another point."""
+    return (
+        a + d * (b + d * (c + d * e)),
+        b + d * (2.0 * c + 3.0 * d * e),
+        c + 3.0 * d * e,
+        e,
+    )
 
 
 @subroutine
@@ -270,36 +226,36 @@ def _free_flight(s, offset):
 
 
 @subroutine
-def _excess(s, offset, d, V, P, here, slope, a, b, c, e):
-    """Compute the scaled force, or the gap in flight, d steps after an offset."""
-    if s.contact:
-        p = a + d * (b + d * (c + d * e))
-        return 2.0 * p - _mass_velocity(s, d, V, a, b, c, e) - s.release_threshold
-    time, height, _ = _free_flight(s, offset + d)
-    area = s.step * d * (here + 0.5 * slope * d)
-    return height - s.top - 2.0 * (P + area) - s.gravity_offset * time
+def _rise(s, waves, d):
+    """Integrate p at the top from the start until d steps after `s.cell`, along lines [m]."""
+    i = s.cell - s.base - s.steps
+    here = waves[0, i]
+    return s.step * (s.sum + d * (here + 0.5 * d * (waves[0, i + 1] - here)))
 
 
 @subroutine
-def _is_event(s, offset, d, V, P, here, slope, a, b, c, e):
-    """Return whether the force has fallen below zero, or a gap that closes is negative."""
-    if not _excess(s, offset, d, V, P, here, slope, a, b, c, e) < 0.0:
-        return False
+def _excess(s, waves, d, cubic):
+    """Compute the scaled force, or the gap in flight, d steps after `s.cell`."""
     if s.contact:
-        return True
-    speed = s.launch_velocity - s.gravity * _free_flight(s, offset + d)[0]
-    return speed < 2.0 * (here + slope * d) + s.gravity_offset
+        p, _, _, _ = _shift(d, *cubic)
+        return 2.0 * p - _mass_velocity(s, d, s.velocity, *cubic) - s.release_threshold
+    time, height, _ = _free_flight(s, d)
+    return height - s.top - 2.0 * _rise(s, waves, d) - s.gravity_offset * time
 
 
 @subroutine
-def _event_in(s, offset, end, V, P, here, slope, a, b, c, e):
-    """Return the steps from an offset to the first event before an end, or -1 without one."""
-    if not _is_event(s, offset, end, V, P, here, slope, a, b, c, e):
-        return -1.0
-    low, high = 0.0, end
+def _find_event(s, waves, cubic):
+    """Return the offset of an event in the step, 2 if there is none."""
+    if not _excess(s, waves, 1.0, cubic) < 0.0:
+        return 2.0
+    if not s.contact:
+        i = s.cell + 1 - s.base - s.steps
+        if _free_flight(s, 1.0)[2] >= 2.0 * waves[0, i] + s.gravity_offset:  # the gap opens
+            return 2.0
+    low, high = 0.0, 1.0
     for _ in range(54):  # bisect
         d = 0.5 * (low + high)
-        if _excess(s, offset, d, V, P, here, slope, a, b, c, e) < 0.0:
+        if _excess(s, waves, d, cubic) < 0.0:
             high = d
         else:
             low = d
@@ -307,105 +263,71 @@ def _event_in(s, offset, end, V, P, here, slope, a, b, c, e):
 
 
 @subroutine
-def _change_contact(s, jumps, events, offset, V, P, a, b, is_full_step):
-    """Release or land the projectile, and return its velocity."""
-    time = (s.cell + offset) * s.step
+def _change_contact(s, waves, events, d, cubic):
+    """Release or land the projectile d steps after `s.cell`, and return its velocity."""
+    time, rise = (s.cell + d) * s.step, _rise(s, waves, d)
     if s.contact:
-        height = s.top + 2.0 * P - s.relaxation * V
+        V = _mass_velocity(s, d, s.velocity, *cubic)
+        height = s.top + 2.0 * rise - s.relaxation * V
         if s.events == 0:
-            s.first_work = s.work + 0.5 * s.power * (2.0 * offset - 1.0)
+            s.first_work = s.work + 0.5 * s.power * (2.0 * d - 1.0)
         stepper.note_event(s, events, stepper.RELEASE, time, height, V)
-        s.launch_cell, s.launch_offset = s.cell, offset
+        s.launch_cell, s.launch_offset = s.cell, d
         s.launch_height, s.launch_velocity = height, V
-        s.top = height - 2.0 * P
+        s.top = height - 2.0 * rise
     else:
-        _, height, V = _free_flight(s, offset)
+        _, height, V = _free_flight(s, d)
         s.landed = s.landed or (V <= 0.0 and s.gravity > 0.0)
         kind = stepper.LANDING if s.landed else stepper.RECONTACT
         stepper.note_event(s, events, kind, time, height, V)
-        s.top = height - 2.0 * P + s.relaxation * V
-    if is_full_step:
-        # m is V - p in contact and p + g tau in flight; the plate turns the sign of its jumps
-        size, slope = 2.0 * a + s.gravity_offset - V, 2.0 * b - s.rate * (2.0 * a - V)
-        sign = -1.0 if s.contact else 1.0
-        _reflect_jump(s, jumps, offset, sign * size, sign * slope)
+        s.top = height - 2.0 * rise + s.relaxation * V
     s.contact = not s.contact
     return V
 
 
 @subroutine
-def _cross_step(s, waves, jumps, events, target):
+def _cross_step(s, waves, events, target):
     """
-    Go through jumps and events of the step after `s.cell`, up to an offset of `target`.
+    Go through the step after `s.cell`, and an event in it, up to an offset of `target`.
 
     Below 1 that leaves `s` there, with its state written; at 1 the step is done.
     """
-    a, b, c, e = _expand(s, waves, jumps)
-    i = s.cell - s.base - s.steps
-    here = waves[0, i]
-    slope = b if _jump_cell(s, jumps, 0) == s.cell else waves[0, i + 1] - here  # for heights
-    V, P, offset, is_full_step = s.velocity, s.step * s.sum, 0.0, target == 1.0
-    remaining_events, is_after_jump = _EVENTS_PER_STEP, False
-    while True:
-        is_jump = _jump_cell(s, jumps, 0) == s.cell
-        row = jumps[s.next_jump]
-        end, d = (row[1] if is_jump else 1.0) - offset, -1.0
-        if remaining_events > 0:
-            if is_after_jump and s.contact:
-                d = _event_in(s, offset, 0.0, V, P, here, slope, a, b, c, e)
-            if d < 0.0:
-                d = _event_in(s, offset, end, V, P, here, slope, a, b, c, e)
-        happens = d >= 0.0
-        if not happens:
-            d = end
-        is_beyond = offset + d > target
-        if is_beyond:
-            d = target - offset
-        if s.contact:
-            V = _mass_velocity(s, d, V, a, b, c, e)
-        P += s.step * d * (here + 0.5 * slope * d)
-        offset += d
-        here += slope * d
-        a, b, c = (
-            a + d * (b + d * (c + d * e)),
-            b + d * (2.0 * c + 3.0 * d * e),
-            c + 3.0 * d * e,
-        )
-        if is_beyond or (offset >= target and not happens and not is_jump):
-            break
-        is_after_jump = False
-        if happens:
-            remaining_events -= 1
-            V = _change_contact(s, jumps, events, offset, V, P, a, b, is_full_step)
-        elif is_jump:
-            offset, size, bend = row[1], row[2], row[3]
-            here, a, slope, b = here + size, a + size, slope + bend, b + bend
-            s.next_jump = (s.next_jump + 1) % jumps.shape[0]
-            s.jumps -= 1
-            s.last_jump = s.cell
-            is_after_jump = True
-            if is_full_step and s.contact:
-                _reflect_jump(s, jumps, offset, size, bend - 2.0 * s.rate * size)
-            elif is_full_step:
-                _reflect_jump(s, jumps, offset, -size, -bend)
-    if is_full_step:
-        _end_step(s, waves, V, P)
-    else:
-        _write_top(s, offset, a, V, P)
+    cubic = _expand(s, waves)
+    begin, V, jump = 0.0, s.velocity, 0.0
+    event = _find_event(s, waves, cubic)
+    if event <= target:
+        begin, was_in_flight = event, not s.contact
+        V = _change_contact(s, waves, events, event, cubic)
+        cubic = _shift(event, *cubic)
+        if was_in_flight:  # m jumps from p + g tau to V - p
+            jump = V - 2.0 * cubic[0] - s.gravity_offset
+    if s.contact:
+        V = _mass_velocity(s, target - begin, V, *cubic)
+    if target < 1.0:
+        p, _, _, _ = _shift(target - begin, *cubic)
+        _write_top(s, target, p, V, _rise(s, waves, target))
+        return
+    j = s.cell - s.base
+    s.sum = _rise(s, waves, 1.0) / s.step
+    _end_step(s, waves, V)
+    waves[1, j if begin < 0.5 else j + 1] += (0.5 - begin) * jump  # keeps the area under m
 
 
 @subroutine
-def _end_step(s, waves, V, P):
+def _end_step(s, waves, V):
     """Write the sample of m at the next grid point, and account for the step."""
     s.cell += 1
-    s.sum = P / s.step
     s.velocity = V if s.contact else 0.0
     j = s.cell - s.base
     p = waves[0, j - s.steps]
     waves[1, j] = V - p if s.contact else p + s.gravity_offset  # m = V - p, Sec. IV
-    p, m = waves[0, j], waves[1, j - s.steps]
-    s.power = (p - m + s.gravity_offset) * (p + m)
-    s.work += s.power
+    if s.events == 0:
+        s.peak_contact_force = max(s.peak_contact_force, 2.0 * p - V)
+        p, m = waves[0, j], waves[1, j - s.steps]
+        stress = p - m + s.gravity_offset
+        s.peak_plate_stress = max(s.peak_plate_stress, abs(stress))
+        s.power = stress * (p + m)
+        s.work += s.power
 
 
 @subroutine
@@ -438,22 +360,30 @@ def _run_in_contact(s, waves, count):
     w0, w1, w2, w3 = s.cubic[0], s.cubic[1], s.cubic[2], s.cubic[3]
     behind, here, ahead = top[0], top[1], top[2]
     V, total, work, power = s.velocity, s.sum, s.work, s.power
+    peak_force, peak_stress = s.peak_contact_force, s.peak_plate_stress
     done = count
     for n in range(count):
         beyond = top[n + 3]
         drive = w0 * behind + w1 * here + (w2 * ahead + w3 * beyond)
         following = decay * V + drive  # tau V' + V = 2 p, Sec. IV
-        if 2.0 * ahead - following < threshold:
+        force = 2.0 * ahead - following
+        if force < threshold:
             done = n
             break
         V = following
+        peak_force = max(peak_force, force)
         downward[n] = V - ahead
         total += 0.5 * (here + ahead)
-        power = (leaving[n] - coming[n] + offset) * (leaving[n] + coming[n])
+        stress = leaving[n] - coming[n] + offset
+        power = stress * (leaving[n] + coming[n])
         work += power
+        peak_stress = max(peak_stress, abs(stress))
         behind, here, ahead = here, ahead, beyond
     s.cell += done
-    s.velocity, s.sum, s.work, s.power = V, total, work, power
+    s.velocity, s.sum = V, total
+    if s.events == 0:
+        s.work, s.power = work, power
+        s.peak_contact_force, s.peak_plate_stress = peak_force, peak_stress
     return done
 
 
@@ -509,90 +439,76 @@ def _fill(s, waves, path, last):
 
 
 @subroutine
-def _march(s, waves, jumps, path, events, goal):
+def _march(s, waves, path, events, goal):
     """Advance to grid point `goal`, or until there is no more room for events."""
     while s.cell < goal and s.events <= events.shape[0]:
-        while s.discontinuity < s.cell:
-            s.discontinuity += 2 * s.steps
+        while s.kink < s.cell:
+            s.kink += 2 * s.steps
         if s.filled == s.cell:
             if s.cell + 3 - s.base > waves.shape[1]:
-                # Loads up to the first release look back three crossings
+                # Strains up to the first release look back three crossings
                 shift = s.cell - s.base - PAD - (3 if s.events == 0 else 1) * s.steps
                 for j in range(s.cell + 2 - s.base - shift):
                     waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
                 s.base += shift
             last_column = s.base + waves.shape[1] - 2
             _fill(s, waves, path, min(goal, last_column, s.cell + s.steps - 1))
-        count, jump = s.filled - s.cell, _jump_cell(s, jumps, 0)
-        if not s.contact:
-            done = _run_in_flight(s, waves, min(count, jump - s.cell))
-        elif s.cell <= s.last_jump + 1:
-            done = 0
+        count = s.filled - s.cell
+        if s.contact:
+            count = min(count, max(0, s.kink - 1 - s.cell))
+            done = _run_in_contact(s, waves, count)
         else:
-            smooth = max(0, min(s.discontinuity, jump) - 1 - s.cell)
-            done = _run_in_contact(s, waves, min(count, smooth))
+            done = _run_in_flight(s, waves, count)
         if s.events == 0:
             while s.cell - s.compared >= 2 * s.steps:
-                _compare_loads(s, waves, s.steps)
-        if done < count:
+                _compare_strains(s, waves, s.steps)
+        if done < count or count == 0:
             if s.events == 0:
-                _complete_loads(s, waves)
-            _cross_step(s, waves, jumps, events, 1.0)
+                _complete_strains(s, waves)
+            _cross_step(s, waves, events, 1.0)
 
 
 @subroutine
-def _compare_loads(s, waves, count):
+def _compare_strains(s, waves, count):
     """
     Compare `count` waves p, a crossing at most, with the waves m that meet them.
 
-    The stress in the layer is p(a) - m(b) + g tau, of a wave p that leaves the plate at a and a
-    wave m that leaves the top at b; they meet in the layer if a and b differ by less than a
-    crossing, and at the plate or at the top if by a whole crossing. So the extremes of m in
-    windows of two crossings are computed: in the common part of all windows, then backwards and
-    forwards from the common part.
+    The stress is p(a) - m(b) + g tau, of a wave p that leaves the plate at a and a wave m that
+    leaves the top at b, a crossing earlier or later at most. So the extremes of m in windows of
+    two crossings are computed: backwards from the end of the same crossing, and forwards from the
+    next one.
     """
-    if count == 0:
-        return
     N, offset, i = s.steps, s.gravity_offset, s.compared - s.base
-    p, before, after, later = waves[0, i:], waves[1, i - N:], waves[1, i:], waves[1, i + N:]
-    lowest, highest = waves[2], waves[3]
-    low = high = after[0]
-    for n in range(1, N):
-        low, high = min(low, after[n]), max(high, after[n])
-    common_low, common_high = low, high
-    for n in range(N - 1, -1, -1):
-        low, high = min(low, before[n]), max(high, before[n])
+    p, same, later = waves[0, i:], waves[1, i - N:], waves[1, i + N:]
+    lowest, highest, peak = waves[2], waves[3], s.peak_strain
+    low = high = same[2 * N - 1]
+    for n in range(2 * N - 1, -1, -1):
+        low, high = min(low, same[n]), max(high, same[n])
         lowest[n], highest[n] = low, high
-    low, high = common_low, common_high
-    strain, stress, force = s.peak_strain, s.peak_plate_stress, s.peak_contact_force
+    low, high = lowest[N], highest[N]
     for n in range(count):
         low, high = min(low, later[n]), max(high, later[n])
         here = p[n] + offset
-        strain = max(strain, here - min(low, lowest[n]), max(high, highest[n]) - here)
-        stress = max(stress, abs(here - before[n]))
-        force = max(force, p[n] - later[n])
-    s.peak_strain, s.peak_plate_stress, s.peak_contact_force = strain, stress, force
+        peak = max(peak, here - min(low, lowest[n]), max(high, highest[n]) - here)
+    s.peak_strain = peak
     s.compared += count
 
 
 @subroutine
-def _complete_loads(s, waves):
+def _complete_strains(s, waves):
     """Compare the waves p that are still in the layer with the waves m that have met them."""
     N, i = s.steps, s.cell - s.base
-    _compare_loads(s, waves, max(s.cell - N + 1 - s.compared, 0))
+    _compare_strains(s, waves, max(s.cell - N + 1 - s.compared, 0))
     low = high = waves[1, i - N]
     for k in range(N):
-        # Before the first wave that is kept there was rest
-        older = waves[1, i - N - k] if i - N - k >= 0 else 0.0
-        newer = waves[1, i - N + k]
+        older, newer = waves[1, i - N - k], waves[1, i - N + k]
         low, high = min(low, older, newer), max(high, older, newer)
         p = waves[0, i - k] + s.gravity_offset
         s.peak_strain = max(s.peak_strain, p - low, high - p)
-        s.peak_plate_stress = max(s.peak_plate_stress, abs(p - older))
 
 
 @kernel
-def _advance(core, waves, jumps, path, events, time):
+def _advance(core, waves, path, events, time):
     """Advance to `time`; return the number of events so far, or an error code."""
     grid, s = core[0], core[1]
     step = grid.step
@@ -601,12 +517,12 @@ def _advance(core, waves, jumps, path, events, time):
         return goal
     if time > grid.horizon:
         return stepper.BEYOND_HORIZON
-    _march(grid, waves, jumps, path, events, goal)
+    _march(grid, waves, path, events, goal)
     core[1] = core[0]
     if s.cell != goal or s.events > events.shape[0]:
         return stepper.TOO_MANY_EVENTS
     s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
-    _cross_step(s, waves, jumps, events, s.offset)
+    _cross_step(s, waves, events, s.offset)
     if s.events > events.shape[0]:
         return stepper.TOO_MANY_EVENTS
     i = goal - s.base - s.steps
@@ -669,22 +585,22 @@ def _read_layer(core, waves, out):
 def update_loads(core: Any, waves: Any) -> None:
     """Bring the loads of the second record up to the last grid point before the first release."""
     if core[0].events == 0:
-        _complete_loads(core[1], waves)
+        _complete_strains(core[1], waves)
 
 
 def make_waves(steps: int) -> Floats:
-    """Make room for waves p and m, and for two series in `_compare_loads`."""
+    """Make room for waves p and m, and for two series in `_compare_strains`."""
     return np.zeros((4, 4 * steps + _SPARE_STEPS))
 
 
 def clear_waves(waves: Floats, steps: int) -> None:
     """Forget the waves: those that are read before they are written."""
-    waves[:2, : steps + PAD + 1] = 0.0
+    waves[:2, : 2 * steps + PAD + 1] = 0.0
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
 
-advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, _ROWS, nb.float64)
+advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
 """Returns the compiled `_advance`."""
 
 read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)

@@ -175,6 +175,8 @@ class FitDescription:
 
     Throws with the same treatment or part share its value.
     """
+    topic: str | None = None
+    """Topic to read from bags; needed if several topics have a plate."""
     assumed: tuple[str, ...] = ()
     """Parameters that are held at the values of another rig, because nobody stated them."""
 
@@ -194,9 +196,9 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `free` and `per_throw` (lists of names), `fixed` (names to
-        values), `prior` (names to values and standard errors), `heights`, `reference`, and
-        `throws` (names of throws to such mappings, in which the names of `PARTS` may stand, too).
-        All keys are optional; the defaults are those of `base`.
+        values), `prior` (names to values and standard errors), `heights`, `reference`, `topic`,
+        and `throws` (names of throws to such mappings, in which the names of `PARTS` may stand,
+        too). All keys are optional; the defaults are those of `base`.
 
         Raises
         ------
@@ -217,8 +219,10 @@ class FitDescription:
                     description = replace(description, heights=cast(Heights, str(node.value)))
                 elif name == 'reference':
                     description = replace(description, reference=cast(Reference, str(node.value)))
+                elif name == 'topic':
+                    description = replace(description, topic=str(node.value))
                 else:
-                    keys = (*_KEYS, 'heights', 'reference', 'throws')
+                    keys = (*_KEYS, 'heights', 'reference', 'topic', 'throws')
                     raise ValueError(f'must be one of {", ".join(keys)}, got {name!r}')
         return description
 

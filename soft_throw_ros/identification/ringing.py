@@ -45,10 +45,8 @@ class CommonWaveSpeed(NamedTuple):
 def fit_period(bottom: Track, top: Track) -> Estimate:
     """Find the period of a free layer [s] from its ends; raise FitError if it does not ring."""
     time, lower, upper = np.intersect1d(bottom.time, top.time, return_indices=True)
-    known = math.hypot(bottom.known_noise or 0.0, top.known_noise or 0.0) or None
-    length = Track(
-        time=time, position=top.position[upper] - bottom.position[lower], known_noise=known
-    ).without_spikes()
+    length = Track(time=time, position=top.position[upper] - bottom.position[lower])
+    length = length.without_spikes()
     change = np.abs(length.position - np.median(length.position[length.position.size // 2:]))
     large = change >= _ONSET * change.max()
     first = int(np.argmax(large))

@@ -14,15 +14,11 @@ from soft_throw_ros.identification.spots import Picture
 from soft_throw_ros.identification.tracks import TrackError
 from soft_throw_ros.storage.regular_file import open_regular_file
 
-_MAX_BYTES = 1 << 40
-"""Size of a video or a picture [byte]; its pictures are bounded one by one."""
-
+_MAX_BYTES = 1 << 40  # size of a video or a picture; its pictures are bounded one by one
 _MAX_CHANNELS = 4  # largest number of channels of a picture; a stack has more
 _MAX_PIXELS = 2**24  # largest size of a picture [pixels]: twice that of high-speed cameras
-_OTHER_VIDEOS = ('.cine', '.mxf', '.y4m')
-"""Suffixes of videos for FFmpeg that `mimetypes` does not know; Phantom cameras write .cine."""
-_DEEP = re.compile(r'(?:9|1[0-6])(?:le|be)?$')
-"""End of the names of pixel formats with more than 8 bits."""
+_OTHER_VIDEOS = ('.cine', '.mxf', '.y4m')  # suffixes of videos that `mimetypes` does not know
+_DEEP = re.compile(r'(?:9|1[0-6])(?:le|be)?$')  # pixel formats with more than 8 bits
 
 
 def is_video(path: str) -> bool:
@@ -32,48 +28,26 @@ def is_video(path: str) -> bool:
 
 def read_pictures(path: str) -> Iterator[Picture]:
     """
-    Read the pictures of a video, of a file or of a folder.
+    Read the pictures of a video or a stack, or of a folder in the order of their numbers.
 
-    Parameters
-    ----------
-    path : str
-        A video that FFmpeg reads, Phantom's `.cine` among them; a picture or a stack; or a folder
-        of pictures in the order of their numbers.
-
-    Yields
-    ------
-    ndarray, shape (rows, columns)
-        Grey levels, of all bits that the file has.
-
-    Raises
-    ------
-    TrackError
-        If the pictures cannot be read, or none exists.
-
+    Yield grey levels of shape (rows, columns), of all bits that the file has. Raise TrackError if
+    the pictures cannot be read, or none exists.
     """
     if not Path(path).exists():
         raise TrackError('No such file or directory')
-    count = 0
     try:
-        for picture in _pictures(path):
-            count += 1
-            yield picture
+        yield from _pictures(path)
     except TrackError:
         raise
     except Exception as error:  # noqa: BLE001  whatever damaged bytes lead the libraries to
-        reason = getattr(error, 'strerror', None) or str(error) or repr(error)
-        raise TrackError(
-            f'cannot be read after {count} pictures, or has a format unknown to FFmpeg '
-            f'and Pillow: {" ".join(reason.split())}'
-        ) from None
-    if not count:
-        raise TrackError('contains no picture')
+        reason = ' '.join((getattr(error, 'strerror', None) or str(error) or repr(error)).split())
+        raise TrackError(f'cannot be read by FFmpeg or Pillow: {reason}') from None
 
 
 def camera_rate(path: str) -> float | None:
-    """Return the number of pictures per second in the metadata [Hz], None without one."""
+    """Return the frame rate of a .cine [Hz]; None for others, which have a rate of display."""
     if not path.lower().endswith('.cine'):
-        return None  # other formats contain the rate of display
+        return None
     from imageio import v3 as imageio
 
     _require_file(path)
@@ -141,18 +115,12 @@ def _kind(path: str) -> str:
 
 def _grey(levels: Picture) -> Iterator[Picture]:
     """Yield the pictures of a stack, or the only one, without colours."""
-    if levels.ndim == 2:
-        yield levels
-    elif levels.ndim == 3 and levels.shape[-1] <= _MAX_CHANNELS:
-        yield levels[..., :3].mean(axis=-1)
-    else:
-        for item in levels:
-            yield from _grey(item)
+    if levels.ndim > 2 and levels.shape[-1] <= _MAX_CHANNELS:
+        levels = levels[..., :3].mean(axis=-1).astype(levels.dtype)
+    yield from levels.reshape(-1, *levels.shape[-2:])
 
 
-def _by_number(path: Path) -> list[tuple[int, str]]:
+def _by_number(path: Path) -> list[str | int]:
     """Sort `frame_2` before `frame_10`."""
-    return [
-        (int(part), '') if part.isdecimal() else (0, part)
-        for part in re.split(r'(\d+)', path.name, flags=re.ASCII)
-    ]
+    parts = re.split(r'(\d+)', path.name)
+    return [int(part) if part.isdecimal() else part for part in parts]

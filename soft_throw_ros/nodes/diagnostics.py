@@ -69,7 +69,7 @@ class Diagnostics:
         lateness, self._max_lateness = self._max_lateness, 0
         skipped = self._ticker.counts['ticks_skipped']
         skips, self._logged_skips = skipped - self._logged_skips, skipped
-        return f'ticks at most {1e3 * lateness / SECOND:.2g} ms late, {skips} skipped'
+        return f'ticks at most {1e3 * lateness / SECOND:.1f} ms late, {skips} skipped'
 
     def _timing_and_load(self) -> list[DiagnosticStatus]:
         """Return the statuses of the lateness and of the processor time of the ticks."""
@@ -161,6 +161,7 @@ class Diagnostics:
                 'at_rest': self._session.is_at_rest,
                 **new,
                 'clock_offset': clock.offset_ns / SECOND,
+                'age': self._measurement.age_ns / SECOND,
                 'lead_min': lead,
                 **{name: count for name, count in reasons.items() if count},
             },

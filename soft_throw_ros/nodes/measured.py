@@ -53,6 +53,8 @@ class Measurement:
     ----------
     clock : SensorClock
         Estimate of the offset of the stamps.
+    age_ns : int
+        Time from the stamp of the newest sample to its arrival. [ns]
     leads : list of int
         Prediction lead at every step of a throw. [ns]
 
@@ -68,6 +70,7 @@ class Measurement:
         clock_limit: Callable[[], float],
     ) -> None:
         self.leads: list[int] = []
+        self.age_ns = 0
         self.clock = SensorClock()
         self._arrival_ns = 0  # latest time of the clock at which samples arrived [ns]
         self._arrived: list[int] = []  # their stamps [ns]
@@ -154,6 +157,7 @@ class Measurement:
         if not self._arrived or now < self._arrival_ns:  # a bag that is played again
             return
         arrival = min(max(*self._arrived, self._arrival_ns), now)
+        self.age_ns = arrival - max(self._arrived) - self.clock.offset_ns
         limit_ns = round(self._clock_limit() * SECOND)
         if self.clock.observe(self._arrived, arrival, limit_ns=limit_ns):
             self._logger.warning(self.clock.problem or 'stamps of the samples are right again')

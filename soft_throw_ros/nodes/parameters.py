@@ -179,7 +179,7 @@ class NodeParameters:
 
 def shown(value: object) -> str:
     """Format the value of a parameter, with at most 9 digits."""
-    return str(float(f'{value:.9g}') if isinstance(value, float) else value)
+    return str(float(f'{value:.9g}') if isinstance(value, float) else value) or "''"
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import sys
 from typing import Any
 
-from soft_throw_ros.commands.options import positive
+from soft_throw_ros.commands.options import number_type, positive
 from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
@@ -21,6 +21,11 @@ from soft_throw_ros.storage.message import BagError
 
 CLOCK_RATE = 40.0
 """Default rate of `/clock`. [Hz]"""
+
+MAX_RATE = 1e6
+"""Largest playback speed: a day in 0.1 s. [-]"""
+
+_rate = number_type(f'positive and at most {MAX_RATE:g}', lambda rate: 0.0 < rate <= MAX_RATE)
 
 _USAGE = 'replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG'
 
@@ -80,8 +85,8 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
     playing = parser.add_argument_group('playing')
     playing.add_argument(
-        '--rate', metavar='R', type=positive,
-        help='playback speed relative to the recording (default 1)',
+        '--rate', metavar='R', type=_rate,
+        help=f'playback speed relative to the recording, at most {MAX_RATE:g} (default 1)',
     )
     playing.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
     playing.add_argument('--loop', action='store_true', help='restart after the end')

@@ -155,7 +155,7 @@ class SimulatedRig(RealTimeNode):
             return
         if start_ns < now_ns:
             self.get_logger().warning(
-                f'a commanded motion is refused: it started {1e-6 * (now_ns - start_ns):.3g} ms '
+                f'a commanded motion is refused: it started {1e-6 * (now_ns - start_ns):.0f} ms '
                 'ago; increase engine.command_lead of the twin'
             )
             return

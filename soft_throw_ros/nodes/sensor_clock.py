@@ -41,6 +41,7 @@ class SensorClock:
         self._begin_ns: int | None = None  # start of the observation [ns]
         self._watching_ns = _FIRST
         self._count = 0
+        self._whole = 0  # stamps of whole seconds
         self._least_ns = 0
 
     def observe(self, stamps: Iterable[int], now_ns: int, *, limit_ns: int) -> bool:
@@ -48,6 +49,7 @@ class SensorClock:
         newest_ns = -1
         for stamp_ns in stamps:
             self._count += 1
+            self._whole += stamp_ns % SECOND == 0
             newest_ns = max(newest_ns, stamp_ns)
         delay_ns = now_ns - newest_ns
         if self._begin_ns is None:
@@ -57,12 +59,17 @@ class SensorClock:
             return False
         problem = self.problem
         self._estimate(newest_ns, now_ns, limit_ns)
-        self._begin_ns, self._count, self._watching_ns = None, 0, _LATER
+        self._begin_ns, self._count, self._whole, self._watching_ns = None, 0, 0, _LATER
         return self.problem != problem
 
     def _estimate(self, newest_ns: int, now_ns: int, limit_ns: int) -> None:
         """Use the smallest delay as offset, if it exceeds the transport time."""
         least_ns = self._least_ns
+        if self._whole == self._count:
+            self.offset_ns = 0
+            stamp = 'of whole seconds' if newest_ns else '0'
+            self.problem = f'header.stamp of the samples is {stamp}: it must be their time'
+            return
         if abs(least_ns - self.offset_ns) <= TOLERATED and abs(self.offset_ns) <= limit_ns:
             return
         if abs(least_ns) <= TOLERATED:

@@ -26,8 +26,6 @@ def throw_text(result: ThrowResult) -> str:
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
-    if result.has_shocks:
-        text += f'; errors up to 4e-3, shocks form after {1e3 * result.rig.shock_time:.3g} ms'
     if result.accuracy is not None and not result.accuracy.is_clean:
         outliers, samples = result.accuracy.samples_left_out, result.accuracy.samples
         text += f'; {outliers} of {samples} plate samples were rejected as outliers'

@@ -42,6 +42,7 @@ from soft_throw_ros.nodes.sensor_texts import sensor_text
 from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
@@ -80,6 +81,7 @@ class Twin(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
+        self.add_cleanup(self._log_end)  # the first one is called last
         self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
@@ -194,7 +196,8 @@ class Twin(RealTimeNode):
         send = self.outgoing.send
         for phase, stamp_ns in outputs.phases:
             send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
-            send(TWIN_TOPICS.phase, phase.value)
+        if outputs.phases:
+            send(TWIN_TOPICS.phase, outputs.phases[-1].phase.value)
         if outputs.throw_field is not None:
             field = outputs.throw_field
             send(TWIN_TOPICS.throw_field, field.start_ns, field.points)
@@ -230,15 +233,20 @@ class Twin(RealTimeNode):
         A strain beyond the linear range is a warning once per rig.
         """
         log, throw = self.get_logger(), f'throw {result.throw}'
+        settings = self.parameters.settings
         comparison = result.comparison
         if not result.is_valid:
             log.warning(throw_text(result))
         elif result.stage == 'predicted':
             if not result.is_ahead:
-                log.warning(
-                    f'{throw}: {lead_text(result)}; for an earlier prediction decrease '
-                    'measured.smoothing_window or measured.latency, or increase rate.state'
-                )
+                age = self.measurement.age_ns / SECOND
+                cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
+                if age <= settings['measured.smoothing_window'] / 4.0:
+                    cause = (
+                        'for an earlier prediction decrease measured.smoothing_window or '
+                        'measured.latency, or increase rate.state'
+                    )
+                log.warning(f'{throw}: {lead_text(result)}; {cause}')
         elif result.stage == 'release' or result.first is None:
             rig = (result.rig, result.max_strain)
             if not result.is_linear and rig != self._rig_beyond_range:
@@ -278,9 +286,10 @@ class Twin(RealTimeNode):
             + ('' if motion == 'measured' else f', {throws}')
         )
 
-    def close(self) -> None:
-        """Log the number of throws and skipped ticks."""
-        super().close()
+    def _log_end(self) -> None:
+        """Log the number of throws and skipped ticks of a twin that has begun."""
+        if not hasattr(self, 'ticker'):
+            return
         throws, skipped = self.session.throws, self.ticker.counts['ticks_skipped']
         noun = 'throw' if throws == 1 else 'throws'
         self.get_logger().info(

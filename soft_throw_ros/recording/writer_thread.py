@@ -15,6 +15,9 @@ from soft_throw_ros.storage.message import BagError, Channel, Message
 FLUSH_PERIOD = 0.5
 """Period of flushes, and of retries after an error of the disk. [s]"""
 
+OPEN_TIMEOUT = 1.0
+"""Longest wait for the first attempt to create the bag. [s]"""
+
 STALL_TIMEOUT = 15.0
 """Longest time without progress of the disk before closing gives up. [s]"""
 
@@ -60,9 +63,11 @@ class WriterThread:
         self._closing = threading.Event()
         self._is_last_try = False  # of a disk that takes nothing, at the end
         self._wake = threading.Event()  # set to request a flush
-        self._open()
+        self._is_tried = threading.Event()  # set after the first attempt to create the bag
         self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
         self._thread.start()
+        if not self._is_tried.wait(OPEN_TIMEOUT):
+            self.error = f'the disk has not created the bag within {OPEN_TIMEOUT:g} s'
 
     @property
     def waiting(self) -> int:
@@ -137,6 +142,8 @@ class WriterThread:
         return len(self._waiting), self._written_size, saved_size
 
     def _run(self) -> None:
+        self._open()
+        self._is_tried.set()
         next_flush = time.monotonic() + FLUSH_PERIOD
         try:
             while not self._closing.is_set():

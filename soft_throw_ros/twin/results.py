@@ -199,11 +199,6 @@ class ThrowResult:
         """Whether the layer stayed in its linear range."""
         return self.peak_strain <= self.max_strain
 
-    @property
-    def has_shocks(self) -> bool:
-        """Whether shocks formed in a neo-Hookean layer before the release."""
-        return self.first is not None and self.first.ejection_time > self.rig.shock_time
-
     def values(self) -> dict[str, Scalar]:
         """
         Return the known values by their published names, without the rig.

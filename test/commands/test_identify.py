@@ -17,7 +17,7 @@ import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.commands import identify, throw
 from soft_throw_ros.commands.identify_report import ejection_data, ejection_lines
-from soft_throw_ros.commands.options import option_of, UNCERTAINTY_PARAMETERS
+from soft_throw_ros.commands.options import UNCERTAINTY_PARAMETERS
 from soft_throw_ros.configuration import files, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
@@ -32,6 +32,7 @@ from soft_throw_ros.storage.message import Message
 SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 COMMAND = (identify.main,)
 MEASURED = ('--mass', 1.206e-3, '--thickness', 12e-3, '--diameter', 12e-3, '--density', 1000.0)
+THICKNESS, NOISE = 'layer.thickness', 'measured.position_noise'
 OF_SAMPLE = (SAMPLE, '--unit', 'mm', *MEASURED)
 RIG = Rig(
     engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
@@ -143,7 +144,7 @@ def test_what_nobody_stated_is_assumed_also_from_the_written_file(command, tmp_p
     assert first.startswith('assumed')
     assert 'not good enough' in verdict
     for name in ASSUMED:
-        assert f'{name} ({option_of(name)})' in first
+        assert name in first
         assert name in verdict
         (row,) = (line for line in table if line.startswith(name))
         assert row.endswith('assumed')
@@ -215,16 +216,25 @@ def test_options_and_file_describe_the_same_fit(command, write):
     path = write('prior: {projectile.mass: [0.0012, 1.2e-5]}\nheights: own', 'fit.yaml')
     args = (SAMPLE, '--unit', 'mm', *MEASURED[2:])
     by_file = command.json(*args, '--fit-file', path)
-    by_option = command.json(*args, '--mass', '0.0012+-1%')
-    assert by_file['found'].keys() == by_option['found'].keys()
-    for name in by_file['found']:
-        assert value(by_file, name) == pytest.approx(value(by_option, name), rel=1e-6)
+    for words in (('--mass', '0.0012+-1%'), ('-p', 'projectile.mass:=0.0012 +- 1 %')):
+        by_option = command.json(*args, *words)
+        assert by_file['found'].keys() == by_option['found'].keys()
+        for name in by_file['found']:
+            assert value(by_file, name) == pytest.approx(value(by_option, name), rel=1e-6)
     assert by_file['assumed'] == []
     mass, error = value(by_file, 'projectile.mass')
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
     path.write_text('heights: [')
     assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}:1: ')
+
+
+def test_stated_noise_is_that_of_the_tracks(command, write):
+    rows = [line.rpartition(',')[0] for line in SAMPLE.read_text().splitlines()[4:]]
+    args = (write('\n'.join(rows)), '--unit', 'mm')
+    found, stated = command.json(*args), command.json(*args, '-p', f'{NOISE}:=1e-4')
+    for name in DEFAULT_FREE[:3]:
+        assert value(stated, name)[1] > 2.0 * value(found, name)[1]
 
 
 def test_plate_alone_gives_the_engine(command, write, tmp_path):
@@ -276,7 +286,7 @@ def test_bag_gives_its_throws(command, tmp_path):
     assert error < 0.35
 
 
-def test_measured_rig_is_the_default_among_several(command, tmp_path):
+def test_measured_rig_is_the_default_among_several(command, tmp_path, write):
     time, heights = recorded(starts=(0.2,), rest=0.1)
     topics = (
         joint_states('/a/joint_states', time, heights),
@@ -286,10 +296,11 @@ def test_measured_rig_is_the_default_among_several(command, tmp_path):
     folder = bags.write(tmp_path / 'bag', itertools.chain(*topics))
     message = command.refused(folder)
     assert message.startswith(f'{folder}: ')
-    assert '/a/joint_states, /b/joint_states (choose with --topic)' in message
-    result = command.json(folder, '--topic', '/b/joint_states')
+    assert '/a/joint_states, /b/joint_states (`topic` of --fit-file)' in message
+    result = command.json(folder, '--fit-file', write('topic: /b/joint_states', 'b.yaml'))
     assert value(result, 'engine.amplitude')[0] == pytest.approx(0.9e-3, rel=0.02)
-    assert '/c/joint_states' in command.refused(folder, '--topic', '/c/joint_states')
+    other = write('topic: /c/joint_states', 'c.yaml')
+    assert '/c/joint_states' in command.refused(folder, '--fit-file', other)
     topics = (
         joint_states('/twin/joint_states', time, 2.0 * heights),
         joint_states('/twin/measured_joint_states', time, heights, bodies=('plate', 'other')),
@@ -342,20 +353,18 @@ def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
     assert command.err.startswith('identify: bag, throw 2 is left out: the plate goes down')
 
 
-THICKNESS = 'layer.thickness'
-
-
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
         (('none.csv',), 'none.csv: No such file or directory'),
         (('throw.avi',), 'throw.avi: is a video; first convert it to tracks'),
         ((SAMPLE,), f"{SAMPLE}:4: plate is read in m, got 'plate [mm]'; see --unit mm"),
-        ((SAMPLE, '--noise', '0'), "argument --noise: must be finite and positive, got '0'"),
+        ((SAMPLE, '-p', f'{NOISE}:=0'), f'argument -p: {NOISE} must be a number from'),
         ((SAMPLE, '--hold', 'layer.colour'), 'argument --hold: a parameter must be one of '),
+        ((SAMPLE, '-p', f'{THICKNESS}:=0.01+-x'), f'argument -p: {THICKNESS} must be'),
         ((SAMPLE, '--thickness', '7'), f'argument --thickness: {THICKNESS} must be a number from'),
         ((*OF_SAMPLE, '--from', '0.025'), f'{SAMPLE.name}: the plate does not move as a damped'),
-        ((*OF_SAMPLE, '--mass', '0.0012+-0%'), 'argument --mass: must be VALUE+-ERROR'),
+        ((*OF_SAMPLE, '--mass', '0.0012+-0%'), 'argument --mass: projectile.mass must be'),
         ((*OF_SAMPLE, '--from', '1'), f'{SAMPLE.name}: only 0 samples from 1 s to inf s'),
         ((*OF_SAMPLE, '--output', 'none/rig.yaml'), 'argument --output: none/rig.yaml: '),
         ((*OF_SAMPLE, '--figure', 'a.gif'), 'argument --figure: must end with .png, .pdf, .svg'),

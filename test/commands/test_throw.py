@@ -53,20 +53,6 @@ def test_internal_loss_shows_its_heat(command):
     assert throw_['heat'] > 0.0
 
 
-@pytest.mark.parametrize(
-    ('thickness', 'speed', 'is_late'), [(0.0168, 7.8, False), (0.1, 3.16, True)]
-)
-def test_shocks_before_the_release_are_a_note(command, thickness, speed, is_late):
-    rig = ('--thickness', thickness, '--wave-speed', speed, '-p',
-           'layer.stress_strain_law:=neo_hookean')
-    printed = command.json(*rig)
-    layer = Layer(thickness=thickness, wave_speed=speed, stress_strain_law='neo_hookean')
-    shock_time = Rig(layer=layer).shock_time
-    assert (printed['throw']['ejection_time'] > shock_time) is is_late
-    assert ('shocks' in printed['notes']) is is_late
-    assert not is_late or f'{1e3 * shock_time:.3g} ms' in printed['notes']['shocks']
-
-
 def test_table_has_the_columns_of_the_json(command):
     lines = command.run().splitlines()
     printed = command.json()

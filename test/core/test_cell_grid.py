@@ -67,7 +67,7 @@ def solve(core, nodes, case):
 
 
 @LAYERS
-@pytest.mark.parametrize('count', [5, 12, 40, 63, 64, 65, 66])
+@pytest.mark.parametrize('count', [1, 5, 64, 65])
 @pytest.mark.parametrize('in_contact', [False, True])
 def test_velocities_solve_the_equations_of_motion(layer, count, in_contact):
     grid = Cut(Rig(layer=layer), cells=count)

@@ -253,10 +253,6 @@ def test_shocks_are_resolved():
     (release,), (better,) = coarse.events(), fine.events()
     assert release.time == pytest.approx(better.time, rel=2e-3)
     assert release.velocity == pytest.approx(better.velocity, rel=5e-4)
-    # Heat of a shock does not depend on the cells, unlike the numerical loss of smooth waves
-    heat, better_heat = heat_of(coarse), heat_of(fine)
-    assert heat == pytest.approx(better_heat, rel=0.05)
-    assert better_heat > 0.04 * fine.plate_work
 
 
 # Sheets from the plate up (thickness [m], wave speed [m/s], density [kg/m3]), and alpha by 1024

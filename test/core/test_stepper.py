@@ -93,19 +93,19 @@ def test_stepper_is_advanced_to_its_first_release_or_gives_up(make):
 
 @pytest.mark.parametrize('stepper', [WaveStepper, CellStepper])
 @pytest.mark.parametrize(('thickness', 'largest', 'at_contact'), STRAINS)
-def test_loads_are_exact_to_1e_4_and_stay_after_the_first_release(
+def test_loads_are_exact_to_1e_3_and_stay_after_the_first_release(
     stepper, thickness, largest, at_contact
 ):
     rig = make_paper_rig(thickness)
     model = stepper(rig)
     model.advance_to(0.0085)
     loads, work = model.loads, model.plate_work
-    assert loads.strain == loads.plate_strain == pytest.approx(largest, rel=1e-4)
-    assert loads.contact_strain == pytest.approx(at_contact, rel=1e-4)
+    assert loads.strain == loads.plate_strain == pytest.approx(largest, rel=1e-3)
+    assert loads.contact_strain == pytest.approx(at_contact, rel=1e-3)
     stiffness = rig.layer.youngs_modulus * rig.layer.section
-    assert loads.plate_force == pytest.approx(largest * stiffness, rel=1e-4)
+    assert loads.plate_force == pytest.approx(largest * stiffness, rel=1e-3)
     force = loads.acceleration * rig.projectile.mass
-    assert force == pytest.approx(at_contact * stiffness, rel=1e-4)
+    assert force == pytest.approx(at_contact * stiffness, rel=1e-3)
     model.advance_to(0.5)
     assert (model.loads, model.plate_work) == (loads, work)
 

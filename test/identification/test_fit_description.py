@@ -144,7 +144,7 @@ def test_file_agrees_with_the_python_description(tmp_path):
     path.write_text(
         'free: [layer.thickness]\nprior:\n  projectile.mass: [0.0012, 1.2e-5]\n'
         'per_throw: [engine.frequency, projectile.mass]\n'
-        'heights: common\nreference: centre\n'
+        'heights: common\nreference: centre\ntopic: /a\n'
         'throws:\n  a.csv: {layer: soft, fixed: {layer.thickness: 0.01}}\n'
     )
     treatments = {
@@ -153,7 +153,7 @@ def test_file_agrees_with_the_python_description(tmp_path):
         'engine.frequency': FREE._replace(is_per_throw=True),
     }
     conditions = ThrowConditions({'layer.thickness': Treatment(False, 0.01)}, {'layer': 'soft'})
-    expected = FitDescription(treatments, 'common', 'centre', {'a.csv': conditions})
+    expected = FitDescription(treatments, 'common', 'centre', {'a.csv': conditions}, '/a')
     assert FitDescription.from_file(path) == expected
 
 

@@ -7,7 +7,6 @@ import pytest
 from soft_throw_ros.identification.tracks import TrackError
 from soft_throw_ros.identification.video import camera_rate, read_pictures
 
-pytest.importorskip('skimage', reason='comes with the extra [video]')
 imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
 pytest.importorskip('av', reason='comes with the extra [video]')
 STACK = np.random.default_rng(0).integers(0, 4096, size=(5, 12, 16)).astype('<u2')
@@ -60,11 +59,11 @@ def test_pictures_are_read_with_all_their_bits(tmp_path, name):
     ('name', 'content', 'message'),
     [
         ('none.avi', None, 'No such file'),
-        ('text.avi', b'hello', 'cannot be read after 0 pictures'),
-        ('empty.mp4', b'', 'cannot be read after 0 pictures'),
-        ('bad.png', b'hello', 'cannot be read after 0 pictures'),
+        ('text.avi', b'hello', 'cannot be read by'),
+        ('empty.mp4', b'', 'cannot be read by'),
+        ('bad.png', b'hello', 'cannot be read by'),
         ('tracks.csv', b'1,2', 'must be a video or a folder of pictures'),
-        ('bad.cine', b'CI' + bytes(100), 'cannot be read after 0 pictures'),
+        ('bad.cine', b'CI' + bytes(100), 'cannot be read by'),
     ],
 )
 def test_file_that_is_no_video_is_refused(tmp_path, name, content, message):

@@ -49,6 +49,7 @@ def bag(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
     [
         ([], 'required: BAG'),
         (['BAG', '--rate', '0'], "--rate: .* got '0'"),
+        (['BAG', '--rate', '1e300'], "--rate: .* got '1e300'"),
         (['BAG', '--clock', 'x'], "--clock: .* got 'x'"),
         (['BAG', '--check', '--rate', '2'], '--rate: .*--check'),
         (['BAG', '--speed', '2'], '--speed'),

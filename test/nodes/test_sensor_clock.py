@@ -56,3 +56,13 @@ def test_corrected_clock_is_trusted_again() -> None:
     observe(clock, 50 * MILLISECOND)
     assert observe(clock, 0, begin_ns=NOW + 3 * SECOND, ticks=5000) == 1
     assert (clock.offset_ns, clock.problem) == (0, '')
+
+
+@pytest.mark.parametrize(('step', 'words'), [(0, 'is 0'), (SECOND, 'is of whole seconds')])
+def test_stamps_without_the_time_of_the_sample_are_named(step, words) -> None:
+    clock = SensorClock()
+    for tick in range(1000):
+        now_ns = NOW + tick * MILLISECOND
+        clock.observe([now_ns // step * step if step else 0], now_ns, limit_ns=SECOND)
+    assert f'header.stamp of the samples {words}' in clock.problem
+    assert clock.offset_ns == 0

@@ -41,8 +41,9 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.recommendations import recommend_for
 from soft_throw_ros.nodes.topics import load_type
-from soft_throw_ros.nodes.twin import Twin
+from soft_throw_ros.nodes.twin import PHASES, Twin
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.results import Phase
 
 PUBLISHED = [topic for topic in TWIN_TOPICS if not topic.is_input]
 NAME = '/thrown/twin'
@@ -254,7 +255,7 @@ def test_log_begins_with_the_rig_and_ends_with_a_summary(ros, capfd) -> None:
     assert path in twin.describe_start()
     assert client.set(engine__motion='measured') == ['']
     assert '/rig1/twin/measured_joint_states' in twin.describe_start()
-    twin.close()
+    twin.destroy_node()
     printed = capfd.readouterr().err
     assert re.search(r'stopped after 0 throws in [\d.]+ s, 0 ticks skipped', printed)
 
@@ -301,7 +302,7 @@ def test_results_during_compilation_omit_values_that_need_kernels(
 
 
 def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None:
-    listener.listen(TWIN_TOPICS.phase)
+    listener.listen(TWIN_TOPICS.phase_change)
     twin.go(10)
     assert listener.trigger(TWIN_SERVICES.throw).success
     twin.go(100)
@@ -312,8 +313,9 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
     twin.go(110)
     assert listener.trigger(TWIN_SERVICES.throw).success
     twin.go(1)
-    heard = [message.data for message in listener.hear(TWIN_TOPICS.phase, 6)]
-    assert heard == ['rest', 'contact', 'flight', 'returning', 'rest', 'contact']
+    heard = [message.position[0] for message in listener.hear(TWIN_TOPICS.phase_change, 6)]
+    names = ['rest', 'contact', 'flight', 'returning', 'rest', 'contact']
+    assert heard == [float(PHASES.index(Phase(name))) for name in names]
 
 
 def test_refused_request_changes_nothing(ros, twin, listener) -> None:

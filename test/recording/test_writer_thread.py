@@ -56,6 +56,22 @@ def test_bag_that_cannot_be_created_is_retried_and_lost_messages_are_counted(
     assert numbers(folder / 'bag') == list(range(7))
 
 
+def test_disk_that_hangs_while_the_bag_is_created_blocks_nobody(tmp_path: Path) -> None:
+    answers = threading.Event()
+
+    def open_late() -> BagWriter:
+        assert answers.wait(TIMEOUT)
+        return BagWriter(tmp_path / 'bag', distribution='')
+
+    writer = WriterThread(open_late, capacity=10**7)
+    assert 'has not created the bag' in writer.error
+    writer.put([plain(number) for number in range(7)])
+    answers.set()
+    wait_until(lambda: not writer.error)
+    writer.close()
+    assert numbers(tmp_path / 'bag') == list(range(7))
+
+
 class SlowBag(BagWriter):
     """A bag on a disk that waits for an event."""
 
