@@ -8,8 +8,8 @@ Notes
 Residuals are weighted by the noise of each track, which is estimated once from the track alone.
 Huber's loss is quadratic up to `_LIMIT` times the noise and linear beyond, so that outliers
 hardly matter. If a model leaves more than noise, the limit grows with the median residual. The
-covariance of the values is multiplied by chi squared per degree of freedom, to which no sample
-contributes more than the square of the limit.
+covariance of the values is multiplied by chi squared per degree of freedom if that is above 1; no
+sample contributes more to it than the square of the limit.
 
 A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, hence :math:`C =
 \sum_i C F_i C`: each term is the contribution of one source, noise or prior, to a variance
@@ -289,7 +289,7 @@ def fit_tracks(
     dof = solution.fun.size - start.size
     # An outlier has no weight in the Jacobian of Huber's loss
     slopes = solution.jac.toarray() if sparse.issparse(solution.jac) else solution.jac
-    slopes[:samples] /= max(math.sqrt(chi2 / dof), 1e-150)
+    slopes[:samples] /= max(math.sqrt(chi2 / dof), 1.0)
     heights = np.split(position + noise * solution.fun[:samples], np.cumsum(sizes)[:-1])
     return Fit(
         names=model.names,
