@@ -9,7 +9,6 @@ Command line, YAML file and Python share them.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 import math
@@ -17,9 +16,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast, Literal, NamedTuple
 
-from soft_throw_ros.configuration import located_yaml
-from soft_throw_ros.configuration.located_yaml import Located
 from soft_throw_ros.configuration.table import float_of
+from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.identification.least_squares import Estimate, FitError
@@ -203,37 +201,39 @@ class FitDescription:
         Raises
         ------
         ValueError
-            Naming file and line, if something is wrong.
+            Naming the file and the value, if something is wrong.
 
         """
-        root = located_yaml.read(Path(path)) or Located(str(path), items=())
         description = base or cls()
-        treatments, others = _read_treatments(root, description)
-        description = description.change(treatments)
-        for name, node in others:
-            with _located(node):
+        tree, keys = read_yaml(path), (*_KEYS, 'heights', 'reference', 'topic', 'throws')
+        for name in tree:
+            if name not in keys:
+                raise ValueError(f'{path}: must be one of {", ".join(keys)}, got {name!r}')
+        try:
+            treatments, others = _read_treatments(tree, description)
+            description = description.change(treatments)
+            for name, value in others.items():
                 if name == 'throws':
-                    for throw, item in _items(node):
+                    for throw, item in _items(name, value):
                         description = description._with_conditions(throw, item)
                 elif name == 'heights':
-                    description = replace(description, heights=cast(Heights, str(node.value)))
+                    description = replace(description, heights=cast(Heights, str(value)))
                 elif name == 'reference':
-                    description = replace(description, reference=cast(Reference, str(node.value)))
-                elif name == 'topic':
-                    description = replace(description, topic=str(node.value))
+                    description = replace(description, reference=cast(Reference, str(value)))
                 else:
-                    keys = (*_KEYS, 'heights', 'reference', 'topic', 'throws')
-                    raise ValueError(f'must be one of {", ".join(keys)}, got {name!r}')
+                    description = replace(description, topic=str(value))
+        except ValueError as error:
+            raise ValueError(f'{path}: {error}') from None
         return description
 
-    def _with_conditions(self, throw: str, node: Located) -> FitDescription:
+    def _with_conditions(self, throw: str, value: object) -> FitDescription:
         """Add the conditions of some throws."""
-        treatments, others = _read_treatments(node, self)
-        for name, item in others:
+        treatments, others = _read_treatments(dict(_items(throw, value)), self)
+        for name in others:
             if name not in PARTS:
                 keys = ', '.join((*_KEYS, *PARTS))
-                raise ValueError(f'{item.where}: must be one of {keys}, got {name!r}')
-        parts = {name: str(item.value) for name, item in others}
+                raise ValueError(f'{throw}: must be one of {keys}, got {name!r}')
+        parts = {name: str(item) for name, item in others.items()}
         return replace(self, throws={**self.throws, throw: ThrowConditions(treatments, parts)})
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
@@ -325,52 +325,40 @@ def parse_error(text: str, value: str) -> Treatment:
 
 
 def _read_treatments(
-    node: Located, base: FitDescription
-) -> tuple[dict[str, Treatment], list[tuple[str, Located]]]:
+    tree: Mapping[str, Any], base: FitDescription
+) -> tuple[dict[str, Treatment], dict[str, Any]]:
     """Return the treatments of a mapping, and its other items."""
-    treatments: dict[str, Treatment] = {}
-    own, others = [], []
-    for key, item in _items(node):
-        if key == 'free':
-            treatments |= dict.fromkeys(_names(item), FREE)
-        elif key == 'per_throw':
-            own += [(name, item) for name in _names(item)]
-        elif key in ('fixed', 'prior'):
-            for name, value in _items(item):
-                with _located(value):
-                    check_name(name)
-                    number, error = _numbers(value.value, has_error=key == 'prior')
-                    treatments[name] = Treatment(key == 'prior', number, error)
-        else:
-            others.append((key, item))
-    for name, item in own:
+    treatments = dict.fromkeys(_names(tree.get('free', [])), FREE)
+    for key in ('fixed', 'prior'):
+        for name, value in _items(key, tree.get(key, {})):
+            check_name(name)
+            treatments[name] = _known(name, value, has_error=key == 'prior')
+    for name in _names(tree.get('per_throw', [])):
         treatment = treatments.get(name) or base.treatment(name)
         if not treatment.is_varied:
-            raise ValueError(f'{item.where}: {name} must be free or have a prior')
+            raise ValueError(f'{name} must be free or have a prior')
         treatments[name] = treatment._replace(is_per_throw=True)
-    return treatments, others
+    return treatments, {key: value for key, value in tree.items() if key not in _KEYS}
 
 
-def _names(node: Located) -> list[str]:
+def _names(value: Any) -> list[str]:
     """Return a list of names of parameters."""
-    with _located(node):
-        if not isinstance(node.value, list):
-            raise ValueError(f'must be a list of names, got {node.value!r}')
-        for name in node.value:
-            check_name(name)
-    return node.value
+    if not isinstance(value, list):
+        raise ValueError(f'must be a list of names, got {value!r}')
+    for name in value:
+        check_name(name)
+    return value
 
 
-def _numbers(value: Any, *, has_error: bool) -> tuple[float, float | None]:
-    """Return a value and its error, which is None if there must be none."""
-    numbers = value if isinstance(value, list) else [value]
-    is_valid = len(numbers) == 1 + has_error and all(
-        isinstance(number, (int, float)) and math.isfinite(number) for number in numbers
-    )
-    if not is_valid or (has_error and numbers[1] <= 0.0):
+def _known(name: str, value: Any, *, has_error: bool) -> Treatment:
+    """Return the treatment of a parameter with a value, or with a value and an error."""
+    items = value if isinstance(value, list) else [value]
+    numbers = [float_of(str(item)) for item in items]
+    finite = [number for number in numbers if number is not None and math.isfinite(number)]
+    if not len(items) == len(finite) == 1 + has_error or (has_error and finite[1] <= 0.0):
         rule = '[VALUE, ERROR] with an error above 0' if has_error else 'a finite number'
-        raise ValueError(f'must be {rule}, got {value!r}')
-    return numbers[0], numbers[1] if has_error else None
+        raise ValueError(f'{name} must be {rule}, got {value!r}')
+    return Treatment(has_error, finite[0], finite[1] if has_error else None)
 
 
 def check_name(name: str) -> None:
@@ -384,15 +372,6 @@ def _matches(throw: str, pattern: str) -> bool:
     return any(name == pattern or fnmatchcase(name, pattern) for name in names_of(throw))
 
 
-@contextmanager
-def _located(node: Located) -> Iterator[None]:
-    """Add file and line to an error."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f'{node.where}: {error}') from None
-
-
 def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
     """Return the values of some `PARAMETERS` of a rig."""
     return {name: float(attrgetter(name)(rig)) for name in names}
@@ -403,8 +382,8 @@ def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
     return rig_with(rig, {name.rpartition('.')[2]: value for name, value in values.items()})
 
 
-def _items(node: Located) -> tuple[tuple[str, Located], ...]:
-    """Return the items of a mapping, or raise ValueError."""
-    if node.items is None:
-        raise ValueError(f'{node.where}: must be a mapping, got {node.value!r}')
-    return node.items
+def _items(name: object, value: object) -> Iterator[tuple[str, object]]:
+    """Yield the items of a mapping, or raise ValueError."""
+    if not isinstance(value, dict):
+        raise ValueError(f'{name} must be a mapping, got {value!r}')
+    return ((str(key), item) for key, item in value.items())

@@ -226,7 +226,7 @@ def test_options_and_file_describe_the_same_fit(command, write):
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
     path.write_text('heights: [')
-    assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}:1: ')
+    assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}: ')
 
 
 def test_stated_noise_is_that_of_the_tracks(command, write):
