@@ -49,9 +49,10 @@ def _parameters_page() -> Iterator[str]:
         'A number may also be given as text, because tools that read YAML 1.1 treat `5e-06` as '
         'text. A request\nto change a read-only parameter is refused; `ros2 param load` of an '
         'older `ros2 param dump`\nthen reports the results of that time, and sets all other '
-        'parameters. The values in one request must not contradict '
-        'each other; every single\nchange within its range is accepted, if the rig can be '
-        'computed in time and a controller can\nplay a commanded motion.\n'
+        'parameters. The values of a request\nare set one by one in the order of these tables, so '
+        'that the later of two values that contradict\neach other wins; values of a file that are '
+        'present already do not count. Every change within its\nrange is accepted, if the rig can '
+        'be computed in time and a controller can play a commanded\nmotion.\n'
     )
     for table in _TABLES:
         yield f'## {table.node}\n'

@@ -54,6 +54,9 @@ from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
+_PREDICTION_ERROR = 0.03
+"""Largest relative standard error of the ejection speed in the first prediction. [-]"""
+
 LOST = PAST
 """Time without samples after which the plate is lost, because later ones are too old. [ns]"""
 
@@ -62,9 +65,6 @@ FEWEST_IN_FLIGHT = 8
 
 MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
-
-TWO_SIDED = 1.96
-"""Half of a 95 % interval in standard errors. [-]"""
 
 _LONGER = 1.3
 """Duration of the continuation over the ejection time with the nominal engine. [-]"""
@@ -193,7 +193,7 @@ class MeasuredThrow(OngoingThrow):
         samples = self._estimator.samples(residuals.last_ns + 1, until_ns + 1)
         if residuals.is_complete:
             samples = samples[-2:]  # the last one may be too late
-        for stamp_ns, plate, _, projectile in samples.tolist():
+        for stamp_ns, plate, projectile in samples.tolist():
             time = (stamp_ns - start_ns) / SECOND
             if time > known:
                 break
@@ -242,7 +242,7 @@ class MeasuredThrow(OngoingThrow):
             if error > _NOISY:
                 self.ended_by = 'noise'
                 return None
-        elif self._lead is not None or TWO_SIDED * error > tick.config.measurement.prediction_error:
+        elif self._lead is not None or error > _PREDICTION_ERROR:
             return None
         self._accuracy = accuracy
         lead = release.time - (tick.due_ns - self._onset.onset_ns) / SECOND
