@@ -85,11 +85,16 @@ def _engine_of_file(settings: Settings, motion_of: motions.MotionSource) -> Engi
     return replace(_engine(settings, motion_of), motion=motion_of(path))
 
 
+def _measured_engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
+    make = _engine_of_file if settings[motions.PARAMETER] else _engine
+    return make(settings, motion_of)
+
+
 MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
     'underdamped': _engine,
     'harmonic': _harmonic_engine,
     'file': _engine_of_file,
-    'measured': _engine,
+    'measured': _measured_engine,
 }
 """Motions of the plate, each with the function that makes the engine of complete settings."""
 
@@ -115,7 +120,8 @@ def joint_names(settings: Settings) -> tuple[str, str]:
 _ENTRIES = (
     row('engine.motion_file', '',
         'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
-        'are then units, and the loss tangent is that at the frequency',
+        'are then units, and the loss tangent is that at the frequency. A measured plate is '
+        'expected to follow it',
         kind='the path of a file, or empty'),
     row('engine.motion', 'underdamped',
         'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), the '

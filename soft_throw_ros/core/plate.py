@@ -128,7 +128,7 @@ class Underdamped:
         rate = self.exponent
         return self.velocity_factor * np.exp(rate.real * time) * np.sin(rate.imag * time)
 
-    def states(self, time: Floats) -> Floats:
+    def states_at(self, time: Floats) -> Floats:
         """Height [m], velocity [m/s] and acceleration [m/s2] by Eq. (D1), shape (n, 3)."""
         omega, height, velocity = self.angular_frequency, self.position(time), self.velocity(time)
         force = omega * (self.amplitude - height) - 2.0 * self.damping_ratio * velocity
@@ -228,10 +228,21 @@ class SampledMotion:
         return float(self.times[-1])
 
     @cached_property
-    def peak_velocity(self) -> float:
-        """Largest upward speed, at 16 points between states [m/s]."""
+    def peak_velocity_time(self) -> float:
+        """Time of the largest upward speed, of 16 points between states [s]."""
         between = np.linspace(self.times[:-1], self.times[1:], 17)
-        return float(self.velocity(between).max())
+        return float(between.flat[self.velocity(between).argmax()])
+
+    @property
+    def peak_velocity(self) -> float:
+        """Largest upward speed [m/s]."""
+        return float(self.velocity(self.peak_velocity_time))
+
+    def states_at(self, time: Floats) -> Floats:
+        """Height [m], velocity [m/s] and acceleration [m/s2], shape (n, 3)."""
+        is_moving = (time >= self.start_time) & (time <= self.end_time)
+        acceleration = np.where(is_moving, self._path(time, 2), 0.0)
+        return np.stack((self.position(time), self.velocity(time), acceleration), axis=1)
 
     def position(self, time: ArrayLike) -> Floats:
         """Height of the plate [m]."""

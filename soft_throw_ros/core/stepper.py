@@ -46,6 +46,8 @@ EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 
 EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
+_NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
+
 MAX_EVENTS = 4096
 """Most events of one throw."""
 
@@ -304,7 +306,7 @@ class Stepper(ABC):
         return other
 
     def sync_from(
-        self, origin: Stepper, times: Floats = np.empty(0), states: Floats = np.empty((0, 3))
+        self, origin: Stepper, times: Floats = _NO_TIMES, states: Floats = _NO_STATES
     ) -> None:
         """
         Copy the state of `origin`, the stepper that this fork runs ahead of.

@@ -66,9 +66,6 @@ FEWEST_IN_FLIGHT = 8
 MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
 
-_LONGER = 1.3
-"""Duration of the continuation over the ejection time with the nominal engine. [-]"""
-
 _NOISY = 0.05
 """Relative error of the speed of a certain release beyond which noise may have caused it. [-]"""
 
@@ -158,10 +155,8 @@ class MeasuredThrow(OngoingThrow):
 
     @property
     def _latest_release(self) -> float:
-        """Latest time of a release that is predicted by the continuation [s]."""
-        weights = self._prepared.release_weights
-        is_open = weights is not None and self._lead is None
-        return _LONGER * weights.release_time if weights is not None and is_open else 0.0
+        """Latest time of a release that the next prediction needs [s]."""
+        return self._prepared.latest_release if self._lead is None else 0.0
 
     def _settle(self) -> None:
         """Append the states of the plate that do not change any more."""
@@ -255,12 +250,13 @@ class MeasuredThrow(OngoingThrow):
         return self._with_measurement(result, lead, None)
 
     def _peak_speed(self, release: Event | None) -> float:
-        """Return the largest speed of the plate until it is past its peak and the release [m/s]."""
+        """Return the largest speed of the plate until both its peak and the release [m/s]."""
         times = np.concatenate((self._times, self._path[0]))
         states = np.concatenate((self._states, self._path[1]))
         config = self._estimator.config
-        latest = max(0.0 if release is None else release.time, 1.1 * config.plate.peak_velocity_time)
-        return max(peak_speed(times[times <= latest], states[times <= latest]), config.start_speed)
+        latest = max(1.1 * config.motion.peak_velocity_time, release.time if release else 0.0)
+        is_early = times <= latest
+        return max(peak_speed(times[is_early], states[is_early]), config.start_speed)
 
     def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
         """Return the accuracy of a release."""

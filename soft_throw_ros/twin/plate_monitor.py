@@ -58,7 +58,7 @@ class _JumpDetector:
         self.is_armed, self.begun = False, math.inf
 
     def observe(self, time: float, speed: float, error: float, config: MeasurementConfig) -> None:
-        """Observe a smoothed speed."""
+        """Observe a smoothed speed in the direction of a start."""
         if math.isnan(self.last_moving):
             self.last_moving = time
         if self.begun < math.inf:
@@ -70,7 +70,7 @@ class _JumpDetector:
         elif abs(speed) > max(0.5 * config.start_speed, _REST_SIGMAS * error):
             self.last_moving = time
             moving_time = time - self.last_quiet
-            self.is_armed = self.is_armed and moving_time * config.plate.frequency <= RISE
+            self.is_armed = self.is_armed and moving_time <= longest_rise(config)
         else:
             self.last_quiet = time
             if time - self.last_moving >= REST_WINDOWS * config.smoothing_window:
@@ -160,7 +160,7 @@ class PlateMonitor:
         for time, (_, speed, _), error in zip(
             motion.times.tolist(), motion.states.tolist(), motion.errors.tolist(), strict=True
         ):
-            self._jump.observe(time, speed, error, config)
+            self._jump.observe(time, config.direction * speed, error, config)
         if self._jump.begun == math.inf:
             return None
         return find_onset(self.estimator, self._to_ns(self._jump.begun))
@@ -190,11 +190,16 @@ class PlateMonitor:
         )
 
 
+def longest_rise(config: MeasurementConfig) -> float:
+    """Return the longest time from a slow motion to the speed of a start [s]."""
+    return max(RISE / config.plate.frequency, 2.0 * config.rise_time)
+
+
 def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     """Find the start of a plate that was fast at `begun_ns`, if it still rises."""
-    config, plate = estimator.config, estimator.config.plate
+    config = estimator.config
     window_ns = config.smoothing_window_ns
-    margin_ns = max(window_ns, round(RISE / plate.frequency * SECOND))
+    margin_ns = max(window_ns, round(longest_rise(config) * SECOND))
     rest = estimator.rest_before(begun_ns - margin_ns)
     samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
     if rest is None or len(samples) < FEWEST:
@@ -205,7 +210,7 @@ def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     latest = (int(samples['stamp_ns'][-1]) - onset_ns) / SECOND
     if (samples['stamp_ns'] > onset_ns).sum() < FEWEST - 1:
         return None
-    if size * plate.velocity(latest) < config.start_speed:
+    if size * config.direction * config.motion.velocity(latest) < config.start_speed:
         return None
     before = estimator.samples(onset_ns - window_ns)
     return Onset(onset_ns=onset_ns, rest=rest, samples=tuple(to_samples(before)))
@@ -219,13 +224,12 @@ def find_start(
 
     Both are by least squares, in Gauss-Newton steps, with their expected errors as samples.
     """
-    plate, window = config.plate, config.smoothing_window
-    swing = plate.amplitude * plate.angular_frequency**2
+    window = config.smoothing_window
     since, heights = seconds_since(begun_ns, samples), samples['plate'] - rest.plate
-    start, size = -config.start_speed / swing, 1.0
+    start, size = -config.rise_time, 1.0
     prior = np.array([1.0 / AMPLITUDE_ERROR, 1.0 / window]) ** 2
     for _ in range(_START_STEPS):
-        height, speed, _ = plate.states(since - start).T
+        height, speed, _ = config.motion.states_at(since - start).T
         error = np.hypot(rest.noise, size * speed * config.stamp_error)
         rows = np.stack((height, -size * speed)) / error
         misfit = rows @ ((heights - size * height) / error) + prior * [1.0 - size, 0.0]

@@ -20,9 +20,9 @@ The speed and the time of the release and the largest speed of the plate depend 
 velocity of the plate. These three integrals are states of the filter too, so that their errors
 are those of the whole path, with all correlations.
 
-A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t`, which adds to
-the noise. A height is an outlier if it is six standard errors off; the third in a row shows that
-the plate moves in another way, and widens the errors of the state.
+A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t`, which adds
+to the noise. A height is an outlier if it is six standard errors off; the third in a row shows
+that the plate moves in another way, and widens the errors of the state.
 
 References
 ----------
@@ -40,6 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, Record, subroutine
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import Onset, state_spacing_ns
 from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
@@ -53,10 +54,18 @@ over the peak speed of the plate. A second mode of 1 % of the amplitude at 5 f i
 """
 AMPLITUDE_ERROR = 0.025
 """Relative standard error of the amplitude before the throw. [-]"""
-_AHEAD_STEPS = 16
-"""States of the continuation in a period of the plate; quintics between them err by 1e-7. [-]"""
+_COMMANDED = 0.2
+"""The same of a controlled plate around a commanded motion, over that of the engine. [-]"""
+_SETTLED = 0.5
+"""Age at which a smoothed state does not change any more, over the smoothing window. [-]"""
+_SPACING = 0.125
+"""Time between states of the continuation, over the smoothing window. [-]"""
+_COARSE = 4
+"""Weights of the release that the prediction of its errors passes in a step. [-]"""
 _AVERAGED = 16
-"""Innovations whose mean square shows that the noise is larger than stated. [-]"""
+"""Innovations whose mean square shows that more than the stated noise acts. [-]"""
+_FIRST_RATIO = 0.5
+"""Mean square before the first ones, so small that chance rarely makes it larger than 1. [-]"""
 
 _STATES = 6
 """Difference of height, of velocity, of amplitude, and the three integrals."""
@@ -72,7 +81,6 @@ _MEMORY = np.dtype(
         ('covariance', 'f8', (_STATES, _STATES)),
         ('in_a_row', 'i8'),  # outliers until now
         ('outliers', 'i8'),
-        ('count', 'i8'),  # samples used
         ('ratio', 'f8'),  # mean square of normalised innovations [-]
     ],
     align=True,
@@ -203,7 +211,6 @@ def _filter(
         for i in range(_STATES):
             for j in range(_STATES):
                 p[i, j] -= gain[i] * gain[j] * variance
-        s.count += 1
         s.ratio += (error * step.pull - s.ratio) / _AVERAGED
 
 
@@ -227,6 +234,16 @@ def _smooth(memory: NDArray[np.void], steps: NDArray[np.void], states: Floats) -
                 later[i] = f[0, i] * now[0] + f[1, i] * now[1] + f[2, i] * now[2]
 
 
+@kernel
+def _coast(memory: NDArray[np.void], times: Floats, states: Floats) -> None:
+    """Write the states at later times without unknown accelerations."""
+    s, f = memory[0], np.zeros((3, 3))
+    for n in range(times.size):
+        _transition(s, times[n] - s.time, f)
+        for i in range(3):
+            states[n, i] = f[i, 0] * s.state[0] + f[i, 1] * s.state[1] + f[i, 2] * s.state[2]
+
+
 class PlateObserver:
     """
     The plate in a throw from its onset on, see the module.
@@ -239,20 +256,27 @@ class PlateObserver:
         self, config: MeasurementConfig, onset: Onset, weights: ReleaseWeights | None
     ) -> None:
         plate = config.plate
-        self._config, self._plate, self._onset = config, plate, onset
+        self._config, self._onset = config, onset
+        self._expected = config.motion
         self.next_ns = onset.onset_ns + 1  # time from which samples are not used yet [ns]
         self._weights = weights or ReleaseWeights(np.zeros(1), np.zeros((3, 1)), 0.0)
         omega = 2.0 * math.pi * plate.frequency
         speed, swing = plate.peak_velocity, plate.amplitude * omega
-        relative = (UNMODELLED, 2.0 * config.frequency_error / plate.frequency,
-                    2.0 * config.damping_error)
+        is_engine = isinstance(config.motion, Underdamped)
+        unmodelled = UNMODELLED if is_engine else _COMMANDED * UNMODELLED
+        relative = (
+            unmodelled,
+            2.0 * config.frequency_error / plate.frequency,
+            2.0 * config.damping_error,
+        )
         memory = np.zeros(1, _MEMORY)
-        memory['omega'], memory['zeta'] = omega, plate.damping_ratio
+        if is_engine:
+            memory['omega'], memory['zeta'] = omega, plate.damping_ratio
         memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
-        memory['ratio'] = 0.5
+        memory['ratio'] = _FIRST_RATIO
         memory['wide'] = plate.amplitude**2, swing**2, plate.amplitude**2
         memory['covariance'][0][range(3), range(3)] = np.square(
-            [onset.rest.error, UNMODELLED * swing, AMPLITUDE_ERROR * plate.amplitude]
+            [onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude]
         )
         self._memory = memory
         self._steps = np.zeros(0, STEP)  # since the last settled state
@@ -276,7 +300,7 @@ class PlateObserver:
             return
         self.next_ns = int(rows['stamp_ns'][-1]) + 1
         times = seconds_since(self._onset.onset_ns, rows)
-        expected = self._plate.states(times)
+        expected = self._expected.states_at(times)
         noise = np.hypot(self._onset.rest.noise, expected[:, 1] * self._config.stamp_error)
         self._add(times, rows['plate'] - self._onset.rest.plate - expected[:, 0], noise**2)
 
@@ -285,9 +309,9 @@ class PlateObserver:
         self._steps = np.concatenate((self._steps, steps))
 
     def settle(self) -> tuple[Floats, Floats]:
-        """Return the new times and states that are older than a window, which do not change."""
+        """Return the new times and states that are old enough not to change any more."""
         times, states = self._smoothed()
-        keep = times <= self.newest - self._config.smoothing_window
+        keep = times <= self.newest - _SETTLED * self._config.smoothing_window
         if keep.any():
             self._settled = float(times[keep][-1])
             self._steps = self._steps[self._steps['time'] > self._settled]
@@ -296,14 +320,14 @@ class PlateObserver:
     def continuation(self, until: float) -> tuple[Floats, Floats]:
         """Return times and states after the settled ones, by the samples, up to a later time."""
         times, states = self._smoothed()
-        count = math.ceil((until - self.newest) * self._plate.frequency * _AHEAD_STEPS)
+        count = math.ceil((until - self.newest) / (_SPACING * self._config.smoothing_window))
         if count <= 0:
             return times, states
         later = np.linspace(self.newest, until, count + 1)[1:]
-        ahead, _ = self._run_ahead(later)
+        ahead = np.empty((count, 3))
+        _coast(self._memory, later, ahead)
         return (
-            np.concatenate((times, later)),
-            np.concatenate((states, self._states(later, ahead['state']))),
+            np.concatenate((times, later)), np.concatenate((states, self._states(later, ahead)))
         )
 
     def _smoothed(self) -> tuple[Floats, Floats]:
@@ -322,31 +346,27 @@ class PlateObserver:
         omega, zeta = self._memory['omega'][0], self._memory['zeta'][0]
         e, rate, a = differences.T
         acceleration = omega * (omega * (a - e) - 2.0 * zeta * rate)
-        states: Floats = self._plate.states(times) + np.stack((e, rate, acceleration), axis=1)
+        states: Floats = self._expected.states_at(times)
+        states += np.stack((e, rate, acceleration), axis=1)
         # an onset that is too early must not pull the layer down
         states[times == 0.0, 1] = np.maximum(states[times == 0.0, 1], 0.0)
         return states
 
-    def _run_ahead(self, times: Floats) -> tuple[NDArray[np.void], NDArray[np.void]]:
-        """Return steps of the filter to later times without samples, and its memory there."""
-        memory = self._memory.copy()
-        nothing = np.full(times.size, np.nan)
-        return _run(memory, self._weights, times, nothing, nothing), memory
-
     def errors(self, speed: float, peak_speed: float) -> ReleaseErrors:
         """
-        Return the standard errors of a release with the given speeds.
+        Return the standard errors of a release with the given speeds [m/s].
 
         Innovations that are larger than the stated noise explains make the errors larger.
         """
-        end = float(self._weights.times[-1])
-        later = np.linspace(self.newest, max(end, self.newest), _AHEAD_STEPS + 1)[1:]
-        memory = self._run_ahead(later)[1] if end > self.newest else self._memory
+        memory, times = self._memory.copy(), self._weights.times[::_COARSE]
+        later = times[times > self.newest]
+        nothing = np.full(later.size, np.nan)
+        _run(memory, self._weights, later, nothing, nothing)
         variances = memory['covariance'][0].diagonal()[3:] * max(1.0, float(memory['ratio'][0]))
         speed_error, time_error, peak_error = np.sqrt(variances).tolist()
         # errors of both speeds count as independent: another motion than expected makes them so
         alpha = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
-        return ReleaseErrors(time_error, speed_error / speed, alpha)
+        return ReleaseErrors(time_error, speed_error / abs(speed), alpha)
 
 
 def _run(

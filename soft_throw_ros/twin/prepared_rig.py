@@ -16,7 +16,7 @@ from soft_throw_ros.configuration import motions, Settings
 from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.cell_stepper import cells_per_layer, UPDATE_COST
-from soft_throw_ros.core.plate import motion_of, Underdamped
+from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     EventLimitError,
@@ -60,6 +60,9 @@ _CONTACT_GRAVITY = 9.81
 
 _ANSWERS = 128
 """Times in a throw at which the answer to `_JUMP` is known. [-]"""
+
+_LONGER = 1.3
+"""Latest release that is predicted, over the ejection time with the expected motion. [-]"""
 
 _NEAR = 0.01
 """Time before the release at which the force shows its rate, over the ejection time. [-]"""
@@ -136,6 +139,14 @@ class PreparedRig:
         """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
         return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
 
+    @cached_property
+    def latest_release(self) -> float:
+        """Latest time of a release that a fork predicts in a step; 0 for none [s]."""
+        if self.release_weights is None:
+            return 0.0
+        time = _LONGER * self.release_weights.release_time
+        return time if self.stepper.cost * time <= MOST_SHARE * self.tick else 0.0
+
     def period_ticks(self, period: float) -> int:
         """Return the steps from one throw to the next: at least one to throw, one to return."""
         return max(2, round(period / self.tick))
@@ -211,14 +222,14 @@ def _release_weights(config: TwinConfig) -> ReleaseWeights | None:
     stepper = make_stepper(in_contact, is_measured=True)
     since = np.linspace(0.0, release.time, _ANSWERS)
     stepper.append_plate_states(
-        [0.0, since[-1]], [[0.0, _JUMP, 0.0], [_JUMP * since[-1], _JUMP, 0.0]]
+        [0.0, 2.0 * release.time], [[0.0, _JUMP, 0.0], [2.0 * _JUMP * release.time, _JUMP, 0.0]]
     )
     answers = []
     for time in since.tolist():
         stepper.advance_to(time)
         answers.append(stepper.state[PROJECTILE_VELOCITY] / _JUMP)
     rates = rig.projectile.mass / force_rate * np.gradient(answers, since)
-    peak_time = Underdamped.of(rig.engine).peak_velocity_time
+    peak_time = config.measurement.motion.peak_velocity_time
     times = np.linspace(0.0, max(release.time, 1.1 * peak_time), _ANSWERS)
     left = release.time - times
     rows = [np.interp(left, since, row, left=0.0) for row in (answers, rates)]
@@ -253,8 +264,8 @@ def check_settings(settings: Settings, before: TwinConfig | None = None) -> Twin
             f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
             f'got {window:g} s'
         )
-    # in each step, one fork advances to the present time, and one until the release
-    ahead = crossing + 2.0 * window + 0.5 / frequency
+    # in each step, the forks advance by the time that they are ahead
+    ahead = 2.0 * crossing + window
     share = cost * (1.0 + ahead * config.state_rate)
     if config.is_measured and share > MOST_SHARE:
         message = (
@@ -275,7 +286,7 @@ def _require_playable(config: TwinConfig, lead: float) -> None:
     lead, rejects a last velocity, and drops the rest of a motion when the next one arrives.
     """
     path, motion, period = config.motion_file, config.rig.engine.motion, config.throw_period
-    if motion is None or config.time_scale != 1.0:
+    if motion is None or config.motion != 'file' or config.time_scale != 1.0:
         raise ValueError(
             "engine.command needs engine.motion 'file' and time_scale 1, "
             f'got {config.motion!r} and {config.time_scale:g}'
