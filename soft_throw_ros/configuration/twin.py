@@ -141,7 +141,7 @@ _ENTRIES = (
     row('engine.damping_ratio', _RIG.engine.damping_ratio,
         'Damping ratio of the plate, unless the motion is harmonic', low=0.0, high=0.99),
     row('measured.smoothing_window', 2e-3,
-        'Length of the smoothing window of a measured plate; a quarter of the length is the delay',
+        'Length of the smoothing window of a measured plate; half of it delays events and residuals',
         unit='s', low=1e-4, high=0.1),
     row('measured.latency', 0.0, 'Time to wait for samples that arrive out of order',
         unit='s', low=0.0, high=0.1),
@@ -205,8 +205,7 @@ _ENTRIES = (
     row('uncertainty.mass', 0.01, 'Largest relative error of the mass, likewise',
         low=0.0, high=0.9),
     row('uncertainty.frequency', 0.1,
-        'Largest error of the frequency, likewise; divided by the square root of 3 it is the '
-        'standard deviation with which a fit of a measured plate begins',
+        'Largest error of the frequency, likewise; part of the errors of a measured plate',
         unit='Hz', low=0.0, high=500.0),
     row('uncertainty.damping_ratio', 0.003,
         'Largest error of the damping ratio; used like that of the frequency',

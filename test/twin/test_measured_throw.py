@@ -13,9 +13,10 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from numpy.typing import NDArray
 import pytest
 import rigs
-from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     PROJECTILE_POSITION,
@@ -29,6 +30,7 @@ from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import Run
 
+Floats = NDArray[np.float64]
 ONSET = 0.0512345
 MEASURED = {'engine__motion': 'measured'}
 
@@ -306,10 +308,11 @@ def test_results_with_stated_stamp_errors_are_correct() -> None:
     assert ((np.abs(all_deviations) < 1.96).mean(axis=0) > 0.85).all()
 
 
-def test_smoothed_throw_that_noise_may_release_is_invalid() -> None:
-    run = Run(**MEASURED, measured__stamp_error=1e-4)
-    for throw in (1, 2):  # the engine is another one
-        run.measure(with_frequency(run.rig, 55.0), noise=5e-6, seed=throw, duration=0.2)
+def test_throw_that_noise_may_release_is_invalid() -> None:
+    run = Run(**MEASURED)
+    for throw in (1, 2):  # stamps scatter by ten times of what is stated
+        change = partial(with_stamp_errors, error=1e-4, seed=throw)
+        run.measure(noise=5e-6, seed=throw, duration=0.2, change=change)
         run.session.reset()
         run.go(3)
         final = run.results('final')[-1]
@@ -369,13 +372,80 @@ def test_noise_that_hides_a_rest_is_reported_with_its_size() -> None:
     assert scatter == pytest.approx(30.0, rel=0.25)
 
 
-def test_another_engine_is_followed() -> None:
+@pytest.mark.parametrize('frequency', [55.0, 70.0])
+def test_another_engine_is_followed(frequency) -> None:
     run = Run(**MEASURED)
-    other = with_frequency(run.rig, 61.0)
+    other = with_frequency(run.rig, frequency)
     run.measure(other, noise=5e-6, duration=0.2)
-    exact, release = simulate(other), run.results('release')[-1]
-    assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=0.01)
-    assert release.first.ejection_time == pytest.approx(exact.ejection_time, rel=0.02)
+    exact = simulate(other, max_events=1)
+    for result in (run.results('predicted')[-1], run.results('release')[-1]):
+        assert np.abs(deviations(result, exact, run.begin_ns + 0.05 * SECOND)).max() < 3.0
+        assert result.accuracy.ejection_speed_error < 0.01 * exact.ejection_speed
+
+
+def ramp(time: Floats) -> Floats:
+    """Return heights of a plate that accelerates to 0.72 m/s and brakes."""
+    heights = np.zeros_like(time)
+    for begin, change in ((0.0, 0.72), (7e-3, -0.72)):
+        u = (time - begin) / 4.5e-3
+        inside = np.clip(u, 0.0, 1.0)
+        share = 0.5 * inside**2 + (np.cos(2.0 * np.pi * inside) - 1.0) / (4.0 * np.pi**2)
+        heights += change * 4.5e-3 * (share + np.maximum(u - 1.0, 0.0))
+    return heights
+
+
+def test_commanded_motion_is_followed(tmp_path) -> None:
+    path, times = tmp_path / 'ramp.csv', np.linspace(0.0, 0.03, 301)
+    np.savetxt(path, np.stack((times, ramp(times)), axis=1), delimiter=',')
+    for seed in range(5):
+        run = Run(engine__motion_file=str(path), **MEASURED)
+        assert run.session.is_measured
+        run.measure(noise=5e-6, seed=seed, duration=0.08)
+        truth = simulate(run.rig, max_events=1)
+        first, certain = run.results('predicted')
+        assert first.lead > 3e-3
+        for result in (first, certain):
+            found = deviations(result, truth, run.begin_ns + 0.05 * SECOND)
+            assert np.abs(found).max() < 3.0
+    run.assert_repeated()
+
+
+def second_mode(time: Floats) -> Floats:
+    """Return a vibration of 1 % of the amplitude that the throw excites."""
+    since = np.maximum(time, 0.0)
+    return 2e-5 * np.exp(-40.0 * since) * np.sin(2.0 * np.pi * 310.0 * since)
+
+
+@pytest.mark.parametrize(
+    ('add', 'changes'),
+    [
+        (second_mode, {}),
+        (lambda time: 0.0 * time, {'frequency': 1.003, 'amplitude': 0.985}),
+    ],
+)
+def test_errors_hold_for_plates_that_are_no_nominal_engine(add, changes) -> None:
+    rig = Run(**MEASURED).rig
+    engine = replace(
+        rig.engine, **{name: getattr(rig.engine, name) * by for name, by in changes.items()}
+    )
+    times = np.arange(0.0, 0.03, 2e-5)
+    heights = Underdamped.of(engine).position(times) + add(times)
+    motion = SampledMotion.from_positions(times, heights)
+    other = replace(rig, engine=replace(engine, motion=motion))
+    truth, found, leads = simulate(other, max_events=1), [], []
+    for seed in range(20):
+        run = Run(**MEASURED)
+        onset = 0.05 + 1e-3 * seed / 20
+        run.measure(other, noise=5e-6, seed=seed, duration=0.07, onset=onset)
+        predictions = run.results('predicted')
+        leads.append(predictions[0].lead)
+        found += [
+            deviations(item, truth, run.begin_ns + onset * SECOND)
+            for item in (predictions[0], predictions[-1])
+        ]
+    assert ((np.abs(found) < 2.0).mean(axis=0) > 0.85).all()
+    assert np.abs(found).max() < 6.0
+    assert min(leads) > 1.5e-3
 
 
 def deviations_of_a_trial(seed, *, rate, outliers) -> tuple[float, list[Any]]:
@@ -430,8 +500,8 @@ def test_prediction_intervals_have_their_nominal_coverage() -> None:
     )
     coverage = (np.abs(np.array(all_deviations)) < 2.0).mean(axis=0)
     assert (coverage >= 0.9).all()
-    # the expected unmodelled accelerations are missing here
-    assert (np.sqrt(np.square(all_deviations).mean(axis=0)) > 0.2).all()
+    # errors are larger than these deviations, because nothing unmodelled accelerates the plate
+    assert (np.sqrt(np.square(all_deviations).mean(axis=0))[1] > 0.4).all()
     assert min(leads) > 1.5e-3
 
 
