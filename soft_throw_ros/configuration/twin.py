@@ -141,7 +141,7 @@ _ENTRIES = (
     row('engine.damping_ratio', _RIG.engine.damping_ratio,
         'Damping ratio of the plate, unless the motion is harmonic', low=0.0, high=0.99),
     row('measured.smoothing_window', 2e-3,
-        'Length of the smoothing window of a measured plate; half of it delays events and residuals',
+        'Length of the smoothing window of a measured plate; half of it delays the events',
         unit='s', low=1e-4, high=0.1),
     row('measured.latency', 0.0, 'Time to wait for samples that arrive out of order',
         unit='s', low=0.0, high=0.1),

@@ -129,10 +129,13 @@ class Underdamped:
         return self.velocity_factor * np.exp(rate.real * time) * np.sin(rate.imag * time)
 
     def states_at(self, time: Floats) -> Floats:
-        """Height [m], velocity [m/s] and acceleration [m/s2] by Eq. (D1), shape (n, 3)."""
-        omega, height, velocity = self.angular_frequency, self.position(time), self.velocity(time)
-        force = omega * (self.amplitude - height) - 2.0 * self.damping_ratio * velocity
-        return np.stack((height, velocity, np.where(time < 0.0, 0.0, omega * force)), axis=1)
+        """Height [m], velocity [m/s] and acceleration [m/s2], Eqs. (D1) and (D2), shape (n, 3)."""
+        rate, change = self.exponent, np.expm1(self.exponent * np.maximum(time, 0.0))
+        turned = change + 1.0
+        columns = change / rate, turned, rate * turned
+        states = self.velocity_factor * np.stack(columns, axis=1).imag
+        states[time < 0.0, 2] = 0.0
+        return states
 
 
 def peak_velocity_ratio(damping_ratio: float) -> float:

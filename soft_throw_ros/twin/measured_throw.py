@@ -128,20 +128,18 @@ class MeasuredThrow(OngoingThrow):
             self.ended_by = 'gap'
         else:
             observer.add(estimator.samples(observer.next_ns, estimator.complete_ns + 1))
-            self._settle()
+        ahead = observer.newest + crossing
+        # a longer extrapolation has no meaning
+        now = min((tick.due_ns - self._onset.onset_ns) / SECOND, ahead + window)
+        self._move_plate(max(now, ahead, self._latest_release))
         self._count_skipped_time(tick.due_ns)
         events, residual = self._follow_plate(self._stepper.horizon, tick.config.max_events)
-        # a longer extrapolation has no meaning
-        farthest = observer.newest + crossing + window
-        now = (tick.due_ns - self._onset.onset_ns) / SECOND
-        display, ahead = self._forked.display, observer.newest + crossing
-        time = max(self._stepper.horizon, min(now, farthest))
-        self._path = observer.continuation(max(time, ahead, self._latest_release))
         prediction = self._predict_state(max(ahead, self._stepper.horizon), tick)
         forecast = self._forecast(ahead, tick)
         if self.ended_by == 'noise':
             self.events, events = [], ()
-        self._advance_fork(display, time)
+        display = self._forked.display
+        self._advance_fork(display, max(self._stepper.horizon, now))
         state = State._make(display.state.tolist()[1:])
         return Outputs(
             tick.step,
@@ -158,11 +156,13 @@ class MeasuredThrow(OngoingThrow):
         """Latest time of a release that the next prediction needs [s]."""
         return self._prepared.latest_release if self._lead is None else 0.0
 
-    def _settle(self) -> None:
-        """Append the states of the plate that do not change any more."""
-        times, states = self._observer.settle()
+    def _move_plate(self, until: float) -> None:
+        """Append the states of the plate that do not change any more, and store the others."""
+        times, states, settled = self._observer.motion(until)
+        self._path = times[settled:], states[settled:]
+        times, states = times[:settled], states[:settled]
         self._stepper.append_plate_states(times, states)
-        if len(self._times) + times.size < MAX_PIECES_AHEAD:
+        if settled and len(self._times) + settled < MAX_PIECES_AHEAD:
             self._times = np.concatenate((self._times, times))
             self._states = np.concatenate((self._states, states))
 

@@ -31,6 +31,9 @@ RISE = 0.125
 _MOST_FOR_START = 128
 """Most samples in the fit of the start, to bound its cost. [-]"""
 
+_MOST_MISFIT = 0.05
+"""Median difference of the samples from a start, over the engine's amplitude, that is one. [-]"""
+
 _START_STEPS = 6
 """Gauss-Newton steps of this fit. [-]"""
 
@@ -157,13 +160,16 @@ class PlateMonitor:
         if motion.gap > config.smoothing_window:
             self._jump = _JumpDetector()
             return None
+        is_tried = False  # with all complete samples
         for time, (_, speed, _), error in zip(
             motion.times.tolist(), motion.states.tolist(), motion.errors.tolist(), strict=True
         ):
             self._jump.observe(time, config.direction * speed, error, config)
-        if self._jump.begun == math.inf:
-            return None
-        return find_onset(self.estimator, self._to_ns(self._jump.begun))
+            if self._jump.begun < math.inf and not is_tried:
+                onset, is_tried = find_onset(self.estimator, self._to_ns(self._jump.begun)), True
+                if onset is not None:
+                    return onset
+        return None
 
     def _update_state(self, motion: PlateStates) -> None:
         """Store the latest state of the plate, and check its motion."""
@@ -207,10 +213,14 @@ def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     # a slow engine moves for many samples; a subset suffices
     thinned = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
     onset_ns, size = find_start(thinned, begun_ns, rest, config)
-    latest = (int(samples['stamp_ns'][-1]) - onset_ns) / SECOND
-    if (samples['stamp_ns'] > onset_ns).sum() < FEWEST - 1:
+    moved = estimator.samples(onset_ns + 1, estimator.complete_ns + 1)
+    if len(moved) < FEWEST - 1:
         return None
-    if size * config.direction * config.motion.velocity(latest) < config.start_speed:
+    height, speed, _ = size * config.motion.states_at(seconds_since(onset_ns, moved)).T
+    if config.direction * speed[-1] < config.start_speed:
+        return None
+    misfit = float(np.median(np.abs(moved['plate'] - rest.plate - height)))
+    if misfit > max(_MOST_MISFIT * config.plate.amplitude, OUTLIER_SIGMAS * rest.noise):
         return None
     before = estimator.samples(onset_ns - window_ns)
     return Onset(onset_ns=onset_ns, rest=rest, samples=tuple(to_samples(before)))

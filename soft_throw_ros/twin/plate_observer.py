@@ -308,48 +308,42 @@ class PlateObserver:
         steps = _run(self._memory, self._weights, times, differences, variances)
         self._steps = np.concatenate((self._steps, steps))
 
-    def settle(self) -> tuple[Floats, Floats]:
-        """Return the new times and states that are old enough not to change any more."""
-        times, states = self._smoothed()
-        keep = times <= self.newest - _SETTLED * self._config.smoothing_window
-        if keep.any():
-            self._settled = float(times[keep][-1])
-            self._steps = self._steps[self._steps['time'] > self._settled]
-        return times[keep], states[keep]
+    def motion(self, until: float) -> tuple[Floats, Floats, int]:
+        """
+        Return times and states by the samples, and their continuation up to a later time.
 
-    def continuation(self, until: float) -> tuple[Floats, Floats]:
-        """Return times and states after the settled ones, by the samples, up to a later time."""
-        times, states = self._smoothed()
-        count = math.ceil((until - self.newest) / (_SPACING * self._config.smoothing_window))
-        if count <= 0:
-            return times, states
-        later = np.linspace(self.newest, until, count + 1)[1:]
-        ahead = np.empty((count, 3))
-        _coast(self._memory, later, ahead)
-        return (
-            np.concatenate((times, later)), np.concatenate((states, self._states(later, ahead)))
-        )
-
-    def _smoothed(self) -> tuple[Floats, Floats]:
-        """Return the times and the smoothed states after the settled ones."""
-        differences = np.empty((len(self._steps), 3))
-        _smooth(self._memory, self._steps, differences)
-        times, chosen, last = self._steps['time'], [], self._settled
-        for n, time in enumerate(times.tolist()):
-            if time >= last + self._spacing or (n == len(times) - 1 and time > last):
+        They begin after those that were settled in earlier calls. The number of those that are
+        settled now is the third result: they do not change any more.
+        """
+        smoothed = np.empty((len(self._steps), 3))
+        _smooth(self._memory, self._steps, smoothed)
+        chosen, last, newest = [], self._settled, self.newest
+        for n, time in enumerate(self._steps['time'].tolist()):
+            if time >= last + self._spacing or time == newest:
                 chosen.append(n)
                 last = time
-        return times[chosen], self._states(times[chosen], differences[chosen])
+        times = self._steps['time'][chosen]
+        count = math.ceil((until - newest) / (_SPACING * self._config.smoothing_window))
+        later = newest + (until - newest) / max(count, 1) * np.arange(1, count + 1)
+        ahead = np.empty((later.size, 3))
+        _coast(self._memory, later, ahead)
+        settled = int((times <= newest - _SETTLED * self._config.smoothing_window).sum())
+        if settled:
+            self._settled = float(times[settled - 1])
+            self._steps = self._steps[self._steps['time'] > self._settled]
+        times = np.concatenate((times, later))
+        return times, self._states(times, np.concatenate((smoothed[chosen], ahead))), settled
 
     def _states(self, times: Floats, differences: Floats) -> Floats:
         """Return the states with differences from the expected motion."""
         omega, zeta = self._memory['omega'][0], self._memory['zeta'][0]
         e, rate, a = differences.T
-        acceleration = omega * (omega * (a - e) - 2.0 * zeta * rate)
         states: Floats = self._expected.states_at(times)
-        states += np.stack((e, rate, acceleration), axis=1)
-        # an onset that is too early must not pull the layer down
-        states[times == 0.0, 1] = np.maximum(states[times == 0.0, 1], 0.0)
+        states[:, :2] += differences[:, :2]
+        states[:, 2] += omega * (omega * (a - e) - 2.0 * zeta * rate)
+        if times.size and times[0] == 0.0:
+            # an onset that is too early must not pull the layer down
+            states[0, 1] = max(states[0, 1], 0.0)
         return states
 
     def errors(self, speed: float, peak_speed: float) -> ReleaseErrors:
