@@ -202,7 +202,7 @@ def longest_rise(config: MeasurementConfig) -> float:
 
 
 def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
-    """Find the start of a plate that was fast at `begun_ns`, if it still rises."""
+    """Find the start of a plate that was fast at `begun_ns`, if its motion is that of a start."""
     config = estimator.config
     window_ns = config.smoothing_window_ns
     margin_ns = max(window_ns, round(longest_rise(config) * SECOND))
@@ -217,7 +217,7 @@ def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     if len(moved) < FEWEST - 1:
         return None
     height, speed, _ = size * config.motion.states_at(seconds_since(onset_ns, moved)).T
-    if config.direction * speed[-1] < config.start_speed:
+    if (config.direction * speed).max() < config.start_speed:
         return None
     misfit = float(np.median(np.abs(moved['plate'] - rest.plate - height)))
     if misfit > max(_MOST_MISFIT * config.plate.amplitude, OUTLIER_SIGMAS * rest.noise):
