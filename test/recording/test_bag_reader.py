@@ -121,7 +121,7 @@ def test_bag_of_rosbags_is_read(recording, tmp_path, version, mode):
 @pytest.mark.parametrize('chunked', [True, False])
 @pytest.mark.parametrize('index_types', [IndexType.ALL, IndexType.NONE, IndexType.CHUNK])
 @pytest.mark.parametrize('has_statistics', [True, False])
-def test_mcap_with_any_index_or_none_is_read_and_recovered(tmp_path, chunked, index_types, has_statistics):
+def test_mcap_with_any_index_or_none_is_read(tmp_path, chunked, index_types, has_statistics):
     times = [3, 1, 2, 2, 5, 4, 0, 9, 8, 7] * 40
     with (tmp_path / 'theirs.mcap').open('wb') as file:
         writer = Writer(
@@ -315,7 +315,7 @@ def test_large_file_without_an_index_is_refused_and_recovered(tmp_path, monkeypa
         writer.add_message(writer.register_channel('/a', 'cdr', schema), 1, bytes(1000), 1)
         writer.finish()
     monkeypatch.setattr(bag_reader, 'MAX_UNINDEXED', 1000)
-    with pytest.raises(UnfinishedError, match='no index.*soft-throw recover'):
+    with pytest.raises(UnfinishedError, match=r'no index.*soft-throw recover'):
         BagReader(path)
     assert recover(path, tmp_path / 'new').message_count == 1
 
