@@ -39,47 +39,17 @@ LIBRARY = f'soft_throw_ros {__version__}'
 
 class BagWriter:
     """
-    A new bag opened for writing.
+    A new bag opened for writing, whose folder must not exist; BagError is raised if it does.
 
     Chunks are written as they fill up, and the last one at `flush`. From then on their messages
-    survive the end of this process, so call `flush` about once a second.
+    survive the end of this process, so call `flush` about once a second; with `sync` also a loss
+    of power. Every file can be read alone: it contains all channels, metadata and attachments so
+    far. A new one is begun beyond `max_size` [bytes] or `max_duration` [s], if these are not 0.
 
-    Parameters
-    ----------
-    folder : path_like
-        Path of the bag, which must not exist; its files begin with the same name.
-    distribution : str
-        Distribution of ROS, such as `jazzy`; may be empty.
-    compression : {'zstd', 'lz4', 'none'}
-        Compression of chunks.
-    max_size : int
-        Size of a file beyond which a new one is started; 0 for no limit. [bytes]
-    max_duration : float
-        Time span of a file beyond which a new one is started; 0 for no limit. [s]
-    sync : bool
-        Whether `flush` waits for the disk, so that the messages survive a loss of power too.
-
-    Attributes
-    ----------
-    folder : Path
-        The bag.
-    wait_for_disk : callable
-        Called with the reason if the disk does not take data; waits, and returns whether to try
-        again. By default it returns False.
-    saved_size : int
-        Size of all data handed to the operating system. [bytes]
-
-    Raises
-    ------
-    BagError
-        If the folder exists or cannot be made.
-
-    Notes
-    -----
-    Every file can be read alone: it contains all channels, metadata and attachments so far.
-    The folder is locked (`flock`) while it is written. After any other BagError the bag can only
-    be closed.
-
+    `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
+    whether to try again, which is False by default. After any BagError the bag can only be closed.
+    `saved_size` is the size of all data handed to the operating system [bytes]. The folder is
+    locked (`flock`) while it is written.
     """
 
     def __init__(
@@ -132,13 +102,8 @@ class BagWriter:
         """
         Write a message, and with its channel's first one the channel.
 
-        Raises
-        ------
-        BagError
-            If the bag is closed, or the disk does not take a chunk.
-        ValueError
-            If a time is negative or too large for ROS.
-
+        BagError is raised if the bag is closed, or the disk does not take a chunk; ValueError, if
+        a time is negative or too large for ROS.
         """
         channel, data, log_time, publish_time, sequence = message
         if not message.has_valid_times:
@@ -189,11 +154,7 @@ class BagWriter:
         """
         Hand all messages so far to the system, which keeps them if this process is killed.
 
-        Raises
-        ------
-        BagError
-            If the disk does not take them, or the file was deleted.
-
+        BagError is raised if the disk does not take them, or the file was deleted.
         """
         disk = self._open_disk()
         self._writer.flush()
@@ -206,11 +167,7 @@ class BagWriter:
         """
         Finish the bag; if it is closed already, do nothing.
 
-        Raises
-        ------
-        BagError
-            If that fails. The bag is closed all the same, with all that was saved.
-
+        BagError is raised if that fails; the bag is closed all the same, with all that was saved.
         """
         if self._disk is None:
             return

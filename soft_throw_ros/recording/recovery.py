@@ -34,21 +34,9 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     """
     Write all before the first damage in each file of a bag into a new bag of one file.
 
-    The messages keep their order, times and numbers; metadata and attachments come last.
-
-    Parameters
-    ----------
-    source : path_like
-        A bag in any state; it is not changed.
-    target : path_like
-        The new bag. It must not exist.
-
-    Raises
-    ------
-    BagError
-        If nothing can be recovered, the bag is being written, or the new one cannot be; then
-        there is no new one.
-
+    The messages keep their order, times and numbers; metadata and attachments come last. BagError
+    is raised, and there is no new bag, if nothing can be recovered, the bag is being written, or
+    the new one exists or cannot be written.
     """
     source, target = Path(source), Path(target)
     if is_being_written(source):

@@ -84,6 +84,7 @@ class ThrowStart:
     number: int
     time_scale: float
     ejection_time: float | None = None  # from the start; None if there is none so far [s]
+    is_over: bool = False  # whether its last result has come
 
     def seconds_to(self, stamps: Any) -> Any:
         """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
@@ -183,9 +184,12 @@ class TwinReader:
             case 'throw':
                 stamp = self._start_throw(entry)
             case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
-                time = entry['result'].get('ejection_time')
-                is_release = isinstance(time, float) and time > 0.0
-                self.throw = replace(self.throw, ejection_time=time if is_release else None)
+                time, stage = (entry['result'].get(key) for key in ('ejection_time', 'stage'))
+                self.throw = replace(
+                    self.throw,
+                    ejection_time=time if isinstance(time, float) and time > 0.0 else None,
+                    is_over=stage == 'final',
+                )
         return None if self.rig is None or self.rig is rig else (stamp, self.rig)
 
     def _set_rig(self, settings: Settings) -> None:
@@ -239,10 +243,10 @@ class TwinReader:
         self, messages: Sequence[Message], topic: Topic
     ) -> tuple[Stamps, Floats] | None:
         """
-        Read measured positions, predicted positions or residuals.
+        Read measured positions, predicted positions or residuals; NaN for a joint without them.
 
-        Measured positions are relative to rest, at times by the clock of the twin, and NaN for a
-        joint without measurement. Return None for another machine, or while the rest is unknown.
+        Measured positions are relative to rest, at times by the clock of the twin. Return None for
+        another machine, or while the rest is unknown.
         """
         joints = _read_joint_states(messages)
         names = self._names(topic.joints)

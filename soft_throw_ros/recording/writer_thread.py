@@ -28,20 +28,9 @@ class WriterThread:
     """
     A bag, and the thread that writes it.
 
-    Parameters
-    ----------
-    open_bag : callable
-        Creates the bag; called again every `FLUSH_PERIOD` as long as it raises BagError.
-    capacity : int
-        Largest amount of data that may wait for the disk; further messages are dropped. [bytes]
-
-    Attributes
-    ----------
-    bag : BagWriter or None
-        The bag; None until its creation succeeds.
-    error : str
-        Present error of writing; empty without an error.
-
+    `open_bag` creates the bag, and is called again every `FLUSH_PERIOD` as long as it raises
+    BagError; `bag` is None until then. `capacity` is the largest amount of data that may wait for
+    the disk [bytes]; further messages are dropped. `error` is the present error of writing.
     """
 
     def __init__(self, open_bag: Callable[[], BagWriter], *, capacity: int) -> None:

@@ -200,17 +200,10 @@ def _is_complete(summary: Summary) -> bool:
 
 class BagReader:
     """
-    A finished bag opened for reading.
-
-    Parameters
-    ----------
-    path : path_like
-        A folder with MCAP files, or one such file.
+    A finished bag opened for reading: a folder with MCAP files, or one such file.
 
     Attributes
     ----------
-    path : Path
-        Path of the bag, as passed to the reader.
     channels : tuple of Channel
         The topics; all files share one object for each.
     counts : Counter of Channel
@@ -279,22 +272,10 @@ class BagReader:
         by_log_time: bool = True,
     ) -> Iterator[Message]:
         """
-        Yield messages by their log times, those of equal times as they were written.
+        Yield messages of topics, from `start` on and before `end` [ns].
 
-        Parameters
-        ----------
-        topics : collection of str, optional
-            Yield only messages of these topics.
-        start, end : int, optional
-            Yield only messages from `start` on and before `end`. [ns]
-        by_log_time : bool
-            Whether to sort the messages by log time; False keeps the order of writing.
-
-        Raises
-        ------
-        UnfinishedError
-            Where a chunk is damaged.
-
+        They come by log time, those of equal times as they were written, or all as they were
+        written. UnfinishedError is raised where a chunk is damaged.
         """
         first, last = max(start or 0, 0), 2**64 if end is None else max(end, 0)
         found = [

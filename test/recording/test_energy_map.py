@@ -12,7 +12,7 @@ from soft_throw_ros.core.rig import Layer, Projectile, Rig
 
 pytest.importorskip('matplotlib')
 
-from soft_throw_ros.recording.energy_map import draw_energy_map, energy_transfer  # noqa: E402
+from soft_throw_ros.recording.charts import draw_energy_map, energy_transfer  # noqa: E402
 
 BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
 
