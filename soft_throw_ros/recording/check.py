@@ -15,6 +15,7 @@ from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+import itertools
 
 import numpy as np
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TEXT, TWIN_TOPICS
@@ -245,26 +246,22 @@ class _Check:
 
     def _compare_states(self, session: Session, outputs: Iterable[Outputs]) -> None:
         """Compare the recorded states of steps."""
-        steps = []
+        due, steps = [], []
         try:
-            steps.extend((session.due_ns(item.step), item) for item in outputs)
+            for item in outputs:
+                due.append(session.due_ns(item.step))
+                steps.append(item)
         finally:
-            if steps:
-                self._is_repeated = True
-                self._compare(steps)
-
-    def _compare(self, steps: list[tuple[int, Outputs]]) -> None:
-        count = self._result.states
-        same, missing, different = self._states.compare(
-            [due for due, _ in steps], [outputs.state for _, outputs in steps]
-        )
-        count.same += same
-        count.missing += missing
-        for index, recorded in different:
-            outputs = steps[index][1]
-            difference = _first_difference(recorded._asdict(), outputs.state._asdict())
-            where = f'states: step {outputs.step}'
-            self._result.count(count, where, difference or 'other bits of a value')
+            self._is_repeated |= bool(steps)
+            count = self._result.states
+            same, missing, different = self._states.compare(due, [item.state for item in steps])
+            count.same += same
+            count.missing += missing
+            for index, recorded in different:
+                step = steps[index]
+                difference = _first_difference(recorded._asdict(), step.state._asdict())
+                where = f'states: step {step.step}'
+                self._result.count(count, where, difference or 'other bits of a value')
 
 
 class _RecordedStates:
@@ -276,14 +273,13 @@ class _RecordedStates:
         for message in reader.messages([topic]):
             try:
                 stamp, _, *series = read(message.data)
-                if any(len(numbers) != len(JOINTS) for numbers in series):
-                    raise MessageError('a state of another machine')
             except MessageError:
+                series = []
+            if [len(numbers) for numbers in series] == [len(JOINTS)] * 3:
+                recorded.append(stamp)
+                values.extend(itertools.chain(*series))
+            else:
                 self.unreadable += 1
-                continue
-            recorded.append(stamp)
-            for numbers in series:
-                values.extend(numbers)
         order = np.argsort(recorded, kind='stable')
         self._stamps = np.asarray(recorded)[order]
         self._bits = np.asarray(values).view(np.int64).reshape(-1, len(State._fields))[order]
@@ -299,6 +295,8 @@ class _RecordedStates:
         Return the number of equal states, the number of steps without a recorded state, and the
         index of each step with a recorded state that is different, with that state.
         """
+        if not stamps:
+            return 0, 0, []
         order = np.argsort(stamps, kind='stable')
         due = np.asarray(stamps)[order]
         bits = np.array(states).view(np.int64)[order]
