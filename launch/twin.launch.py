@@ -19,6 +19,7 @@ from ament_index_python.packages import (
 )
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -29,8 +30,16 @@ SHARE = Path(get_package_share_directory('soft_throw_ros'))
 def _flag(name: str, description: str) -> DeclareLaunchArgument:
     """Return a boolean launch argument with the default false."""
     return DeclareLaunchArgument(
-        name, default_value='false', choices=['true', 'false'], description=description
+        name,
+        default_value='false',
+        choices=['true', 'false', 'True', 'False'],
+        description=description,
     )
+
+
+def _is_set(values: dict[str, str], *flags: str) -> bool:
+    """Return whether one of some flags is true."""
+    return any(values[flag].lower() == 'true' for flag in flags)
 
 
 ARGUMENTS = (
@@ -87,17 +96,18 @@ def _nodes(context: LaunchContext) -> list[Node]:
     }
     if not Path(values['params_file']).is_file():
         raise RuntimeError(f'params_file:={values["params_file"]}: file not found')
-    use_sim_time = values['use_sim_time'] == 'true'
+    use_sim_time = _is_set(values, 'use_sim_time')
     common = {'namespace': values['namespace'], 'output': 'both'}
     parameters = [values['params_file'], {'use_sim_time': use_sim_time}]
     motion = [{'engine.motion': values['motion']}] if values['motion'] else []
     nodes = [_ours('twin', parameters=[*parameters, *motion], **common)]
     if recording := _recording(values):
-        nodes.append(_ours('recorder', parameters=[*parameters, recording], **common))
-    with_rviz = 'true' in (values['use_rviz'], values['rviz'])
+        recorder = {**common, 'parameters': [*parameters, recording], 'on_exit': _on_recorder_exit}
+        nodes.append(_ours('recorder', **recorder))
+    with_rviz = _is_set(values, 'use_rviz', 'rviz')
     if with_rviz:
         _check_installed('use_rviz', 'robot_state_publisher', 'rviz2')
-    elif values['description'] == 'true':
+    elif _is_set(values, 'description'):
         _check_installed('description', 'robot_state_publisher')
     else:
         return nodes
@@ -109,13 +119,22 @@ def _nodes(context: LaunchContext) -> list[Node]:
     return nodes
 
 
+def _on_recorder_exit(event: ProcessExited, _context: LaunchContext) -> None:
+    """End the launch with an error if the recorder fails, since nothing would be recorded."""
+    if event.returncode:
+        raise RuntimeError(f'the recorder has ended with exit code {event.returncode}')
+
+
 def _recording(values: dict[str, str]) -> dict[str, str]:
     """Return the parameters of the recorder, or none without a recorder."""
     paths = {name: values[name] for name in ('output', 'uri') if values[name]}
     if len(paths) > 1:
         given = ' and '.join(f'{name}:={path}' for name, path in paths.items())
         raise RuntimeError(f'{given}: both name the bag; leave one of the two out')
-    records = values['record'] == 'true' or bool(paths)
+    for name, path in paths.items():
+        if Path(path).exists():
+            raise RuntimeError(f'{name}:={path}: exists already, and no bag is overwritten')
+    records = _is_set(values, 'record') or bool(paths)
     if not records and values['rerun'] == 'none':
         return {}
     recording = {'storage': 'mcap' if records else 'none', 'rerun.sink': values['rerun']}

@@ -89,7 +89,11 @@ def _run(name: str, arguments: list[str]) -> int | None:
         importlib.import_module('soft_throw_ros.kernel_cache').use_kernel_cache()
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        print(f'soft-throw: {name} needs a module that is not installed: {error}', file=sys.stderr)
+        remedy = '; it is a ROS 2 node: source the setup file of ROS 2, or run make' * is_node
+        print(
+            f'soft-throw: {name} needs a module that is not installed: {error}{remedy}',
+            file=sys.stderr,
+        )
         return 1
     finally:
         for number, handler in handlers.items():

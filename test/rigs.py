@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +49,7 @@ def measured_throw(
     rows += [PLATE_ZERO, PROJECTILE_ZERO]
     rows += noise * random.standard_normal(rows.shape)
     return [
-        Sample(stamp, plate, math.nan, projectile)
+        Sample(stamp, plate, projectile)
         for stamp, (plate, projectile) in zip(stamps.tolist(), rows.tolist(), strict=True)
     ]
 

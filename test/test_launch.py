@@ -9,7 +9,7 @@ The replacements record the actions; launch itself is tested by hand, from its s
 from pathlib import Path
 import runpy
 import sys
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from soft_throw_ros.__main__ import EXECUTABLES
@@ -50,7 +50,7 @@ def stand_ins(monkeypatch):
         monkeypatch.setitem(sys.modules, name, replacement)
 
     for name in (
-        'launch', 'launch.actions', 'launch.substitutions',
+        'launch', 'launch.actions', 'launch.events.process', 'launch.substitutions',
         'launch_ros', 'launch_ros.actions', 'launch_ros.parameter_descriptions',
     ):
         module(name)
@@ -184,11 +184,34 @@ def test_description_has_the_sizes_of_the_twin_of_the_namespace(tmp_path):
     assert robot.link_map['rig2/layer_00'].visual.geometry.length == pytest.approx(1.2e-3)
 
 
-def test_description_of_a_refused_parameter_is_refused_with_its_line(tmp_path):
+def test_description_of_a_refused_parameter_is_refused_with_its_file(tmp_path):
     path = tmp_path / 'mine.yaml'
     path.write_text('twin:\n  ros__parameters:\n    layer:\n      thickness: -1.0\n')
-    with pytest.raises(ParameterError, match=r'mine\.yaml:4: layer\.thickness must be'):
+    with pytest.raises(ParameterError, match=r'mine\.yaml: layer\.thickness must be'):
         nodes(description='true', params_file=str(path))
+
+
+def test_bag_that_exists_is_refused_before_any_node_starts(tmp_path):
+    with pytest.raises(RuntimeError, match=f'output:={tmp_path}: exists'):
+        nodes(output=str(tmp_path))
+
+
+def test_failure_of_the_recorder_ends_the_launch():
+    on_exit = nodes(record='true')['recorder']['on_exit']
+    on_exit(SimpleNamespace(returncode=0), None)
+    with pytest.raises(RuntimeError, match='exit code 2'):
+        on_exit(SimpleNamespace(returncode=2), None)
+
+
+@pytest.mark.parametrize('true', ['true', 'True'])
+def test_true_and_false_may_begin_with_a_capital_letter(true):
+    flags = dict.fromkeys(('record', 'description', 'use_sim_time'), true)
+    started = nodes(**flags, rviz='False')
+    assert set(started) == {'twin', 'recorder', 'robot_state_publisher'}
+    assert started['twin']['parameters'][-1] == {'use_sim_time': True}
+    for action in actions('twin.launch.py'):
+        if kind_of(action) == 'DeclareLaunchArgument' and action.name in flags:
+            assert {true, 'false', 'False'} <= set(action.kwargs['choices'])
 
 
 @pytest.mark.parametrize('name', FILES)

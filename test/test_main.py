@@ -40,6 +40,12 @@ def test_umbrella_forwards_arguments_and_exit_code(echo, args, expected):
     assert echo == [(['soft-throw echo', *expected], expected)]
 
 
+def test_umbrella_names_the_remedy_for_nodes_without_ros(capsys, monkeypatch):
+    monkeypatch.setitem(umbrella.EXECUTABLES, 'lost', ('no_such_package.nodes.lost', ''))
+    assert umbrella.main(['lost']) == 1
+    assert 'ROS 2' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(('name', 'code'), [('trow', 2), ('lost', 1)])
 def test_umbrella_names_an_unknown_executable_in_one_line(capsys, monkeypatch, name, code):
     monkeypatch.setitem(umbrella.EXECUTABLES, 'lost', ('no_such_module', ''))

@@ -136,7 +136,6 @@ TABLE = {
     'alpha at these two, (0.32, 8.4)': ('4.12', 4.1101, 5e-5),
     'alpha of a thick soft layer, x = 1': ('4', 4.0, 1e-6),
     'largest C for that': ('7.9', 8.0, 1e-4),
-    'the same by the analysis': ('8', 8.0, 1e-4),
     'ridge for small x: C/sqrt(x)': ('10.2', 2.0 * math.pi * 1.619874, 2e-3),
     'alpha on it': ('3.13', 3.127442, 1e-4),
     'alpha on the axes, C = 0 or x = 0': ('0', 0.0, 2e-3),

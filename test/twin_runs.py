@@ -163,7 +163,7 @@ def make_samples(
     heights = 0.3 + PLATE.position((stamps - BEGIN) / SECOND - onset)
     heights += noise * random.standard_normal(count)
     return [
-        Sample(stamp, height, math.nan, 0.5)
+        Sample(stamp, height, 0.5)
         for stamp, height in zip(stamps.tolist(), heights.tolist(), strict=True)
     ]
 

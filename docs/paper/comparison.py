@@ -77,11 +77,11 @@ class Row:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Texts of the row of the table: quantity, section, paper, ours and remark."""
+        """Texts of the row of the table: quantity with its place, paper, ours and remark."""
         values = self.ours if isinstance(self.ours, tuple) else (self.ours,)
         ours = ' to '.join(f'{value:.{self.digits}f}' for value in values)
         ours = ours if self.agrees else f'**{ours}**'
-        return self.quantity, self.where, self.paper, ours, self.why
+        return f'{self.quantity} ({self.where})', self.paper, ours, self.why
 
 
 @functools.lru_cache(maxsize=1)
@@ -129,8 +129,7 @@ def _thin_and_thick() -> tuple[Row, ...]:
         Row('alpha of a thick soft layer, x = 1', 'III', '4',
             float(plateau), 4),
         Row('largest C for that', 'III', '7.9', edge, 3,
-            f'exactly 8 at x = 1; {near:.2f} at x = 0.99'),
-        Row('the same by the analysis', 'IV A', '8', edge, 3),
+            f'exactly 8 at x = 1, as in IV A; {near:.2f} at x = 0.99'),
         Row('ridge for small x: C/sqrt(x)', 'Fig. 4', '10.2', factor, 2,
             f'{math.sqrt(1.3) * factor:.2f} for the 1.3 of the rig'),
         Row('alpha on it', 'Fig. 4', '3.13', ridge, 4),

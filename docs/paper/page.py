@@ -15,7 +15,7 @@ _HEADS = ('L_s (mm)', 't_e (ms)', 'V_e (m/s)', 'alpha', 'strain (%)')
 def update_page(page: str) -> str:
     """Return the page `docs/paper.md` with its tables computed again."""
     for name, heads, rows in (
-        ('published', ('quantity', 'section', 'paper', 'ours', 'remark'),
+        ('published', ('quantity (section)', 'paper', 'ours', 'remark'),
          [row.cells for row in published()]),
         ('table one', ('symbol', 'paper', 'ours'), table_one()),
         ('throws', _HEADS, throws_of_the_rig()),

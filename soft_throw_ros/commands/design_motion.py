@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from soft_throw_ros.commands.design_texts import motion_summary
@@ -65,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
         'parameters': {name: settings[name] for name in RIG_PARAMETERS},
         'motion': {**vars(design), 'summary': motion_summary(design)},
     }
-    print_result(data, _lines(design, settings['max_strain']), as_json=arguments.json)
+    print_result(data, _lines(design), as_json=arguments.json)
     return 0
 
 
@@ -76,7 +75,7 @@ def _cases(design: MotionDesign) -> Iterator[tuple[str, Rig, PredictedThrow]]:
     yield 'best_motion', design.rig, design
 
 
-def _lines(design: MotionDesign, max_strain: Any) -> Iterator[str]:
+def _lines(design: MotionDesign) -> Iterator[str]:
     """Yield the summary, and a table that compares both throws."""
     yield motion_summary(design)
     yield ''
@@ -89,7 +88,7 @@ def _lines(design: MotionDesign, max_strain: Any) -> Iterator[str]:
             'plate_acceleration': peaks.acceleration,
             'plate_travel': peaks.travel,
         }
-    yield from write_predictions(columns, design.rig.layer.linear_range(max_strain))
+    yield from write_predictions(columns, design.rig.layer.linear_range)
     if design.limits == PlateLimits.of(design.present.engine):
         yield (
             'The limits of the plate are those of the present motion; set others by '

@@ -130,7 +130,7 @@ def _lines(
     else:
         assert isinstance(best, Recommendation)  # other requests are refused
         columns, more = _recommendation_columns(best), _recommendation_lines(best)
-    yield from write_predictions(columns, best.rig.layer.linear_range(settings['max_strain']))
+    yield from write_predictions(columns, best.rig.layer.linear_range)
     yield f'With the uncertainties (uncertainty.*): {uncertainty_text(uncertainty)}'
     yield from more
 

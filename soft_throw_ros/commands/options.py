@@ -147,7 +147,7 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     Raises
     ------
     ParameterError
-        If a value is refused; the message names the option, or the file and line.
+        If a value is refused; the message names the option or the file.
 
     """
     values = vars(arguments)
@@ -178,8 +178,7 @@ def stated_parameters(arguments: argparse.Namespace) -> set[str]:
     """Return the parameters that the options or the file state; the others have defaults."""
     values = {name: value for name, value in vars(arguments).items() if name in TWIN.by_name}
     if 'config' in arguments:
-        sources = files.read_arguments(('--ros-args', '--params-file', arguments.config))
-        items = files.select(sources, '/twin').items()
+        items = files.select(files.read_file(arguments.config), '/twin').items()
         values = {name: source.value for name, source in items} | values
     if values.get('layer.name', CUSTOM) != CUSTOM or values.get('layer.stack'):
         values |= dict.fromkeys(TWIN.names_in('layer'))

@@ -109,7 +109,7 @@ def predict(settings: Settings) -> Prediction:
     return {
         'parameters': {
             name: settings[name]
-            for name in (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS, 'max_strain')
+            for name in (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS)
         },
         'rig': {
             'mass_ratio': rig.mass_ratio,
@@ -124,7 +124,7 @@ def predict(settings: Settings) -> Prediction:
         'uncertainty': uncertainty,
         'notes': notes,
         'leaves_linear_range': (throws['throw'] or {}).get('peak_strain', 0.0)
-        > rig.layer.linear_range(settings['max_strain']),
+        > rig.layer.linear_range,
     }
 
 
@@ -196,7 +196,4 @@ def _table(prediction: Prediction) -> Iterator[str]:
     for name, note in prediction['notes'].items():
         yield f'{name}: {note}'
     if prediction['leaves_linear_range']:
-        settings = prediction['parameters']
-        max_strain = float(settings['max_strain'])  # type: ignore[arg-type]
-        limit = rig_of(settings).layer.linear_range(max_strain)
-        yield strain_warning(limit, 'max_strain')
+        yield strain_warning(rig_of(prediction['parameters']).layer.linear_range, 'throw')

@@ -47,12 +47,12 @@ def _parameters_page() -> Iterator[str]:
     yield '# Parameters\n'
     yield f'SI units. Written from the tables by `{_COMMAND}`.\n'
     yield (
-        'A number may also be given as text, because tools that read YAML 1.1 treat `5e-06` as '
-        'text. A request\nto change a read-only parameter is refused; `ros2 param load` of an '
-        'older `ros2 param dump`\nthen reports the results of that time, and sets all other '
-        'parameters. The values in one request must not contradict '
-        'each other; every single\nchange within its range is accepted, if the rig can be '
-        'computed in time and a controller can\nplay a commanded motion.\n'
+        'A number may also be text, as which YAML 1.1 reads `5e-06`. A request to change a '
+        'read-only\nparameter is refused; `ros2 param load` of a dump reports this, and sets all '
+        'others. The values\nof a request are set in the order of these tables, so that the later '
+        'of two values that contradict\neach other wins; values of a file that are present '
+        'already do not count. Every change within its\nrange is accepted, if the rig can be '
+        'computed in time and a controller can play a commanded\nmotion.\n'
     )
     for table in _TABLES:
         shared = [entry for entry in table.entries if _is_of_twin(table, entry)]

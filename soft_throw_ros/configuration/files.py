@@ -4,7 +4,7 @@
 ROS parameter files, read without ROS.
 
 Offline commands read the values here. A node gets its values from ROS, and finds here the source
-of each, file and line or argument, for error messages and for the order of requests.
+of each, a file or an argument, for error messages and for the order of requests.
 """
 
 from __future__ import annotations
@@ -18,28 +18,32 @@ import re
 import textwrap
 from typing import Any, NamedTuple
 
-from soft_throw_ros.configuration import located_yaml
-from soft_throw_ros.configuration.located_yaml import Located
 from soft_throw_ros.configuration.table import ParameterError, quote, Settings, Table, Value
 from soft_throw_ros.configuration.twin import TWIN
+from soft_throw_ros.configuration.yaml_file import read_yaml
 import yaml
 
 _KEY = 'ros__parameters'
 
 
 class Source(NamedTuple):
-    """The source of a value: a line of a file, or an argument."""
+    """The source of a value: a file, or an argument."""
 
     node: str
     """Pattern of node names."""
     name: str
     where: str
-    """`FILE:LINE` or `-p NAME:=VALUE`."""
+    """`FILE` or `-p NAME:=VALUE`."""
     order: int = 0
     """Number of the file or of the row of arguments; later ones win."""
     value: Any = None
     """The value in a file; None for an argument, which ROS parses."""
     in_file: bool = True
+
+    @property
+    def is_for_all(self) -> bool:
+        """Whether the value stands in a section for several nodes, such as `/**`."""
+        return self.in_file and self.node.endswith('*')
 
 
 def read(
@@ -53,7 +57,8 @@ def read(
     Read complete settings for a node from a ROS parameter file.
 
     Parameters that the file lacks keep their defaults. Results, and parameters that every node
-    has, are ignored, so that a file of `ros2 param dump` can be read.
+    has, are ignored, so that a file of `ros2 param dump` can be read. So are parameters of other
+    nodes in a section for several nodes.
 
     Parameters
     ----------
@@ -70,10 +75,10 @@ def read(
     ------
     ParameterError
         If the file cannot be read, has no parameters of the node, or has a refused value; the
-        message has file and line.
+        message has the name of the file.
 
     """
-    everything = list(_read_file(Path(path)))
+    everything = read_file(path)
     sources = select(everything, node)
     if is_required and not sources:
         nodes = ', '.join(sorted({item.node for item in everything})) or 'no parameters'
@@ -89,8 +94,8 @@ def start(
     Return the settings at the start from the values of files and arguments.
 
     Each file is one request, and so is each row of `-p`; requests are applied in their order.
-    Therefore `-p layer.thickness:=...` turns a named layer of a file into a custom one, and does
-    not contradict the file.
+    Therefore `-p layer.thickness:=...` turns a named layer of a file into a custom one. A value of
+    a file that is present already is no change, so that one line of a complete file can be edited.
 
     Parameters
     ----------
@@ -104,23 +109,30 @@ def start(
     Raises
     ------
     ParameterError
-        If a value is refused, or two contradict each other; the message has the source.
+        If a value is refused; the message has the source.
 
     """
     requests: dict[int, dict[str, Value]] = {}
+    sources = {name: Source('', name, '') for name in values} | sources
     for name, value in values.items():
-        source = sources.get(name)
-        is_argument = source is not None and not source.in_file
-        is_result = name in table.by_name and table.by_name[name].is_result
-        if is_argument or not is_result:  # `ros2 param dump` writes results to files
-            requests.setdefault(source.order if source else 0, {})[name] = value
+        source = sources[name]
+        entry = table.by_name.get(name)
+        # `ros2 param dump` writes results to files
+        is_ignored = source.is_for_all if entry is None else source.in_file and entry.is_result
+        if not is_ignored:
+            requests.setdefault(source.order, {})[name] = value
     settings = table.defaults()
     try:
         for _, request in sorted(requests.items()):
-            settings.update(table.change(settings, request))
+            new = {
+                name: value
+                for name, value in request.items()
+                if not sources[name].in_file or table.check_value(name, value) != settings[name]
+            }
+            settings.update(table.change(settings, new))
     except ParameterError as error:
-        where = next((f'{sources[name].where}: ' for name in error.names if name in sources), '')
-        raise ParameterError(f'{where}{error}', *error.names) from None
+        where = next((sources[name].where for name in error.names if name in sources), '')
+        raise ParameterError(where + ': ' * bool(where) + str(error), *error.names) from None
     return settings
 
 
@@ -138,7 +150,7 @@ def read_arguments(arguments: Sequence[str]) -> list[Source]:
     Raises
     ------
     ParameterError
-        If a file cannot be read; the message has file and line.
+        If a file cannot be read; the message has its name.
 
     """
     sources: list[Source] = []
@@ -150,7 +162,7 @@ def read_arguments(arguments: Sequence[str]) -> list[Source]:
         order += in_file or flag == '--params-file'
         in_file = flag == '--params-file'
         if in_file:
-            sources += _read_file(Path(argument), order)
+            sources += read_file(argument, order)
         else:
             node, _, name = argument.partition(':=')[0].rpartition(':')
             sources.append(Source(node or '/**', name, f'-p {argument}', order, in_file=False))
@@ -216,27 +228,34 @@ def _text(value: Value) -> str:
     return text if isinstance(value, tuple) else text[1:-1]
 
 
-def _read_file(path: Path, order: int = 0) -> Iterator[Source]:
-    """Yield the values of a file in their order."""
-    root = located_yaml.read(path)
-    for names, leaf in _leaves(root) if root is not None else ():
-        if _KEY not in names:
+def read_file(path: str | Path, order: int = 0) -> list[Source]:
+    """Return the values of a file in their order; errors are those of `read_yaml`."""
+    return [
+        Source(node, name, str(path), order, value)
+        for node, section in _sections(read_yaml(path), path)
+        for name, value in _leaves(section)
+    ]
+
+
+def _sections(
+    tree: dict[Any, Any], path: str | Path, node: str = ''
+) -> Iterator[tuple[str, dict[Any, Any]]]:
+    """Yield the pattern of nodes and the parameters of each section of a file."""
+    for key, value in tree.items():
+        if value is not None and not isinstance(value, dict):
             raise ParameterError(
-                f'{leaf.where}: expected NODE: {_KEY}: NAME: VALUE, '
-                f'got {quote(leaf.value)} before any {_KEY}'
+                f'{path}: must be NODE: {_KEY}: NAME: VALUE, got {quote(value)} as {quote(key)}'
             )
-        index = names.index(_KEY)
-        node, name = '/'.join(names[:index]), '.'.join(names[index + 1:])
-        if name:
-            yield Source(node, name, leaf.where, order, leaf.value)
+        if key == _KEY:
+            yield node, value or {}
+        else:
+            yield from _sections(value or {}, path, f'{node}/{key}' if node else str(key))
 
 
-def _leaves(
-    tree: Located, names: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], Located]]:
-    """Yield every value that is no mapping, with the keys above it."""
-    if tree.items is None:
-        yield names, tree
-    else:
-        for key, value in tree.items:
-            yield from _leaves(value, (*names, key))
+def _leaves(tree: dict[Any, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the full name and the value of each parameter."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}', value

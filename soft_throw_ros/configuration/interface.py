@@ -140,8 +140,8 @@ class TwinTopics(NamedTuple):
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
         'Result of a throw, at its first release and at its end, with the time of the event as '
-        'stamp; with a measured plate also the prediction with its errors, first within '
-        'measured.prediction_error and again when it is certain',
+        'stamp; with a measured plate also the prediction with its errors, first within 1 % and '
+        'again when it is certain',
         depth=2, is_latched=True)
     ejection_time: Topic = Topic(
         '~/throw/ejection_time', NUMBER,
@@ -170,10 +170,10 @@ class TwinTopics(NamedTuple):
         depth=_ONE_SECOND, joints=JOINTS, quantities=('position',))
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
-        'Measured positions of the plate and optionally of the projectile, with or without '
-        'velocities, stamped with the time of the measurement, at 2 to 10 kHz',
-        depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS,
-        quantities=('position', 'velocity'), is_input=True)
+        'Measured positions of the plate and optionally of the projectile, stamped with the time '
+        'of the measurement, at 2 to 10 kHz',
+        depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS, quantities=('position',),
+        is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
         'Motion of the plate for a controller, `engine.command_lead` before each throw, with the '
@@ -205,7 +205,7 @@ class RigTopics(NamedTuple):
     """Topics of the simulated rig."""
 
     measured_joint_states: Topic = replace(
-        TwinTopics().measured_joint_states.at('twin'), quantities=('position',), is_input=False)
+        TwinTopics().measured_joint_states.at('twin'), is_input=False)
     plate_trajectory: Topic = replace(
         TwinTopics().plate_trajectory.at('twin'),
         meaning='Motion that the plate plays, from the stamp on; periodic throws then stop',

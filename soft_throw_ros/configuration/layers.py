@@ -18,9 +18,8 @@ import re
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from soft_throw_ros.configuration import located_yaml
-from soft_throw_ros.configuration.located_yaml import Located
-from soft_throw_ros.configuration.table import number_of, ParameterError, quote, row, Table
+from soft_throw_ros.configuration.table import number_of, ParameterError, quote
+from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Layer, Stack
 
 CUSTOM = 'custom'
@@ -36,47 +35,19 @@ BOUNDS: Mapping[str, tuple[str, float, float]] = MappingProxyType({
 })
 """Unit, smallest and largest value of each property of a layer."""
 
-_MATERIAL = Table(
-    node='material',
-    entries=(
-        row('description', '', 'What it is', kind='a text', pattern=r'.*\S.*'),
-        row('source', '', 'Where the numbers are from', kind='a text', pattern=r'.*\S.*'),
-        *(
-            row(name, 1.0, '', unit=unit, low=low, high=high)
-            for name, (unit, low, high) in BOUNDS.items()
-            if name != 'thickness'
-        ),
-        row('stack', '', 'Its sheets', kind='a text', pattern=r'.*\S.*'),
-        row('thicknesses', (0.01,), '', unit='m', low=BOUNDS['thickness'][1],
-            high=BOUNDS['thickness'][2]),
-    ),
-)
-_SHEET = Table(
-    node='sheet',
-    entries=tuple(
-        row(name, 1.0, '', unit=unit, low=1e-4 if name == 'thickness' else low, high=high)
-        for name, (unit, low, high) in BOUNDS.items()
-    ),
-)
+_THINNEST_SHEET = 1e-4
+"""Smallest thickness of a sheet. [m]"""
+
 MAX_SHEETS = 200
 """Number of sheets of a stack [-]: the thickest layer has as many of half a millimetre."""
 
 STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_tangent')
 """Parameters that each sheet of a stack and the whole stack have."""
 
-_DESCRIPTION = ('description', 'source')
-_REQUIRED = (*_DESCRIPTION, 'density', 'loss_tangent')
-_STACK = (*_DESCRIPTION, 'stack')
-_STIFFNESS = ('wave_speed', 'youngs_modulus')
-_RANGED = ('density', 'loss_tangent', *_STIFFNESS)
-
-
-class MaterialProperty(NamedTuple):
-    """Nominal value and published range of a material property."""
-
-    value: float
-    low: float
-    high: float
+_STACK = {'description', 'source', 'stack'}
+_MATERIAL = {'description', 'source', 'density', 'loss_tangent'}
+_OPTIONAL = {'wave_speed', 'youngs_modulus', 'thicknesses', 'diameter'}
+"""Properties in a library: of a stack, of every material, and others of a material."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,11 +55,9 @@ class Material:
     """A material of the library."""
 
     name: str
-    description: str
-    source: str  # of the numbers
-    density: MaterialProperty  # [kg/m3]
-    wave_speed: MaterialProperty  # of longitudinal waves in a thin bar [m/s]
-    loss_tangent: MaterialProperty  # at the frequency of the plate [-]
+    density: float  # [kg/m3]
+    wave_speed: float  # of longitudinal waves in a thin bar [m/s]
+    loss_tangent: float  # at the frequency of the plate [-]
     thicknesses: tuple[float, ...] = ()  # available ones; empty if it is cast in any [m]
     diameter: float | None = None  # if there is only one [m]
 
@@ -97,9 +66,9 @@ class Material:
         """Parameters of the twin for a layer of this material."""
         values: dict[str, float | str] = {
             'layer.stack': '',
-            'layer.wave_speed': self.wave_speed.value,
-            'layer.density': self.density.value,
-            'layer.loss_tangent': self.loss_tangent.value,
+            'layer.wave_speed': self.wave_speed,
+            'layer.density': self.density,
+            'layer.loss_tangent': self.loss_tangent,
         }
         if self.diameter is not None:
             values['layer.diameter'] = self.diameter
@@ -176,27 +145,37 @@ def _read_sheet(words: list[str], materials: Callable[[], Mapping[str, Material]
                 f'{", ".join(known)}',
                 'layer.stack',
             )
-        values = {
-            name.removeprefix('layer.'): value
-            for name, value in known[words[1]].settings.items()
-            if name in STACKED
-        }
+        material = known[words[1]]
+        values: list[Any] = [material.wave_speed, material.density, material.loss_tangent]
     elif len(words) in (3, 4):
-        values = dict(zip(('wave_speed', 'density', 'loss_tangent'), words[1:], strict=False))
+        values = list(words[1:])
     else:
         raise ParameterError(
             'layer.stack: a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY '
             f'[LOSS_TANGENT], got {quote(" ".join(words))}',
             'layer.stack',
         )
+    names = ('wave_speed', 'density', 'loss_tangent')
     try:
-        checked = {
-            name: _SHEET.check_value(name, value)
-            for name, value in {'thickness': words[0], **values}.items()
+        thickness = _bounded('thickness', words[0], low=_THINNEST_SHEET)
+        properties: dict[str, Any] = {
+            name: _bounded(name, value) for name, value in zip(names, values, strict=False)
         }
     except ParameterError as error:
         raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
-    return Layer(**checked)  # type: ignore[arg-type]
+    return Layer(thickness=thickness, **properties)
+
+
+def _bounded(name: str, value: Any, low: float | None = None) -> float:
+    """Return a property of a layer as a number within its bounds, or refuse it."""
+    unit, lowest, high = BOUNDS[name]
+    lowest = lowest if low is None else low
+    number: Any = number_of(value) if isinstance(value, str) else value
+    is_number = isinstance(number, (int, float)) and not isinstance(number, bool)
+    if is_number and lowest <= number <= high:
+        return float(number)
+    rule = f'a number from {lowest:g} to {high:g} {unit}'.strip()
+    raise ParameterError(f'{name} must be {rule}, got {quote(value)}')
 
 
 def default_file() -> Path:
@@ -217,7 +196,7 @@ def library(path: str | Path = '') -> Library:
     ------
     ParameterError
         If the file cannot be read, or differs from the format in `config/layers.yaml`; the message
-        names file and line.
+        names file, material, value and rule.
 
     """
     if not str(path):
@@ -233,24 +212,34 @@ def library(path: str | Path = '') -> Library:
 @lru_cache(maxsize=8)
 def _library(path: str, _changed_ns: int) -> Library:
     materials: dict[str, Material] = {}
-    stacks: dict[str, Located] = {}
-    for file in (default_file(), *([Path(path)] if path else [])):
-        _read_materials(file, materials, stacks)
     layers: dict[str, Mapping[str, float | str]] = {}
-    for material in materials.values():
-        for thickness in material.thicknesses:
-            name = material.layer_name(thickness)
-            layers[name] = {'layer.thickness': thickness, **material.settings}
-        if not material.thicknesses:
-            layers[material.name] = material.settings
-    result = Library(MappingProxyType(materials), MappingProxyType(layers))
-    for name, node in stacks.items():
-        try:
-            sheets = read_stack(node.value, lambda: materials)
-            layers[name] = {'layer.stack': write_stack(sheets), **whole(sheets)}
-        except ParameterError as error:
-            raise ParameterError(f'{node.where}: {error}') from None
-    return result
+    for file in (default_file(), *([Path(path)] if path else [])):
+        tree = read_yaml(file)
+        if not tree:
+            raise ParameterError(f'{file}: the file has no material')
+        stacks = [key for key, item in tree.items() if isinstance(item, dict) and 'stack' in item]
+        for name in sorted(tree, key=stacks.__contains__):  # materials first
+            try:
+                _check_entry(name, tree[name], {*materials, *layers})
+                if name in stacks:
+                    sheets = read_stack(str(tree[name]['stack']), lambda: materials)
+                    layers[name] = {'layer.stack': write_stack(sheets), **whole(sheets)}
+                else:
+                    materials[name] = _material(name, tree[name])
+                    layers |= _layers_of(materials[name])
+            except ParameterError as error:
+                raise ParameterError(f'{file}: {quote(name)}: {error}') from None
+    return Library(MappingProxyType(materials), MappingProxyType(layers))
+
+
+def _layers_of(material: Material) -> dict[str, Mapping[str, float | str]]:
+    """Return the settings of the layers of a material by name."""
+    if not material.thicknesses:
+        return {material.name: material.settings}
+    return {
+        material.layer_name(thickness): {'layer.thickness': thickness, **material.settings}
+        for thickness in material.thicknesses
+    }
 
 
 def whole(sheets: Sequence[Layer]) -> dict[str, float]:
@@ -273,89 +262,49 @@ def whole(sheets: Sequence[Layer]) -> dict[str, float]:
     return {name: getattr(stack, name.removeprefix('layer.')) for name in STACKED}
 
 
-def _read_materials(
-    path: Path, materials: dict[str, Material], stacks: dict[str, Located]
-) -> None:
-    """Add the materials and the stacks of a file."""
-    root = located_yaml.read(path)
-    if root is None:
-        raise ParameterError(f'{path}: the file has no material')
-    for name, node in _items(root, 'NAME: {density: ..., ...}').items():
-        if not re.fullmatch(r'[A-Za-z0-9][A-Za-z0-9_.-]*', name) or name == CUSTOM:
-            raise ParameterError(
-                f'{node.where}: the name of a material is letters, digits, points, dashes and '
-                f'underlines, and not {CUSTOM!r}, got {quote(name)}'
-            )
-        if name in materials or name in stacks:
-            raise ParameterError(f'{node.where}: there is a material named {name} already')
-        items = _items(node, 'PROPERTY: VALUE')
-        values = {key: _value(key, item) for key, item in items.items()}
-        required = _STACK if 'stack' in items else _REQUIRED
-        missing = [key for key in required if key not in items]
-        if missing:
-            raise ParameterError(f'{node.where}: {name} has no {", no ".join(missing)}')
-        if 'stack' not in items:
-            materials[name] = _material(name, node, items, values)
-            continue
-        for key, item in items.items():
-            if key not in required:
-                raise ParameterError(f'{item.where}: a stack has no {key}')
-        stacks[name] = items['stack']
-
-
-def _material(
-    name: str, node: Located, items: Mapping[str, Located], values: dict[str, Any]
-) -> Material:
-    stiffness = [key for key in _STIFFNESS if key in values]
-    if len(stiffness) != 1:
+def _check_entry(name: object, values: Any, known: set[str]) -> None:
+    """Refuse an entry of a library with a wrong name, or wrong names of properties."""
+    is_name = isinstance(name, str) and re.fullmatch(r'[A-Za-z0-9][A-Za-z0-9_.-]*', name)
+    if not is_name or name == CUSTOM:
         raise ParameterError(
-            f'{node.where}: {name} must have either wave_speed or youngs_modulus, got '
-            f'{"both" if stiffness else "neither"}'
+            f'a name must be letters, digits, points, dashes and underlines, and not {CUSTOM!r}'
         )
-    modulus = values.pop('youngs_modulus', None)
-    if modulus is not None:
-        speeds = (math.sqrt(end / values['density'].value) for end in modulus)
-        values['wave_speed'] = MaterialProperty(*speeds)
-        _checked('wave_speed', values['wave_speed'].value, items['youngs_modulus'].where)
-    return Material(name=name, **values)
+    if name in known:
+        raise ParameterError('there is a material or layer with this name already')
+    if not isinstance(values, dict):
+        raise ParameterError(f'must be PROPERTY: VALUE, got {quote(values)}')
+    is_stack = 'stack' in values
+    required, allowed = (_STACK, _STACK) if is_stack else (_MATERIAL, _MATERIAL | _OPTIONAL)
+    if missing := required - values.keys():
+        raise ParameterError(f'{", ".join(sorted(missing))} must be given')
+    if unknown := values.keys() - allowed:
+        name = quote(min(unknown, key=str))
+        raise ParameterError(f'a property must be one of {", ".join(sorted(allowed))}, got {name}')
 
 
-def _items(node: Located, form: str) -> dict[str, Located]:
-    """Return the values of a mapping; a key may not come twice."""
-    if node.items is None:
-        raise ParameterError(f'{node.where}: expected {form}, got {quote(node.value)}')
-    items: dict[str, Located] = {}
-    for key, value in node.items:
-        if key in items:
-            raise ParameterError(f'{value.where}: {key} is given twice')
-        items[key] = value
-    return items
+def _material(name: str, values: Mapping[str, Any]) -> Material:
+    """Return the material with the properties of an entry."""
+    if ('wave_speed' in values) == ('youngs_modulus' in values):
+        raise ParameterError('either wave_speed or youngs_modulus must be given')
+    density = _property(values, 'density')
+    if 'wave_speed' in values:
+        speed = _property(values, 'wave_speed')
+    else:
+        speed = math.sqrt(_property(values, 'youngs_modulus') / density)
+    thicknesses = values.get('thicknesses', [])
+    if not isinstance(thicknesses, list):
+        raise ParameterError(f'thicknesses must be a list, got {quote(thicknesses)}')
+    return Material(
+        name=name,
+        density=density,
+        wave_speed=_bounded('wave_speed', speed),
+        loss_tangent=_property(values, 'loss_tangent'),
+        thicknesses=tuple(_bounded('thickness', item) for item in thicknesses),
+        diameter=_property(values, 'diameter') if 'diameter' in values else None,
+    )
 
 
-def _checked(key: str, value: object, where: str) -> Any:
-    """Return a value within its bounds, of the type that its row has; or refuse it."""
-    try:
-        return _MATERIAL.check_value(key, value)
-    except ParameterError as error:
-        raise ParameterError(f'{where}: {error}') from None
-
-
-def _value(key: str, node: Located) -> Any:
-    """Return the value of a property; some may have a range."""
-    if node.items is None or key not in _RANGED:
-        value = _checked(key, node.value, node.where)
-        return MaterialProperty(value, value, value) if key in _RANGED else value
-    items = _items(node, '{value: ..., range: [..., ...]}')
-    if set(items) != {'value', 'range'}:
-        raise ParameterError(
-            f'{node.where}: {key} must be a number or {{value: ..., range: [..., ...]}}, got '
-            f'{", ".join(items) or "nothing"}'
-        )
-    value = _checked(key, items['value'].value, items['value'].where)
-    limits, where = items['range'].value, items['range'].where
-    ends = [_checked(key, end, where) for end in limits] if isinstance(limits, list) else []
-    if len(ends) != 2 or not ends[0] <= value <= ends[1]:
-        raise ParameterError(
-            f'{where}: the range of {key} must be two numbers around {value:g}, got {limits}'
-        )
-    return MaterialProperty(value, *ends)
+def _property(values: Mapping[str, Any], name: str) -> float:
+    """Return a property, or its value if the source gives a range."""
+    item = values[name]
+    return _bounded(name, item.get('value') if isinstance(item, dict) else item)

@@ -4,21 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-
-from soft_throw_ros.configuration.table import NAME, ParameterError, row, Settings, Table
-
-
-def contradictions(settings: Settings, _names: Collection[str]) -> Iterator[ParameterError]:
-    """Yield the contradiction of settings that neither record nor show anything."""
-    if settings['storage'] == settings['rerun.sink'] == 'none':
-        yield ParameterError(
-            "storage and rerun.sink are both 'none', so nothing would be recorded or "
-            "shown; set storage to 'mcap', or rerun.sink to 'viewer', 'serve' or 'file'",
-            'storage',
-            'rerun.sink',
-        )
-
+from soft_throw_ros.configuration.table import NAME, row, Table
 
 RECORDER = Table(
     node='recorder',
@@ -54,18 +40,8 @@ RECORDER = Table(
             'Python that has Rerun, rclpy and this package; empty for the one that runs the '
             'recorder; cannot be changed after the start'),
     ),
-    contradictions=contradictions,
 )
 """The parameters of the recorder; all take effect when recording is started."""
-
-
-def _need_file(settings: Settings, _names: Collection[str]) -> Iterator[ParameterError]:
-    """Yield an error if the sink `file` has no path."""
-    if settings['sink'] == 'file' and not settings['file']:
-        yield ParameterError(
-            "sink is 'file' and file is empty; name a file such as live.rrd", 'sink', 'file'
-        )
-
 
 VIEWER = Table(
     node='viewer',
@@ -81,6 +57,5 @@ VIEWER = Table(
             low=1024, high=65535),
         row('file', '', 'Path of the Rerun recording (.rrd) for the sink `file`'),
     ),
-    contradictions=_need_file,
 )
 """The parameters of the viewer; all take effect when it is started."""

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from soft_throw_ros.configuration.table import NAME, row, Settings, Table
-from soft_throw_ros.configuration.twin import JOINT_ROWS, resolve_stack, TWIN
+from soft_throw_ros.configuration.twin import imply, JOINT_ROWS, TWIN
 
 _LIKE_THE_TWIN = (
     'engine.frequency', 'engine.amplitude', 'engine.damping_ratio',
@@ -61,7 +61,7 @@ RIG = Table(
         row('wear.wave_speed', 0.95, 'Wave speed of the aged layer relative to the new one',
             low=0.1, high=2.0),
     ),
-    resolve=resolve_stack,
+    imply=imply,
 )
 """The parameters of the rig; parameters shared with the twin have the same meaning."""
 

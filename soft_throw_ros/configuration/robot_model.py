@@ -38,7 +38,7 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
     Raises
     ------
     ParameterError
-        If the file cannot be read or has a refused value; the message has file and line.
+        If the file cannot be read or has a refused value; the message has its name.
 
     """
     settings: Settings = files.read(path, node=node, is_required=False)

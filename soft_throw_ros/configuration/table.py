@@ -8,13 +8,14 @@ parameter files, those in `config/`, and docs/parameters.md.
 
 Settings are a value for every parameter of a table, results left out. A request is a handful of
 parameters to be set at once. Any single change within its range is accepted, since ROS sets a
-list one by one. Values out of range and contradictions inside one request are refused.
+list one by one; a request is a row of single changes in the order of the table, so that the later
+of two values that contradict each other wins.
 """
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 import difflib
 from functools import cached_property
@@ -30,9 +31,6 @@ NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
 """Names of nodes, topics and namespaces in ROS."""
 
 Settings: TypeAlias = Mapping[str, Any]
-
-Rule: TypeAlias = Callable[[Settings, Settings], Settings]
-"""A function of complete settings and their changes that returns implied changes."""
 
 MAX_TEXT = 16_384
 """Length of a text [characters]: a path has at most 4096, a stack fewer than this."""
@@ -177,20 +175,10 @@ class Table:
     """The parameters in the order of the documentation."""
     hints: Mapping[str, str] = field(default_factory=dict)
     """Advice on names that are no parameters but might be expected."""
-    resolve: Rule = lambda _settings, changes: changes
-    """Replaces references to a file by its contents, so that settings are self-contained."""
-    rules: tuple[Rule, ...] = ()
+    imply: Callable[[Settings, str, Any], Settings] = lambda _settings, _name, _value: {}
     """
-    Each returns the changes that other changes imply. The rules run in order, and each one
-    receives the implied changes of the rules before. A rule never replaces a value that is
-    requested or implied already.
-    """
-    contradictions: Callable[[Settings, Collection[str]], Iterable[ParameterError]] = (
-        lambda _settings, _names: ()
-    )
-    """
-    Yields contradictions in complete settings among the values of some names, as errors with the
-    names of the values. A request that sets all these values at once is refused.
+    Returns the changes that the change of one value implies, or raises ParameterError; the
+    arguments are the complete settings before the change, the name and the new value.
     """
 
     @cached_property
@@ -240,6 +228,8 @@ class Table:
         """
         Return the new values of a request, including implied values.
 
+        The values are set one by one in the order of the table.
+
         Parameters
         ----------
         settings : mapping of str to value
@@ -250,17 +240,16 @@ class Table:
         Raises
         ------
         ParameterError
-            If a value is refused by `check_value`, or two contradict each other.
+            If a value is refused by `check_value` or `imply`.
 
         """
         checked = {name: self.check_value(name, value) for name, value in request.items()}
-        changes = dict(self.resolve(settings, checked))
-        for rule in self.rules:
-            implied = rule(settings, changes)
-            changes |= {name: implied[name] for name in implied if name not in changes}
-        for error in self.contradictions({**settings, **changes}, checked.keys()):
-            if set(error.names) <= checked.keys():
-                raise error
+        changes: dict[str, Value] = {}
+        for name in self.by_name:
+            if name in checked:
+                implied = self.imply({**settings, **changes}, name, checked[name])
+                changes[name] = checked[name]
+                changes |= {key: value for key, value in implied.items() if key in self.by_name}
         return changes
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 import difflib
 import math
@@ -29,10 +29,9 @@ from soft_throw_ros.configuration.table import (
     Scalar,
     Settings,
     Table,
-    Value,
 )
 from soft_throw_ros.core.material import LOSSES, STRESS_STRAIN_LAWS
-from soft_throw_ros.core.rig import Engine, Layer, LINEAR_STRAIN, Projectile, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 
 _INSTALLED = library()
 
@@ -45,8 +44,8 @@ OBJECTIVES: Mapping[str, str] = {
 
 _RIG = Rig()
 
-_NAMED = (*STACKED, 'layer.diameter', 'layer.stack')
-"""Parameters that the name of a layer may set."""
+_NAMED = (*STACKED, 'layer.diameter', 'layer.stack', 'layer.library')
+"""Parameters that the name of a layer may set, and the library that has the name."""
 
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 """Targets of an aim, of which one is 0."""
@@ -114,14 +113,14 @@ def joint_names(settings: Settings) -> tuple[str, str]:
 
 
 _ENTRIES = (
-    row('engine.motion', 'underdamped',
-        'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), the '
-        'motion in `engine.motion_file`, or the measured motion in `~/measured_joint_states`',
-        choices=tuple(MOTIONS)),
     row('engine.motion_file', '',
         'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
         'are then units, and the loss tangent is that at the frequency',
         kind='the path of a file, or empty'),
+    row('engine.motion', 'underdamped',
+        'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), the '
+        'motion in `engine.motion_file`, or the measured motion in `~/measured_joint_states`',
+        choices=tuple(MOTIONS)),
     row('engine.command', False,
         'Publish the motion of `engine.motion_file` before each throw, for a controller that '
         'moves the plate; the motion begins and ends at rest at the same height, and `time_scale` '
@@ -134,7 +133,7 @@ _ENTRIES = (
     row('engine.amplitude', _RIG.engine.amplitude, 'Height A at which the plate settles',
         unit='m', low=1e-5, high=0.1),
     row('engine.damping_ratio', _RIG.engine.damping_ratio,
-        'Damping ratio of the plate, 0 when the motion is harmonic', low=0.0, high=0.99),
+        'Damping ratio of the plate, unless the motion is harmonic', low=0.0, high=0.99),
     row('measured.smoothing_window', 2e-3,
         'Length of the smoothing window of a measured plate; a quarter of the length is the delay',
         unit='s', low=1e-4, high=0.1),
@@ -142,22 +141,11 @@ _ENTRIES = (
         unit='s', low=0.0, high=0.1),
     row('measured.position_noise', 5e-6, 'Standard deviation of measured positions of the plate',
         unit='m', low=1e-9, high=1e-2),
-    row('measured.velocity_noise', 1e-2, 'Standard deviation of its measured velocities, if any',
-        unit='m/s', low=1e-6, high=10.0),
     row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps of samples',
         unit='s', low=0.0, high=1e-3),
-    row('measured.start', 0.1,
-        "Part of the plate's peak speed by `engine.*` at which a throw has started",
-        low=0.01, high=0.9),
     row('measured.residual_threshold', 1e-4,
         'Rms residual of the projectile beyond which the model is reported as wrong',
         unit='m', low=1e-7, high=1.0),
-    row('measured.prediction_error', 0.01,
-        'Largest relative half width of the 95 % interval of the ejection speed in the first '
-        'prediction of a throw', low=1e-4, high=1.0),
-    row('measured.clock_limit', 1.0,
-        "How far the clock that stamps the samples may be off the twin's to be corrected; "
-        'stamps since boot always are', unit='s', low=0.0, high=1e6),
     row('layer.library', '',
         'File of materials besides those of `config/layers.yaml`, which describes the format',
         kind='the path of a file, or empty'),
@@ -165,11 +153,6 @@ _ENTRIES = (
         'Layer of the library, which sets the properties of the layer; `custom` after any other '
         'change',
         kind='a name in the library, or `custom`', examples=tuple(_INSTALLED.layers)),
-    row('layer.stack', '',
-        'Sheets of the layer from the plate up, separated by commas: each is thickness, wave '
-        'speed, density and optionally loss tangent, or thickness and material, which is stored '
-        'in numbers; the values of the layer then describe the whole stack',
-        kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
     row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
         **_bounds('thickness')),
     row('layer.wave_speed', _RIG.layer.wave_speed,
@@ -180,6 +163,11 @@ _ENTRIES = (
     row('layer.loss_tangent', _RIG.layer.loss_tangent,
         "Internal loss of the layer, as its loss tangent at the plate's frequency",
         **_bounds('loss_tangent')),
+    row('layer.stack', '',
+        'Sheets of the layer from the plate up, separated by commas: each is thickness, wave '
+        'speed, density and optionally loss tangent, or thickness and material, which is stored '
+        'in numbers; the values of the layer then describe the whole stack',
+        kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
     row('layer.stress_strain_law', _RIG.layer.stress_strain_law,
         'How the stress of the layer follows strain: in proportion, or as in a neo-Hookean rod, '
         'which stiffens where it is compressed', choices=STRESS_STRAIN_LAWS),
@@ -203,10 +191,6 @@ _ENTRIES = (
     *JOINT_ROWS,
     row('time_scale', 1.0, 'Time of the rig over time of the clock; 0.01 is slow motion',
         low=1e-4, high=10.0),
-    row('max_strain', LINEAR_STRAIN,
-        'Strain beyond which the layer is reported as no longer linear; at the default a linear '
-        'model errs by up to 5 % in ejection time and energy transfer',
-        low=1e-3, high=1.0),
     row('uncertainty.wave_speed', 0.3,
         'Largest error of the wave speed, up or down; all errors within it are equally likely',
         unit='m/s', low=0.0, high=100.0),
@@ -236,8 +220,6 @@ _ENTRIES = (
         unit='m/s', low=1e-3, high=100.0, or_zero=True),
     row('recommendation.plate_acceleration', 0.0, 'Its largest acceleration, likewise',
         unit='m/s2', low=0.1, high=1e6, or_zero=True),
-    row('recommendation.plate_jerk', 0.0, 'Its largest jerk; 0 does not limit it',
-        unit='m/s3', low=1.0, high=1e10, or_zero=True),
     row('recommendation.plate_travel', 0.0,
         'How far it may go, from the lowest to the highest position; 0 is as far as now',
         unit='m', low=1e-5, high=1.0, or_zero=True),
@@ -279,40 +261,54 @@ _ENTRIES = (
 )
 
 
-def resolve_stack(settings: Settings, changes: Settings) -> Settings:
+def imply(settings: Settings, name: str, value: Any) -> Settings:
     """
-    Write a stack that is set in numbers, so that settings contain all that they mean.
+    Return the changes that the change of one value implies, see `Table.imply`.
+
+    A named layer and a stack have values of their own; another value of the layer makes it
+    `custom`, and ends a stack. A file of a motion, which is read, moves the plate. Damping ends a
+    harmonic motion. One target replaces the other.
 
     Raises
     ------
     ParameterError
-        If the library cannot be read, or a sheet is wrong.
+        If a file cannot be read, a layer is unknown, or a sheet is wrong.
 
     """
-    text = changes.get('layer.stack')
-    if not text:
-        return changes
-    path = str({**settings, **changes}['layer.library'])
-    sheets = read_stack(str(text), lambda: library(path).materials)
-    return {**changes, 'layer.stack': write_stack(sheets)}
-
-
-def _require_library(_settings: Settings, changes: Settings) -> Settings:
-    """Refuse a library that cannot be read."""
-    if changes.get('layer.library'):
-        library(str(changes['layer.library']))
+    after = {**settings, name: value}
+    if name == 'layer.name':
+        return {} if value == CUSTOM else _named_layer(after)
+    if name == 'layer.stack' and value:
+        sheets = read_stack(value, lambda: library(after['layer.library']).materials)
+        numbers = {name: write_stack(sheets), **whole(sheets)}
+        return {**numbers, **_custom_layer({**after, **numbers})}
+    if name == motions.PARAMETER:
+        if value:
+            motions.read(value)
+            return {'engine.motion': 'file'}
+        return {'engine.motion': 'underdamped'} if settings['engine.motion'] == 'file' else {}
+    if name == 'engine.motion' and value == 'file':
+        _engine_of_file(after, motions.read)
+    if name == 'layer.library' and value:
+        library(value)  # refuses one that cannot be read
+    if name in _TARGETS and value:
+        return {target: 0.0 for target in _TARGETS if target != name}
+    if value == settings[name]:
+        return {}
+    if name == 'engine.damping_ratio' and value and settings.get('engine.motion') == 'harmonic':
+        return {'engine.motion': 'underdamped'}
+    if name in _NAMED:
+        ended = {'layer.stack': ''} if name in STACKED and settings['layer.stack'] else {}
+        return {**ended, **_custom_layer({**after, **ended})}
     return {}
 
 
-def _values_of_named_layer(settings: Settings, changes: Settings) -> Settings:
-    """Imply the values of a layer by its name."""
-    name = changes.get('layer.name', CUSTOM)
-    if name == CUSTOM:
-        return {}
-    layers = _layers({**settings, **changes})
+def _named_layer(settings: Settings) -> Settings:
+    """Return the values of the layer that the settings name."""
+    name, layers = settings['layer.name'], library(settings['layer.library']).layers
     if name not in layers:
         names = layers if len(name) <= MAX_NAME else ()
-        close = difflib.get_close_matches(str(name), names, n=1)
+        close = difflib.get_close_matches(name, names, n=1)
         advice = f'did you mean {close[0]}?' if close else f'there are {", ".join(layers)}'
         raise ParameterError(
             f'layer.name must be a name in the library, or {CUSTOM!r}, got {quote(name)}; '
@@ -322,106 +318,17 @@ def _values_of_named_layer(settings: Settings, changes: Settings) -> Settings:
     return layers[name]
 
 
-def _custom_layer(settings: Settings, changes: Settings) -> Settings:
+def _custom_layer(settings: Settings) -> Settings:
     """Imply that a layer is `custom` if a value is not that of the layer in the library."""
-    name = settings['layer.name']
-    touched = {'layer.library', *_NAMED} & changes.keys()
-    if 'layer.name' in changes or name == CUSTOM or not touched:
+    name = settings.get('layer.name', CUSTOM)
+    if name == CUSTOM:
         return {}
     try:
-        values = _layers({**settings, **changes})[name]
+        values = library(settings['layer.library']).layers[name]
     except (KeyError, ParameterError):  # the library has changed, or cannot be read any more
         return {'layer.name': CUSTOM}
-    is_same = all(changes.get(key, value) == value for key, value in values.items())
+    is_same = all(settings[key] == value for key, value in values.items())
     return {} if is_same else {'layer.name': CUSTOM}
-
-
-def _stack(settings: Settings, changes: Settings) -> Settings:
-    """Imply the values of a stack as a whole, or no stack if another of these values is set."""
-    if changes.get('layer.stack'):
-        return whole(_sheets(changes))
-    is_changed = any(name in changes for name in STACKED)
-    return {'layer.stack': ''} if settings['layer.stack'] and is_changed else {}
-
-
-def _motion_of_file(settings: Settings, changes: Settings) -> Settings:
-    """Imply that the plate moves by a file if a readable one is named, and not if none is."""
-    path, motion = changes.get(motions.PARAMETER), changes.get('engine.motion')
-    if path or motion == 'file':
-        _engine_of_file({**settings, **changes}, motions.read)
-        return {'engine.motion': 'file'}
-    is_ended = path is not None and settings['engine.motion'] == 'file'
-    return {'engine.motion': 'underdamped'} if is_ended else {}
-
-
-def _damping(settings: Settings, changes: Settings) -> Settings:
-    """Imply no damping of a harmonic motion, the default after one, or a motion with damping."""
-    motion, was_harmonic = changes.get('engine.motion'), settings['engine.motion'] == 'harmonic'
-    if motion == 'harmonic':
-        return {'engine.damping_ratio': 0.0}
-    if was_harmonic and motion:
-        return {'engine.damping_ratio': _RIG.engine.damping_ratio}
-    is_damped = was_harmonic and changes.get('engine.damping_ratio')
-    return {'engine.motion': 'underdamped'} if is_damped else {}
-
-
-def _one_target(_settings: Settings, changes: Settings) -> Settings:
-    """Imply that no height is aimed at if a speed is, and the other way round."""
-    height, speed = _TARGETS
-    if changes.get(height):
-        return {speed: 0.0}
-    return {height: 0.0} if changes.get(speed) else {}
-
-
-def contradictions(settings: Settings, names: Collection[str]) -> Iterator[ParameterError]:
-    """
-    Yield the contradictions among the values of some names in complete settings.
-
-    A single change may lead to a contradiction and is accepted; a request that sets all
-    contradicting values at once is refused.
-    """
-    layer = settings['layer.name']
-    if 'layer.name' in names and layer != CUSTOM:
-        for name, value in _layers(settings)[layer].items():
-            if name in names and settings[name] != value:
-                yield ParameterError(
-                    f'{name} of {layer} is {_shown(value)}, got {_shown(settings[name])}; '
-                    f'leave one of the two out, or set layer.name to {CUSTOM!r}',
-                    name,
-                    'layer.name',
-                )
-    if 'layer.stack' in names and settings['layer.stack']:
-        for name, value in whole(_sheets(settings)).items():
-            if settings[name] != value:
-                yield ParameterError(
-                    f'{name} of the stack is {value:g}, got {settings[name]:g}; '
-                    'leave one of the two out',
-                    name,
-                    'layer.stack',
-                )
-    height, speed = (settings[name] for name in _TARGETS)
-    if height and speed:
-        yield ParameterError(
-            f'one of {" and ".join(_TARGETS)} must be 0, got {height:g} and {speed:g}', *_TARGETS
-        )
-    damping = settings['engine.damping_ratio']
-    if settings['engine.motion'] == 'harmonic' and damping > 0.0:
-        yield ParameterError(
-            f"engine.motion 'harmonic' has no damping, got engine.damping_ratio {damping:g}; "
-            "leave one of the two out, or set engine.motion to 'underdamped'",
-            'engine.damping_ratio',
-            'engine.motion',
-        )
-    for low, high, bound in (
-        ('recommendation.thickness_min', 'recommendation.thickness_max', 'below'),
-        ('recommendation.wave_speed_min', 'recommendation.wave_speed_max', 'below'),
-        ('rate.field', 'rate.state', 'at most'),
-    ):
-        smaller, larger = settings[low], settings[high]
-        if smaller > larger or (smaller == larger and bound == 'below'):
-            yield ParameterError(
-                f'{low} must be {bound} {high}, got {smaller:g} and {larger:g}', low, high
-            )
 
 
 TWIN = Table(
@@ -431,17 +338,7 @@ TWIN = Table(
         'layer.youngs_modulus': 'the modulus is density times wave speed squared: '
         'set layer.wave_speed'
     },
-    resolve=resolve_stack,
-    rules=(
-        _require_library,
-        _values_of_named_layer,
-        _custom_layer,
-        _stack,
-        _motion_of_file,
-        _damping,
-        _one_target,
-    ),
-    contradictions=contradictions,
+    imply=imply,
 )
 """The parameters of the twin."""
 
@@ -508,12 +405,3 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 def _sheets(settings: Settings) -> list[Layer]:
     """Return the sheets of a stack; journals of 0.2 may name installed materials."""
     return read_stack(str(settings['layer.stack']), lambda: _INSTALLED.materials)
-
-
-def _shown(value: Value) -> str:
-    return f'{value:g}' if isinstance(value, float) else quote(value)
-
-
-def _layers(settings: Settings) -> Mapping[str, Mapping[str, float | str]]:
-    """Return the layers of the library, that of the settings included."""
-    return library(str(settings['layer.library'])).layers

@@ -18,6 +18,9 @@ from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.message import SECOND
 
+_START_SPEED = 0.1
+"""Speed at which a measured plate has started a throw, over the peak speed by `engine.*`. [-]"""
+
 BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
 
@@ -29,15 +32,12 @@ class MeasurementConfig:
     smoothing_window_ns: int  # length of the smoothing window [ns]
     latency_ns: int  # time to wait for samples out of order [ns]
     position_noise: float  # standard deviation of the heights of the plate [m]
-    velocity_noise: float  # standard deviation of its velocities [m/s]
     stamp_error: float  # standard deviation of the stamps [s]
     start_speed: float  # upward speed at which a throw has begun [m/s]
     residual_threshold: float  # rms of the projectile beyond which the model is wrong [m]
     plate: Underdamped  # expected motion in a throw
     frequency_error: float  # standard deviation of its frequency [Hz]
     damping_error: float  # standard deviation of its damping ratio [-]
-    # half of the 95 % interval of the ejection speed, over the speed, for a first prediction [-]
-    prediction_error: float
 
     @property
     def smoothing_window(self) -> float:
@@ -107,15 +107,12 @@ class TwinConfig:
                 smoothing_window_ns=round(settings['measured.smoothing_window'] * SECOND),
                 latency_ns=round(settings['measured.latency'] * SECOND),
                 position_noise=settings['measured.position_noise'],
-                velocity_noise=settings['measured.velocity_noise'],
                 stamp_error=settings['measured.stamp_error'],
-                # relative to the plate's
-                start_speed=settings['measured.start'] * plate.peak_velocity,
+                start_speed=_START_SPEED * plate.peak_velocity,
                 residual_threshold=settings['measured.residual_threshold'],
                 plate=plate,
                 frequency_error=settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
                 damping_error=settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
-                prediction_error=settings['measured.prediction_error'],
             ),
             state_rate=settings['rate.state'],
             field_rate=settings['rate.field'],
@@ -123,7 +120,7 @@ class TwinConfig:
             command_lead=lead if settings['engine.command'] else None,
             throw_period=period,
             max_events=settings['throw.max_events'],
-            max_strain=rig.layer.linear_range(settings['max_strain']),
+            max_strain=rig.layer.linear_range,
         )
 
     def change(

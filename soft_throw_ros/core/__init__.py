@@ -4,6 +4,25 @@
 The physics of one throw: rigs, the closed form, the steppers, and batches of throws.
 
 Numbers in SI units go in, numbers come out; there is no clock, no file and no ROS. This package
-imports the standard library, numpy, numba and SciPy only.
+imports the standard library, numpy, numba and SciPy only. The names below are for other code.
 
 """
+
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.throw import simulate, Throw, ThrowUnfinishedError
+from soft_throw_ros.core.throws import throw_many, Throws
+
+__all__ = [
+    'Engine',
+    'Layer',
+    'Projectile',
+    'Rig',
+    'SampledMotion',
+    'Stack',
+    'Throw',
+    'ThrowUnfinishedError',
+    'Throws',
+    'simulate',
+    'throw_many',
+]

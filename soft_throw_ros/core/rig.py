@@ -198,10 +198,10 @@ class Layer:
         """Whether only cells can follow it: a stack, a layer with loss, or one not linear."""
         return not self.is_uniform or self.loss_tangent > 0.0 or self.stress_strain_law != 'linear'
 
-    def linear_range(self, max_strain: float) -> float:
-        """Return the largest strain with reliable results: `max_strain` for a linear layer."""
-        is_linear = self.stress_strain_law == 'linear'
-        return max_strain if is_linear else max(max_strain, LARGEST_STRAIN)
+    @property
+    def linear_range(self) -> float:
+        """Largest strain with reliable results [-]."""
+        return LINEAR_STRAIN if self.stress_strain_law == 'linear' else LARGEST_STRAIN
 
     @property
     def sheets(self) -> tuple[Layer, ...]:

@@ -4,9 +4,9 @@
 Position, velocity and acceleration from noisy samples, a little behind the last one.
 
 The filter of Savitzky and Golay [1]_, for samples at any times: a cubic is fitted to the samples
-in a window by least squares, weighted by the noise of the samples, and evaluated at three quarters
-of the window. There the noise of the velocity is as small as in the middle, because a cubic is not
-noisier than a parabola at this point, and the delay is a quarter instead of half a window.
+in a window by least squares, and evaluated at three quarters of the window. There the noise of the
+velocity is as small as in the middle, because a cubic is not noisier than a parabola at this
+point, and the delay is a quarter instead of half a window.
 
 References
 ----------
@@ -35,9 +35,7 @@ def fit_cubics(
     at: Floats,
     times: Floats,
     positions: Floats,
-    velocities: Floats,
     half: float,
-    ratio: float,
     states: Floats,
     errors: Floats,
     misfits: Floats,
@@ -49,17 +47,15 @@ def fit_cubics(
     ----------
     at : ndarray, shape (n,)
         Times of the estimates, increasing. [s]
-    times, positions, velocities : ndarray, shape (m,)
-        Samples, times increasing; velocities are NaN where not measured. [s], [m], [m/s]
+    times, positions : ndarray, shape (m,)
+        Samples, times increasing. [s], [m]
     half : float
         Half the length of the window. [s]
-    ratio : float
-        Noise of positions over the noise of velocities. [s]
     states, errors, misfits : ndarray, shapes (n, 3), (n,) and (n, 2)
         For the results: position [m], velocity [m/s] and acceleration [m/s2]; errors of the
-        velocity for unit noise of the position [1/s]; weighted sums of squares of the residuals
-        [m2] and their degrees of freedom. States and errors are NaN where samples are too few, or
-        on one side only.
+        velocity for unit noise of the position [1/s]; sums of squares of the residuals [m2] and
+        their degrees of freedom. States and errors are NaN where samples are too few, or on one
+        side only.
 
     """
     first = 0
@@ -71,23 +67,17 @@ def fit_cubics(
             first += 1
         normal[:], right[:], unit[:] = 0.0, 0.0, 0.0
         unit[1] = 1.0
-        count, before, equations, squares = 0, 0, 0, 0.0
+        count, before, squares = 0, 0, 0.0
         k = first
         while k < times.size and (times[k] - at[n]) / half <= ahead:
             u = (times[k] - at[n]) / half
             row[0], row[1], row[2], row[3] = 1.0, u, u * u, u * u * u
             value = positions[k] - positions[first]
-            _add(normal, right, row, value)
+            for i in range(4):
+                right[i] += row[i] * value
+                for j in range(i + 1):
+                    normal[i, j] += row[i] * row[j]
             squares += value * value
-            equations += 1
-            if np.isfinite(velocities[k]):
-                weight = ratio / half  # a velocity changes the position by so much
-                row[0], row[1] = 0.0, weight
-                row[2], row[3] = 2.0 * u * weight, 3.0 * u * u * weight
-                value = velocities[k] * ratio
-                _add(normal, right, row, value)
-                squares += value * value
-                equations += 1
             count += 1
             before += u <= 0.0
             k += 1
@@ -104,16 +94,7 @@ def fit_cubics(
         states[n, 2] = 2.0 * solution[2] / (half * half)
         errors[n] = np.sqrt(unit[1]) / half
         misfits[n, 0] = max(squares - (right * solution).sum(), 0.0)
-        misfits[n, 1] = equations - 4
-
-
-@kernel
-def _add(normal, right, row, value):
-    """Add an equation to the normal equations."""
-    for i in range(4):
-        right[i] += row[i] * value
-        for j in range(i + 1):
-            normal[i, j] += row[i] * row[j]
+        misfits[n, 1] = count - 4
 
 
 @kernel
@@ -152,4 +133,4 @@ def warm_up() -> None:
     """Compile or load all kernels."""
     times, zeros = np.array([0.0, 0.25, 0.5, 1.0]), np.zeros(4)
     results = np.empty((1, 3)), np.empty(1), np.empty((1, 2))
-    fit_cubics(np.array([0.5]), times, zeros, zeros, 0.5, 1.0, *results)
+    fit_cubics(np.array([0.5]), times, zeros, 0.5, *results)

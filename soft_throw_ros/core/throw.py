@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import motion_of, PlateMotion
-from soft_throw_ros.core.rig import LINEAR_STRAIN, Rig
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
     Loads,
@@ -205,7 +205,7 @@ class Throw:
     @property
     def leaves_linear_range(self) -> bool:
         """Whether the peak strain is so large that the result is doubtful."""
-        return self.peak_strain > self.rig.layer.linear_range(LINEAR_STRAIN)
+        return self.peak_strain > self.rig.layer.linear_range
 
     @property
     def apex_height(self) -> float:

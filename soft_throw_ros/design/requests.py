@@ -55,7 +55,7 @@ def solve_request(
                 f'{request["objective"]!r}'
             )
         now = vars(PlateLimits.of(rig.engine))
-        plate = PlateLimits(**{name: request[f'plate_{name}'] or now[name] for name in now})
+        plate = PlateLimits(**{name: request.get(f'plate_{name}') or now[name] for name in now})
         return design_motion(rig, plate, limits=limits, cancelled=cancelled)
     is_from_library = request['vary'] == 'library'
     return recommend(

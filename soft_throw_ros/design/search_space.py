@@ -87,7 +87,7 @@ def search_spaces(
         return [SearchSpace(rig, LayerRange(thickness, speeds))]
     spaces = []
     for material in materials.values():
-        speed = material.wave_speed.value
+        speed = material.wave_speed
         if not limits.wave_speed_min <= speed <= limits.wave_speed_max:
             continue
         smallest, largest = limits.thickness
@@ -97,8 +97,8 @@ def search_spaces(
                 layer,
                 thickness=low if low == high else layer.thickness,
                 wave_speed=speed,
-                density=material.density.value,
-                loss_tangent=material.loss_tangent.value,
+                density=material.density,
+                loss_tangent=material.loss_tangent,
                 diameter=material.diameter or layer.diameter,
             )
             spaces.append(

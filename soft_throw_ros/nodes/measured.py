@@ -17,7 +17,6 @@ from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
-from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_estimator import FARTHEST
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import Session
@@ -27,6 +26,7 @@ MAX_MESSAGE_SIZE = 2**14
 
 MAX_DATA_RATE = 16e6
 """Largest data rate, about 100,000 samples per second, which bounds a tick [bytes/s]."""
+
 
 class Measurement:
     """
@@ -46,8 +46,6 @@ class Measurement:
         Names of plate and projectile.
     now : callable
         Returns the time on the clock of the ticks. [ns]
-    clock_limit : callable
-        Returns the largest offset that is corrected. [s]
 
     Attributes
     ----------
@@ -67,7 +65,6 @@ class Measurement:
         joints: tuple[str, str],
         *,
         now: Callable[[], int],
-        clock_limit: Callable[[], float],
     ) -> None:
         self.leads: list[int] = []
         self.age_ns = 0
@@ -77,7 +74,6 @@ class Measurement:
         self._session = session
         self._joints = joints
         self._now = now
-        self._clock_limit = clock_limit
         self._logger = node.get_logger()
         self._is_warned = False
         self._names: tuple[str, ...] = ()  # of a message without the plate
@@ -158,8 +154,7 @@ class Measurement:
             return
         arrival = min(max(*self._arrived, self._arrival_ns), now)
         self.age_ns = arrival - max(self._arrived) - self.clock.offset_ns
-        limit_ns = round(self._clock_limit() * SECOND)
-        if self.clock.observe(self._arrived, arrival, limit_ns=limit_ns):
+        if self.clock.observe(self._arrived, arrival):
             self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
 
     def _samples(self, datas: list[bytes]) -> list[Sample]:
@@ -185,14 +180,12 @@ class Measurement:
 
 def _to_sample(values: JointValues, joints: tuple[str, str]) -> Sample | None:
     """Return the sample in a message; None without the plate, the first of the joints."""
-    stamp_ns, names, position, velocity, _ = values
-    count, (plate, projectile) = len(names), joints
-    if plate not in names or len(position) != count or len(velocity) not in (0, count):
+    stamp_ns, names, position, *_ = values
+    plate, projectile = joints
+    if plate not in names or len(position) != len(names):
         return None
-    at = names.index(plate)
     return Sample(
         stamp_ns,
-        position[at],
-        velocity[at] if velocity else math.nan,
+        position[names.index(plate)],
         position[names.index(projectile)] if projectile in names else math.nan,
     )

@@ -37,7 +37,7 @@ class NodeParameters:
         Called with complete settings before they are accepted, and with its result for the
         present ones, None at first; raises ValueError to refuse. The result becomes `checked`.
     arguments : sequence of str
-        The command line, so that errors name the file and line of a bad value.
+        The command line, so that errors name the file of a bad value.
 
     Attributes
     ----------

@@ -119,13 +119,8 @@ def recommend_for(
     config: TwinConfig, cancelled: Callable[[], bool] = lambda: False
 ) -> RecommendationState:
     """Return a recommendation or an aim, or the reason why there is none."""
-    settings = config.settings
-    names = TWIN.names_in('recommendation')
-    for error in TWIN.contradictions(settings, names):  # single changes may cause some
-        if set(error.names) <= set(names):
-            return RecommendationState(config=config, reason=str(error))
     try:
-        best = solve_request(settings, rig=config.rig, cancelled=cancelled)
+        best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
     except (SearchCancelledError, ValueError) as error:
         return RecommendationState(config=config, reason=str(error))
     return RecommendationState(config=config, best=best)

@@ -211,8 +211,12 @@ def _check_python(settings: Settings, present: str | None) -> str:
 
 def _check(settings: Settings) -> None:
     """Raise ParameterError for settings that make recording impossible."""
-    for error in RECORDER.contradictions(settings, settings):
-        raise error
+    if settings['storage'] == settings['rerun.sink'] == 'none':
+        raise ParameterError(
+            "storage and rerun.sink are both 'none', so nothing would be recorded or shown; set "
+            "storage to 'mcap', or rerun.sink to 'viewer', 'serve' or 'file'",
+            'storage',
+        )
     name = settings['name']
     if name and (name != Path(name).name or name in ('.', '..')):
         raise ParameterError(f'the name of a bag must be that of a folder, got {name!r}', 'name')

@@ -20,12 +20,6 @@ _LATER = 2 * SECOND
 _FEWEST = 50
 """Samples that an observation needs. [-]"""
 
-_SINCE_BOOT = 300_000_000 * SECOND
-"""Largest stamp that counts from the boot, as no sensor runs for ten years. [ns]"""
-
-_TIME_OF_DAY = 1_000_000_000 * SECOND
-"""Smallest present time of day, which was in 2001. [ns]"""
-
 
 class SensorClock:
     """
@@ -44,7 +38,7 @@ class SensorClock:
         self._whole = 0  # stamps of whole seconds
         self._least_ns = 0
 
-    def observe(self, stamps: Iterable[int], now_ns: int, *, limit_ns: int) -> bool:
+    def observe(self, stamps: Iterable[int], now_ns: int) -> bool:
         """Observe stamps that have just arrived; return whether `problem` has changed."""
         newest_ns = -1
         for stamp_ns in stamps:
@@ -58,11 +52,11 @@ class SensorClock:
         if self._count < _FEWEST or now_ns - self._begin_ns < self._watching_ns:
             return False
         problem = self.problem
-        self._estimate(newest_ns, now_ns, limit_ns)
+        self._estimate(newest_ns)
         self._begin_ns, self._count, self._whole, self._watching_ns = None, 0, 0, _LATER
         return self.problem != problem
 
-    def _estimate(self, newest_ns: int, now_ns: int, limit_ns: int) -> None:
+    def _estimate(self, newest_ns: int) -> None:
         """Use the smallest delay as offset, if it exceeds the transport time."""
         least_ns = self._least_ns
         if self._whole == self._count:
@@ -70,26 +64,14 @@ class SensorClock:
             stamp = 'of whole seconds' if newest_ns else '0'
             self.problem = f'header.stamp of the samples is {stamp}: it must be their time'
             return
-        if abs(least_ns - self.offset_ns) <= TOLERATED and abs(self.offset_ns) <= limit_ns:
+        if abs(least_ns - self.offset_ns) <= TOLERATED:
             return
         if abs(least_ns) <= TOLERATED:
             self.offset_ns, self.problem = 0, ''
             return
-        if newest_ns < _SINCE_BOOT and now_ns > _TIME_OF_DAY:
-            self.offset_ns = least_ns
-            self.problem = (
-                'stamps of the samples count from the boot of the sensor: they are taken to be '
-                f'{least_ns / SECOND:.3f} s behind the clock of the twin'
-            )
-            return
         size, side = abs(least_ns) / SECOND, 'behind' if least_ns > 0 else 'ahead of'
-        text = f'stamps of the samples are {1e3 * size:.1f} ms {side} the clock of the twin'
-        if abs(least_ns) <= limit_ns:
-            self.offset_ns = least_ns
-            self.problem = f'{text}, which is taken off'
-        else:
-            self.offset_ns = 0
-            self.problem = (
-                f'{text}, beyond measured.clock_limit {limit_ns / SECOND:g} s: '
-                'keep the clocks together (chrony, PTP), or raise measured.clock_limit'
-            )
+        self.offset_ns = least_ns
+        self.problem = (
+            f'stamps of the samples are {1e3 * size:.1f} ms {side} the clock of the twin, '
+            'which is taken off'
+        )

@@ -109,11 +109,7 @@ class Twin(RealTimeNode):
         self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
         session = Session(self.parameters.settings, on_entry=self.on_entry)
         self.measurement = Measurement(
-            self,
-            session,
-            self._joints,
-            now=lambda: self._current_clock().now(),
-            clock_limit=lambda: float(self.parameters.settings['measured.clock_limit']),
+            self, session, self._joints, now=lambda: self._current_clock().now()
         )
         self.add_cleanup(self.measurement.close)
         self.add_cleanup(self._run_jobs)  # the last lines of the journal

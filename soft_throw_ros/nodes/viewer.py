@@ -50,8 +50,8 @@ class Viewer(RunnableNode):
             arguments=arguments,
         )
         settings = self.parameters.settings
-        for error in VIEWER.contradictions(settings, settings):
-            raise error
+        if settings['sink'] == 'file' and not settings['file']:
+            raise ParameterError("sink is 'file' and file is empty; name a file such as live.rrd")
         try:
             from soft_throw_ros.recording.live_display import LiveDisplay
             from soft_throw_ros.recording.rerun_view import is_drawn

@@ -84,6 +84,7 @@ class ThrowStart:
     number: int
     time_scale: float
     ejection_time: float | None = None  # from the start; None if there is none so far [s]
+    is_over: bool = False  # whether its end has been reported
 
     def seconds_to(self, stamps: Any) -> Any:
         """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
@@ -185,7 +186,11 @@ class TwinReader:
             case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
                 time = entry['result'].get('ejection_time')
                 is_release = isinstance(time, float) and time > 0.0
-                self.throw = replace(self.throw, ejection_time=time if is_release else None)
+                self.throw = replace(
+                    self.throw,
+                    ejection_time=time if is_release else None,
+                    is_over=entry['result'].get('stage') == 'final',
+                )
         return None if self.rig is None or self.rig is rig else (stamp, self.rig)
 
     def _set_rig(self, settings: Settings) -> None:

@@ -13,8 +13,8 @@ solution. That is the iterated extended Kalman filter without process noise [1]_
 equations only, linearised at their last solution. So the cost of a step does not grow with the
 duration of the throw.
 
-A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t` and a
-velocity by :math:`\ddot z \sigma_t`, which adds to the noise.
+A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t`, which adds
+to the noise.
 
 A sample is an outlier if its residual exceeds six standard errors of sample and prediction
 together; outliers are ignored. The fit fails after three outliers in a row, or if a test rejects
@@ -85,14 +85,12 @@ _KEPT, _MOST = 128, 256
 
 
 @subroutine
-def _shape(time: float, omega: float, zeta: float) -> tuple[float, float, float]:
-    """Evaluate height, velocity and acceleration of a damped step of height 1."""
+def _shape(time: float, omega: float, zeta: float) -> tuple[float, float]:
+    """Evaluate height and velocity of a damped step of height 1."""
     root = math.sqrt(1.0 - zeta * zeta)
     decayed, phase = math.exp(-zeta * omega * time), root * omega * time
     sine = math.sin(phase) / root
-    height = 1.0 - decayed * (math.cos(phase) + zeta * sine)
-    speed = omega * decayed * sine
-    return height, speed, omega * (omega * (1.0 - height) - 2.0 * zeta * speed)
+    return 1.0 - decayed * (math.cos(phase) + zeta * sine), omega * decayed * sine
 
 
 class _Model(NamedTuple):
@@ -102,7 +100,6 @@ class _Model(NamedTuple):
     omega: float  # angular frequency [1/s]
     zeta: float  # damping ratio [-]
     height_noise: float  # standard deviation of heights [m]
-    speed_noise: float  # of speeds [m/s]
     stamp_error: float  # of stamps [s]
 
 
@@ -119,52 +116,38 @@ def _add_up(
     """
     Add samples to the normal equations about the unknowns `x`; write their residuals.
 
-    Samples are rows of time, height and speed. Residuals are columns: those of the heights over
+    Samples are rows of time and height. Residuals are columns: those of the heights over
     their standard errors, and whether they are outliers.
     """
     amplitude = model.amplitude * (1.0 + x[AMPLITUDE])
     omega, zeta = model.omega * (1.0 + x[FREQUENCY]), model.zeta + x[DAMPING]
-    by_height, by_speed = np.zeros(5), np.zeros(5)  # derivatives by the unknowns
+    by_height = np.zeros(5)  # derivatives by the unknowns
     by_height[REST] = 1.0
     for n in range(len(samples)):
         since = samples[n, 0] - x[START]
-        height, speed, acceleration = 0.0, 0.0, 0.0
+        height, speed = 0.0, 0.0
         by_height[:REST] = 0.0
         if since > 0.0:
-            height, speed, acceleration = _shape(since, omega, zeta)
-            above, faster, _ = _shape(since, omega, zeta + _SLOPE)
+            height, speed = _shape(since, omega, zeta)
+            above, _ = _shape(since, omega, zeta + _SLOPE)
             by_height[AMPLITUDE] = model.amplitude * height
-            by_speed[AMPLITUDE] = model.amplitude * speed
-            by_height[START], by_speed[START] = -amplitude * speed, -amplitude * acceleration
-            stretch = amplitude / (1.0 + x[FREQUENCY])
-            by_height[FREQUENCY] = stretch * since * speed
-            by_speed[FREQUENCY] = stretch * (speed + since * acceleration)
+            by_height[START] = -amplitude * speed
+            by_height[FREQUENCY] = amplitude / (1.0 + x[FREQUENCY]) * since * speed
             by_height[DAMPING] = amplitude * (above - height) / _SLOPE
-            by_speed[DAMPING] = amplitude * (faster - speed) / _SLOPE
-        speed, acceleration = amplitude * speed, amplitude * acceleration
         error = samples[n, 1] - x[REST] - amplitude * height
         leverage = 0.0
         for i in range(5):
             for j in range(5):
                 leverage += by_height[i] * covariance[i, j] * by_height[j]
-        variance = model.height_noise**2 + (speed * model.stamp_error) ** 2
+        variance = model.height_noise**2 + (amplitude * speed * model.stamp_error) ** 2
         is_outlier = error * error > OUTLIER_SIGMAS * OUTLIER_SIGMAS * (variance + leverage)
         residuals[0, n], residuals[1, n] = error / math.sqrt(variance), is_outlier
         if is_outlier:
             continue
-        _add(normal, right, by_height, error, variance)
-        if since > 0.0 and np.isfinite(samples[n, 2]):
-            variance = model.speed_noise**2 + (acceleration * model.stamp_error) ** 2
-            _add(normal, right, by_speed, samples[n, 2] - speed, variance)
-
-
-@subroutine
-def _add(normal: Floats, right: Floats, row: Floats, error: float, variance: float) -> None:
-    """Add an equation to the normal equations."""
-    for i in range(5):
-        right[i] += row[i] * error / variance
-        for j in range(5):
-            normal[i, j] += row[i] * row[j] / variance
+        for i in range(5):
+            right[i] += by_height[i] * error / variance
+            for j in range(5):
+                normal[i, j] += by_height[i] * by_height[j] / variance
 
 
 @kernel
@@ -317,11 +300,10 @@ class EngineFit:
             omega=2.0 * math.pi * plate.frequency,
             zeta=plate.damping_ratio,
             height_noise=rest.noise,
-            speed_noise=rest.noise / config.position_noise * config.velocity_noise,
             stamp_error=config.stamp_error,
         )
         self._engine = plate
-        self._samples = np.empty((0, 3))  # times [s], heights [m] and velocities [m/s]
+        self._samples = np.empty((0, 2))  # times [s] and heights [m]
         self._is_outlier = np.empty(0)  # of the samples kept
         self._condensed_outliers = 0
         errors = [
@@ -347,7 +329,7 @@ class EngineFit:
                 self._condense()
             new = rows[: _MOST - len(self._samples)]
             rows = rows[len(new):]
-            added = seconds_since(self._origin_ns, new), new['plate'], new['plate_velocity']
+            added = seconds_since(self._origin_ns, new), new['plate']
             self._samples = np.concatenate((self._samples, np.stack(added, axis=1)))
             if len(self._samples) >= FEWEST:
                 self._fit_and_judge()
@@ -385,10 +367,7 @@ class EngineFit:
             larger = max(np.square(used).mean(), np.square(used[-_RECENT_SAMPLES:]).mean())
             if larger > 1.0 and _is_noise(used):
                 model, factor = self._model, math.sqrt(larger)
-                self._model = model._replace(
-                    height_noise=factor * model.height_noise,
-                    speed_noise=factor * model.speed_noise,
-                )
+                self._model = model._replace(height_noise=factor * model.height_noise)
                 self._fit()
 
     def _fit(self) -> Floats:
@@ -416,7 +395,7 @@ class EngineFit:
 
 def warm_up() -> None:
     """Compile or load the kernels."""
-    x, matrix, model = np.zeros(5), np.eye(5), _Model(*np.full(6, 0.1).tolist())
-    samples, residuals = np.zeros((1, 3)), np.empty((2, 1))
+    x, matrix, model = np.zeros(5), np.eye(5), _Model(*np.full(5, 0.1).tolist())
+    samples, residuals = np.zeros((1, 2)), np.empty((2, 1))
     _add_up(samples, model, x, matrix, matrix, x, residuals)
     _solve(samples, model, matrix, x, matrix, x, matrix, residuals)

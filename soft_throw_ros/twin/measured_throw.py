@@ -57,6 +57,12 @@ from soft_throw_ros.twin.tick_schedule import SECOND
 PlateSource: TypeAlias = EngineEstimate | SmoothedSamples
 """Source of the states of a plate, with a time `start_ns` and a method `states`."""
 
+_PREDICTION_ERROR = 0.01
+"""
+Largest half width of the 95 % interval of the ejection speed in the first prediction of a throw,
+over the speed. [-]
+"""
+
 LOST = PAST
 """Time without samples after which the plate is lost, because later ones are too old. [ns]"""
 
@@ -266,7 +272,7 @@ class MeasuredThrow(OngoingThrow):
         samples = self._plate.estimator.samples(residuals.last_ns + 1, until_ns + 1)
         if residuals.is_complete:
             samples = samples[-2:]  # the last one may be too late
-        for stamp_ns, plate, _, projectile in samples.tolist():
+        for stamp_ns, plate, projectile in samples.tolist():
             time = (stamp_ns - start_ns) / SECOND
             if time > known:
                 break
@@ -316,7 +322,7 @@ class MeasuredThrow(OngoingThrow):
             return None
         early = plate.forecaster.find_release(
             plate.fit.estimate,
-            max_error=plate.estimator.config.prediction_error,
+            max_error=_PREDICTION_ERROR,
             duration=prepared.catch_up,
         )
         if early is None:

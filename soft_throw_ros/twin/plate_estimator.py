@@ -41,9 +41,6 @@ PAST = SECOND
 FARTHEST = 100.0
 """Largest accepted magnitude of a height; every real rig stays below. [m]"""
 
-FASTEST = 1000.0
-"""Largest accepted magnitude of a velocity; every real rig stays below. [m/s]"""
-
 PER_CROSSING = 3
 """Samples that are needed while a wave crosses the layer. [-]"""
 
@@ -224,10 +221,10 @@ class PlateEstimator:
         return added
 
     def _refusal(self, sample: Sample, now_ns: int) -> str:
-        stamp_ns, plate, velocity, projectile = sample
-        if not math.isfinite(plate) or math.isinf(velocity) or math.isinf(projectile):
+        stamp_ns, plate, projectile = sample
+        if not math.isfinite(plate) or math.isinf(projectile):
             return 'not finite'
-        if max(abs(plate), abs(projectile)) > FARTHEST or abs(velocity) > FASTEST:
+        if max(abs(plate), abs(projectile)) > FARTHEST:
             return 'out of range'
         if stamp_ns > now_ns + FUTURE:
             return 'future'
@@ -300,9 +297,7 @@ class PlateEstimator:
             times,
             seconds_since(self.origin_ns, rows),
             rows['plate'].copy(),
-            rows['plate_velocity'].copy(),
             0.5 * self.config.smoothing_window,
-            noise / self.config.velocity_noise,
             states,
             errors,
             misfits,

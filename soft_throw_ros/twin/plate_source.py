@@ -154,18 +154,14 @@ def first_states(
         Height above rest [m], velocity [m/s], acceleration [m/s2].
 
     """
-    plate, ratio = config.plate, config.position_noise / config.velocity_noise
+    plate = config.plate
     since_ns = samples['stamp_ns'] - start_ns
     first = samples[(since_ns > 0) & (since_ns <= config.smoothing_window_ns)]
     since = seconds_since(start_ns, first)
-    heights, speeds = first['plate'] - plate_rest, first['plate_velocity']
-    measured = np.isfinite(speeds)
-    position, velocity = plate.position(since), plate.velocity(since)
-    sizes = np.concatenate((position, ratio * velocity[measured]))
-    slopes = np.concatenate((since * position, ratio * (position + since * velocity)[measured]))
-    values = np.concatenate((heights, ratio * speeds[measured]))
+    sizes = plate.position(since)
+    basis, heights = np.stack((sizes, since * sizes), axis=1), first['plate'] - plate_rest
     # differences from the engine are the smallest possible ones if there are too few samples
-    (p, q), *_ = np.linalg.lstsq(np.stack((sizes, slopes), axis=1), values - sizes, rcond=None)
+    (p, q), *_ = np.linalg.lstsq(basis, heights - sizes, rcond=None)
     count = round(BEHIND * STATES_PER_WINDOW)
     times = state_spacing_ns(config) / SECOND * np.arange(count, dtype=np.float64)
     z, v, a = plate_states(plate, times).T

@@ -23,11 +23,10 @@ _FARTHEST_NS = 2**62
 
 
 class Sample(NamedTuple):
-    """Heights and velocity measured at one time."""
+    """Heights measured at one time."""
 
     stamp_ns: int  # time of the measurement [ns]
     plate: float  # height [m]
-    plate_velocity: float = math.nan  # NaN if not measured [m/s]
     projectile: float = math.nan  # height, NaN if not measured [m]
 
 

@@ -76,26 +76,73 @@ def test_read_matches_names_as_ros_does(
 
 
 @pytest.mark.parametrize(
-    ('text', 'line', 'message'),
+    ('text', 'message'),
     [
-        ('twin:\n  ros__parameters:\n    layer:\n      thickness: 16.8\n', 4, 'got 16.8'),
-        ('twin:\n  ros__parameters:\n    layr.name: custom\n', 3, "'layr.name'.* layer.name"),
-        ('twin:\n  ros__parameters: {layer.name: gelatin_2.0mm,\n    layer.density: 900}\n', 3,
-         'layer.density .* 1000, got 900'),
-        ('twin:\n  layer.thickness: 0.01\n', 2, 'got 0.01 before any ros__parameters'),
-        ('- 1\n', 1, 'before any ros__parameters'),
-        ('twin:\n\tros__parameters: 1\n', 2, 'cannot start any token'),
-        ('twin:\n  ros__parameters:\n    layer.thickness: [1, 2]\n', 3, r'got \[1, 2\]'),
-        ('twin:\n  ros__parameters: {a: [\n', 3, 'expected the node content'),
-        ('twin: &a\n  ros__parameters: *a\n', 2, r'ROS takes no alias, got \*a'),
+        ('twin: {ros__parameters: {layer: {thickness: 16.8}}}', 'layer.thickness .* m, got 16.8'),
+        ('/**: {ros__parameters: {layer: {thickness: 16.8}}}', 'layer.thickness .* m, got 16.8'),
+        ('twin: {ros__parameters: {layr.name: custom}}', "'layr.name'.* layer.name"),
+        ('/**/twin: {ros__parameters: {folder: bags}}', "'folder'"),
+        ('twin: {ros__parameters: {layer.thickness: [1, 2]}}', r'got \[1, 2\]'),
+        ('twin: {ros__parameters: {layer.thickness: 2026-01-01}}', 'layer.thickness must be'),
+        ('twin: {layer.thickness: 0.01}', "ros__parameters: NAME: VALUE, got 0.01 as 'layer"),
+        ('twin: {ros__parameters: 3}', "got 3 as 'ros__parameters'"),
+        ('- 1', 'must be a mapping .* got list'),
+        ('twin:\n\tros__parameters: 1', 'cannot start any token .* line 2'),
+        ('twin: {ros__parameters: {a: [', 'expected the node content'),
+        ('twin: &a\n  ros__parameters: *a', 'alias'),
     ],
 )
-def test_read_names_file_and_line(write: Any, text: str, line: int, message: str) -> None:
+def test_bad_file_is_refused_with_its_name_the_value_and_the_rule(
+    write: Any, text: str, message: str
+) -> None:
     path = write(text)
     with pytest.raises(ParameterError, match=message) as refused:
         files.read(path)
-    assert str(refused.value).startswith(f'{path}:{line}: ')
+    assert str(refused.value).startswith(f'{path}: ')
     assert '\n' not in str(refused.value)
+
+
+SHARED = """\
+/**:
+  ros__parameters:
+    use_sim_time: false
+    layer.thickness: 0.0123
+    folder: bags
+"""
+
+
+def test_parameters_of_other_nodes_below_a_wildcard_are_ignored(write: Any) -> None:
+    path = write(SHARED)
+    assert files.read(path)['layer.thickness'] == 0.0123
+    recorder = files.read(path, node='/recorder', table=RECORDER)
+    assert recorder == {**RECORDER.defaults(), 'folder': 'bags'}
+    with pytest.raises(ParameterError, match="'folder'"):
+        start(['--ros-args', '--params-file', str(path), '-p', 'folder:=bags'])
+
+
+@pytest.mark.parametrize(
+    ('line', 'implied'),
+    [
+        ('layer: {name: gelatin_2.0mm}', {'layer.thickness': 0.002}),
+        ('layer: {thickness: 0.01}', {'layer.name': 'custom'}),
+        ('layer: {stack: 8e-3 gelatin}', {'layer.thickness': 0.008}),
+        ('engine: {motion: harmonic}', {}),
+        ('recommendation: {target_speed: 2.0}', {'recommendation.target_height': 0.0}),
+    ],
+)
+def test_one_line_of_a_complete_file_can_be_edited(
+    tmp_path: Path, line: str, implied: dict[str, Any]
+) -> None:
+    path = tmp_path / 'edited.yaml'
+    tree = yaml.safe_load(layers.default_file().with_name('twin.yaml').read_text())
+    ((group, change),) = yaml.safe_load(line).items()
+    tree['/**/twin']['ros__parameters'][group] |= change
+    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    settings = files.read(path)
+    for name, value in change.items():
+        expected = '0.008 7.8 1000.0 0.0' if name == 'stack' else value
+        assert settings[f'{group}.{name}'] == expected
+    assert implied.items() <= settings.items()
 
 
 def test_impossible_file_name_is_refused() -> None:
@@ -158,10 +205,11 @@ def test_arguments_are_one_request_after_the_file(write: Any) -> None:
     assert named == start(['--ros-args', '--params-file', path, '--params-file', str(later)])
 
 
-def test_arguments_that_contradict_each_other_are_refused() -> None:
-    arguments = ['--ros-args', '-p', 'layer.name:=gelatin_2.0mm', '-p', 'layer.thickness:=0.01']
-    with pytest.raises(ParameterError, match=r'^-p layer.thickness:=0.01: .* is 0.002, got 0.01;'):
-        start(arguments)
+def test_later_of_two_arguments_in_the_table_wins() -> None:
+    settings = start(
+        ['--ros-args', '-p', 'layer.thickness:=0.01', '-p', 'layer.name:=gelatin_2.0mm']
+    )
+    assert (settings['layer.name'], settings['layer.thickness']) == ('custom', 0.01)
 
 
 def test_results_are_ignored_except_in_arguments() -> None:

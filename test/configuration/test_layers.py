@@ -11,13 +11,8 @@ from typing import Any
 
 import pytest
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.layers import (
-    BOUNDS,
-    CUSTOM,
-    library,
-    Material,
-    MaterialProperty,
-)
+from soft_throw_ros.configuration.layers import CUSTOM, default_file, library, Material
+import yaml
 
 INSTALLED = library()
 
@@ -58,19 +53,15 @@ def test_gelatins_of_the_paper_are_installed_in_six_thicknesses() -> None:
         }
         for millimetres in ('2.0', '5.6', '9.5', '16.8', '23.4', '29.1')
     }
-    speed = INSTALLED.materials['gelatin'].wave_speed
-    assert (speed.low, speed.value, speed.high) == (7.5, 7.8, 8.1)
 
 
-@pytest.mark.parametrize('material', INSTALLED.materials.values(), ids=lambda item: item.name)
-def test_installed_material_is_described_sourced_and_within_bounds(material: Material) -> None:
-    assert len(material.description) > 10
-    assert re.search(r'\((19|20)\d\d\)|\barXiv:|Data sheet of|MatWeb', material.source)
-    for name in ('density', 'wave_speed', 'loss_tangent'):
-        quantity = getattr(material, name)
-        _, lowest, highest = BOUNDS[name]
-        assert lowest <= quantity.low <= quantity.value <= quantity.high <= highest
-    assert list(material.thicknesses) == sorted(set(material.thicknesses))
+@pytest.mark.parametrize('entry', yaml.safe_load(default_file().read_text()).items())
+def test_installed_material_is_described_and_sourced(entry: Any) -> None:
+    name, values = entry
+    assert len(values['description']) > 10
+    assert re.search(r'\((19|20)\d\d\)|\barXiv:|Data sheet of|MatWeb', values['source'])
+    thicknesses = INSTALLED.materials[name].thicknesses
+    assert list(thicknesses) == sorted(set(thicknesses))
 
 
 # a file of one's own
@@ -80,12 +71,7 @@ def test_user_materials_extend_the_installed_ones(write: Any) -> None:
     mine = library(write(FOAM))
     assert mine.materials.keys() == {*INSTALLED.materials, 'foam'}
     assert mine.materials['foam'] == Material(
-        name='foam',
-        description='A foam',
-        source='measured',
-        density=MaterialProperty(value=120.0, low=120.0, high=120.0),
-        wave_speed=MaterialProperty(value=20.0, low=18.0, high=23.0),
-        loss_tangent=MaterialProperty(value=0.1, low=0.1, high=0.1),
+        name='foam', density=120.0, wave_speed=20.0, loss_tangent=0.1
     )
     assert mine.layers['foam'] == {
         'layer.stack': '',
@@ -104,24 +90,11 @@ def test_user_stack_is_a_layer_and_no_material(write: Any) -> None:
     assert mine.layers['both']['layer.thickness'] == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize(
-    ('line', 'complaint'),
-    [
-        ('stack: 8e-3 jelly', "no material is named 'jelly'"),
-        ('stack: 8e-3 gelatin\n  density: 1000', 'a stack has no density'),
-        ('stack: 3', 'stack must be a text, got 3'),
-    ],
-)
-def test_bad_stacks_are_refused_by_line(write: Any, line: str, complaint: str) -> None:
-    with pytest.raises(ParameterError, match=rf'file:\d+: .*{complaint}'):
-        library(write(f'both:\n  description: d\n  source: s\n  {line}\n'))
-
-
-def test_modulus_and_its_range_become_wave_speeds(write: Any) -> None:
-    text = FOAM.replace(SPEED, 'youngs_modulus: {value: 4.8e4, range: [1.2e4, 1.2e5]}')
-    speed = library(write(text)).materials['foam'].wave_speed
-    expected = [math.sqrt(modulus / 120.0) for modulus in (1.2e4, 4.8e4, 1.2e5)]
-    assert [speed.low, speed.value, speed.high] == pytest.approx(expected, rel=1e-15)
+def test_modulus_becomes_a_wave_speed(write: Any) -> None:
+    for modulus in ('4.8e4', '{value: 4.8e4, range: [1.2e4, 1.2e5]}'):
+        text = FOAM.replace(SPEED, f'youngs_modulus: {modulus}')
+        speed = library(write(text)).materials['foam'].wave_speed
+        assert speed == pytest.approx(math.sqrt(4.8e4 / 120.0), rel=1e-15)
 
 
 def test_material_makes_a_layer_of_each_thickness(write: Any) -> None:
@@ -135,48 +108,43 @@ def test_material_makes_a_layer_of_each_thickness(write: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ('old', 'new', 'line', 'message'),
+    ('old', 'new', 'message'),
     [
-        ('  density', '  densty', 4, "'densty'; did you mean density?"),
-        ('120.0', '-120.0', 4, 'density must be a number .* got -120.0'),
-        ('source: measured', 'source: [a, b]', 3, r"source must be a text, got \['a', 'b'\]"),
-        (LOSS, f'{LOSS}\n  density: 5', 7, 'density is given twice'),
-        ('120.0', '[120.0]', 4, r'density must be a number .* got \[120.0\]'),
-        ('[18.0, 23.0]', '[21.0, 23.0]', 5, r'range of wave_speed .* 20, got \[21.0, 23.0\]'),
-        ('[18.0, 23.0]', '18.0', 5, 'must be two numbers around 20, got 18.0'),
-        ('[18.0, 23.0]', '[18.0, 2300.0]', 5, 'wave_speed must be .* m/s, got 2300.0'),
-        (SPEED, 'wave_speed: {value: 20.0}', 5, 'wave_speed must be .*range: .*, got value'),
-        ('20.0, range', '20.0, value', 5, 'value is given twice'),
-        (LOSS, f'{LOSS}\n  youngs_modulus: 5e4', 2, 'wave_speed or youngs_modulus, got both'),
-        (SPEED, 'thicknesses: [0.01]', 2, 'wave_speed or youngs_modulus, got neither'),
-        (SPEED, 'youngs_modulus: 60.0', 5, 'wave_speed must be .* 1 to 200 m/s, got 0.7'),
-        (LOSS, 'diameter: 0.02', 2, 'foam has no loss_tangent'),
-        (LOSS, f'{LOSS}\n  thicknesses: 0.01', 7, 'thicknesses must be a list .* got 0.01'),
-        (LOSS, f'{LOSS}\n  thicknesses: [5.0]', 7, r'thicknesses .* 0.1 m, got \[5.0\]'),
-        (LOSS, f'{LOSS}\n  diameter: 12', 7, 'diameter .* from 0.001 to 0.2 m, got 12'),
-        ('foam:', 'gelatin:', 2, 'there is a material named gelatin already'),
-        ('foam:', 'custom:', 2, f"and not {CUSTOM!r}, got 'custom'"),
-        ('foam:', 'my foam:', 2, "letters, digits, .* got 'my foam'"),
+        ('  density', '  densty', "'foam': density must be given"),
+        (LOSS, f'{LOSS}\n  colour: red', "'foam': a property must be one of .* got 'colour'"),
+        ('120.0', '-120.0', "'foam': density must be a number .* got -120.0"),
+        ('120.0', '[120.0]', r'density must be a number .* got \[120.0\]'),
+        (SPEED, 'wave_speed: {range: [1, 2]}', 'wave_speed must be .* got None'),
+        (LOSS, f'{LOSS}\n  youngs_modulus: 5e4', 'wave_speed or youngs_modulus'),
+        (SPEED, 'thicknesses: [0.01]', 'wave_speed or youngs_modulus'),
+        (SPEED, 'youngs_modulus: 60.0', 'wave_speed must be .* 1 to 200 m/s, got 0.7'),
+        (LOSS, f'{LOSS}\n  thicknesses: 0.01', 'thicknesses must be a list, got 0.01'),
+        (LOSS, f'{LOSS}\n  thicknesses: [5.0]', 'thickness .* 0.1 m, got 5.0'),
+        (LOSS, f'{LOSS}\n  diameter: 12', 'diameter .* from 0.001 to 0.2 m, got 12'),
+        ('foam:', 'gelatin:', "'gelatin': .* already"),
+        ('foam:', 'custom:', f"'custom': .*and not {CUSTOM!r}"),
+        ('foam:', 'my foam:', "'my foam': a name must be letters"),
+        ('foam:', 'both: {description: d, source: s, stack: 8e-3 jelly}\nfoam:',
+         "'both': layer.stack: no material is named 'jelly'"),
+        ('foam:', 'both: {description: d, source: s, stack: 8e-3 gelatin, density: 1}\nfoam:',
+         "'both': a property must be one of .* got 'density'"),
     ],
 )
-def test_error_is_quoted_with_file_and_line(
-    write: Any, old: str, new: str, line: int, message: str
+def test_error_is_quoted_with_file_and_material(
+    write: Any, old: str, new: str, message: str
 ) -> None:
     assert FOAM.count(old) == 1
     path = write(FOAM.replace(old, new))
-    reason = refused(path)
-    assert re.match(rf'{re.escape(str(path))}:{line}: ', reason), reason
-    assert re.search(message, reason), reason
+    assert re.match(rf'{re.escape(str(path))}: .*{message}', refused(path)), refused(path)
 
 
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
         ('', 'has no material'),
-        ('- foam\n', r":1: expected NAME: {density: ..., ...}, got \['foam'\]"),
-        ('foam: soft\n', ":1: expected PROPERTY: VALUE, got 'soft'"),
-        (FOAM + FOAM, ':8: foam is given twice'),
-        ('a: &a {}\nb: *a\n', r':2: .*alias, got \*a'),
+        ('- foam\n', ': must be a mapping'),
+        ('foam: soft\n', ": 'foam': must be PROPERTY: VALUE, got 'soft'"),
+        ('a: &a {}\nb: *a\n', 'alias'),
     ],
 )
 def test_file_without_materials_is_refused(write: Any, text: str, message: str) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 import contextlib
 from dataclasses import replace
 import itertools
-import math
 import statistics
 from test.nodes.conftest import MILLISECOND, SECOND
 from test.nodes.test_measured import Sensors
@@ -176,7 +175,7 @@ def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> N
     ('behind', 'ended_by', 'request_'),
     [
         (0.3, 'noise', {'measured.stamp_error': 1e-4}),  # the twin cannot follow the throw
-        (-1e5, 'reset', {'measured.clock_limit': 1e6}),
+        (-1e5, 'reset', {}),
     ],
 )
 def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
@@ -225,7 +224,7 @@ def test_measurements_are_found_again_after_their_clock_was_set_back(ros, positi
     for first_ns in (10 * SECOND, 2 * SECOND):
         stamps = range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND)
         for stamp_ns in stamps:
-            sensors.send(Sample(stamp_ns, 1e-9 * stamp_ns, math.nan, 0.0))
+            sensors.send(Sample(stamp_ns, 1e-9 * stamp_ns, 0.0))
 
         def is_received(last_ns: int = stamps[-1]) -> bool:
             positions.read_messages()
@@ -248,7 +247,7 @@ def test_measurements_whose_stamps_stand_still_are_forgotten(ros, monkeypatch, r
     def oldest_height() -> float:
         height = float(next(heights))
         for since_ns in range(0, 100 * MILLISECOND, MILLISECOND):
-            sensors.send(Sample(SECOND + since_ns, height, math.nan, 0.0))
+            sensors.send(Sample(SECOND + since_ns, height, 0.0))
         positions.read_messages()
         with contextlib.suppress(TrackError):  # few have arrived
             return float(positions.between(SECOND, 2 * SECOND, name='').plate.position[0])

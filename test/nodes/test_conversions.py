@@ -33,8 +33,12 @@ RESULT = ThrowResult(
     ended_by='period',
     start_ns=1_700_000_000_123_456_789,
     rig=Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3)),
-    first=Release(ejection_time=0.1 + 0.2, ejection_speed=1.0 / 3.0, energy_transfer=0.499),
-    last=Release(ejection_time=0.4, ejection_speed=2.0 / 3.0, energy_transfer=1.241),
+    first=Release(
+        ejection_time=0.1 + 0.2, ejection_speed=1.0 / 3.0, energy_transfer=0.499, release_ns=7
+    ),
+    last=Release(
+        ejection_time=0.4, ejection_speed=2.0 / 3.0, energy_transfer=1.241, release_ns=2**62
+    ),
     peak_plate_speed=0.72,
     peak_strain=0.12,
     max_strain=0.1,

@@ -15,7 +15,7 @@ from soft_throw_ros.twin.results import Release
 
 def result(speed=1.5, gravity=9.81):
     """Return the values of a result that a measurement needs."""
-    first = Release(ejection_time=8e-3, ejection_speed=speed, energy_transfer=4.0)
+    first = Release(ejection_time=8e-3, ejection_speed=speed, energy_transfer=4.0, release_ns=0)
     rig = Rig(engine=Engine(frequency=50.0), gravity=gravity)
     return SimpleNamespace(rig=rig, first=first, peak_plate_speed=0.75)
 

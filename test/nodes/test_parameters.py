@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from rcl_interfaces.msg import ParameterType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from soft_throw_ros.configuration import files, ParameterError, RECORDER, Table, TWIN
+from soft_throw_ros.configuration import ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.configuration.layers import default_file
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import RunnableNode
@@ -120,7 +119,6 @@ def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
 def test_bad_request_changes_nothing(twin, client) -> None:
     for request, reason in (
         ({'layer__thicknes': 0.01}, 'did you mean layer.thickness?'),
-        ({'layer__name': 'gelatin_2.0mm', 'layer__thickness': 0.01}, 'is 0.002, got 0.01'),
         ({'gravity': 1.0, 'layer__thickness': -1.0}, '-1.0'),
         ({'use_sim_time': True, 'layer__thickness': -1.0}, '-1.0'),
     ):
@@ -236,27 +234,18 @@ def test_dump_of_a_running_twin_starts_another_and_is_loaded(ros, start, tmp_pat
     assert third.parameters.settings == first.parameters.settings
 
 
-TEXTS = (
-    '1', '-1', '+1', '1_000', '1.5', '.5', '5.', '2e-3', '1e5', '1E+5', 'yes', 'on', 'Off', 'true',
-    'TRUE', 'tRUE', '~', 'null', 'soft', "'1.5'", '"yes"', "''", '1e', 'e5', '--1', '0b1', '0o7',
-    '1 2', '[1, 2]', '[1.5]', '[a, b]', '1:2', '12:30:45', '2001-01-01', '1,5',
-)
-
-
-def test_files_types_a_value_as_ros_does(ros, tmp_path: Path) -> None:
-    path = tmp_path / 'typed.yaml'
-    lines = [f'    a{number}: {text}' for number, text in enumerate(TEXTS)]
-    path.write_text('\n'.join(['typing:', '  ros__parameters:', *lines, '']))
-    arguments = ('--params-file', str(path))
-    node = ros.node(
-        partial(Node, 'typing', automatically_declare_parameters_from_overrides=True),
-        ros_args=arguments,
-    )
-    sources = files.select(files.read_arguments(['--ros-args', *arguments]), '/typing')
-    for number, text in enumerate(TEXTS):
-        theirs, ours = node.get_parameter(f'a{number}').value, sources[f'a{number}'].value
-        theirs = list(theirs) if isinstance(ours, list) else theirs
-        assert repr(theirs) == repr(ours), text
+def test_file_for_several_nodes_starts_each_of_them(ros, start, tmp_path: Path) -> None:
+    path = tmp_path / 'shared.yaml'
+    values = 'layer.thickness: 0.0123, folder: bags, start: False'
+    path.write_text(f'/**: {{ros__parameters: {{{values}}}}}')
+    twin = start('--params-file', str(path))
+    assert twin.parameters.settings['layer.thickness'] == 0.0123
+    recorder = start('--params-file', str(path), '-p', 'sync:=True', table=RECORDER)
+    expected = {'folder': 'bags', 'start': False, 'sync': True}
+    assert recorder.parameters.settings == {**RECORDER.defaults(), **expected}
+    path.write_text('/**/twin: {ros__parameters: {folder: bags}}')
+    with pytest.raises(ParameterError, match=r"shared\.yaml: .*'folder'"):
+        start('--params-file', str(path))
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,7 @@ def in_process(monkeypatch):
     ('node', 'arguments', 'words'),
     [
         (twin, '-p foo', '-p foo'),
-        (twin, '--params-file {file}', 'bad.yaml:4: layer.thickness .* got 16.8'),
+        (twin, '--params-file {file}', 'bad.yaml: layer.thickness .* got 16.8'),
         (twin, '--params-file {file}.missing', 'bad.yaml.missing'),
         (twin, '-r __node:=no-name', 'no-name'),
         (twin, '-- --thickness 3', 'no such argument: --thickness 3; usage: twin'),

@@ -84,7 +84,7 @@ def test_participant_that_is_lost_and_comes_back_is_heard_again(ros, start_twin)
         others.spin_until(lambda: sender.get_subscription_count() > 0, 'the twin')
         before = twin.session.sample_counts.taken
         twin.go(10)
-        message = JointState(name=['plate'], position=[0.0], velocity=[math.nan])
+        message = JointState(name=['plate'], position=[0.0], velocity=[math.inf])
         message.header.stamp = time_to_msg(twin.clock.time)
 
         def is_taken() -> bool:

@@ -125,7 +125,7 @@ def eventful() -> Twin:
     twin = Twin(throw__max_events=4)
     twin.go(1234)
     twin.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
-    twin.session.change({'max_strain': 0.3})
+    twin.session.change({'uncertainty.mass': 0.02})
     twin.go(1111)
     twin.session.reset()
     twin.go(77)

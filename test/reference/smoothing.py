@@ -15,16 +15,12 @@ class Smoothed(NamedTuple):
     errors: np.ndarray
 
 
-def smooth(
-    at, times, positions, velocities=None, *, window, position_noise, velocity_noise=1.0
-):
-    """Fit a cubic around each time, with standard deviations of positions and velocities."""
-    series = [at, times, positions, np.full(len(times), np.nan)]
-    if velocities is not None:
-        series[3] = velocities
-    series = [np.ascontiguousarray(values, dtype=np.float64) for values in series]
+def smooth(at, times, positions, *, window, position_noise):
+    """Fit a cubic around each time, with the standard deviation of positions."""
+    series = [
+        np.ascontiguousarray(values, dtype=np.float64) for values in (at, times, positions)
+    ]
     count = series[0].size
     states, errors, misfits = np.empty((count, 3)), np.empty(count), np.empty((count, 2))
-    ratio = position_noise / velocity_noise
-    fit_cubics(*series, 0.5 * window, ratio, states, errors, misfits)
+    fit_cubics(*series, 0.5 * window, states, errors, misfits)
     return Smoothed(states, position_noise * errors)

@@ -27,7 +27,7 @@ def eventful() -> Any:
     run = Run(throw__max_events=4)
     run.go(1234)
     run.session.change({'layer.thickness': 0.0123, 'rate.state': 800.0})
-    run.session.change({'max_strain': 0.3})
+    run.session.change({'uncertainty.mass': 0.02})
     run.go(1111)
     run.session.reset()
     run.go(77)
@@ -121,7 +121,7 @@ def test_infinite_apex_is_none_in_the_journal() -> None:
 # samples and onsets
 
 numbers = st.floats(allow_nan=False)
-samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers, numbers)
+samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers)
 
 
 @given(

@@ -109,11 +109,9 @@ def test_late_samples_are_refused_and_change_nothing() -> None:
     [
         (Sample(BEGIN, math.nan), 'not finite'),
         (Sample(BEGIN, math.inf), 'not finite'),
-        (Sample(BEGIN, 0.0, math.inf), 'not finite'),
-        (Sample(BEGIN, 0.0, 0.0, -math.inf), 'not finite'),
+        (Sample(BEGIN, 0.0, -math.inf), 'not finite'),
         (Sample(BEGIN, 100.1), 'out of range'),
-        (Sample(BEGIN, 0.0, -1001.0), 'out of range'),
-        (Sample(BEGIN, 0.0, 0.0, 1e300), 'out of range'),
+        (Sample(BEGIN, 0.0, 1e300), 'out of range'),
         (Sample(BEGIN + FUTURE + 1, 0.0), 'future'),
         (Sample(BEGIN - PAST - 1, 0.0), 'past'),
         (Sample(0, 0.0), 'past'),
@@ -159,23 +157,6 @@ def test_memory_does_not_grow() -> None:
     later = BEGIN + 3600 * SECOND  # after an hour of nothing
     estimator.add_samples([Sample(later, 0.3)], later)
     assert estimator.advance(later).times.size == 0
-
-
-def test_measured_velocities_are_used() -> None:
-    samples = make_samples(onset=0.004, noise=5e-6)
-    since = [(sample.stamp_ns - BEGIN) / SECOND - 0.004 for sample in samples]
-    exact = MEASUREMENT.plate.velocity(since).tolist()
-    both = [
-        sample._replace(plate_velocity=speed) for sample, speed in zip(samples, exact, strict=True)
-    ]
-    errors = []
-    for measured in (samples, both):
-        motion = run(PlateEstimator(MEASUREMENT), measured)
-        late = motion.times > 0.008
-        errors.append(
-            np.std(motion.states[late, 1] - MEASUREMENT.plate.velocity(motion.times[late] - 0.004))
-        )
-    assert errors[1] < 0.6 * errors[0]
 
 
 @pytest.mark.parametrize(

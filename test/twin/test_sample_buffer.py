@@ -22,7 +22,7 @@ def test_buffer_agrees_with_a_sorted_list(seed) -> None:
     for _ in range(2000):
         newest += int(random.integers(1, 1000))
         late = int(random.integers(0, 5000)) if random.uniform() < 0.2 else 0
-        sample = Sample(newest - late, float(random.uniform()), math.inf, 0.5)
+        sample = Sample(newest - late, float(random.uniform()), 0.5)
         if sample.stamp_ns in {other.stamp_ns for other in expected[-50:]}:
             continue
         buffer.insert(sample)

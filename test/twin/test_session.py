@@ -284,14 +284,14 @@ def test_throw_field_is_published_once_per_throw_with_its_start() -> None:
 
 
 def test_strain_beyond_the_limit_is_reported_on_every_change() -> None:
-    run = Run(max_strain=0.2)
+    run = Run()
     run.go(1020)
-    run.session.change({'max_strain': 0.1})
+    run.session.change({'engine.amplitude': 3e-3})
     run.go(1000)
     before, after = run.results('release')
     assert before.is_linear
     assert not after.is_linear
-    assert '10 %' in throw_text(after)
+    assert '15 %' in throw_text(after)
 
 
 # changes
@@ -513,7 +513,7 @@ def test_change_builds_one_rig_and_ticks_build_none(monkeypatch, write_motion) -
     run.session.change({'layer.thickness': 0.02})
     assert calls == ['rig']
     run.go(500)
-    run.session.change({'throw.period': 0.2, 'max_strain': 0.3, 'rate.field': 20.0})
+    run.session.change({'throw.period': 0.2, 'uncertainty.mass': 0.02, 'rate.field': 20.0})
     run.session.reset()
     run.go(500)
     assert run.session.throws > 3
