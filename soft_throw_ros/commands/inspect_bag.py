@@ -91,7 +91,7 @@ def _parser() -> CommandParser:
     add('--size', metavar='WxH', type=_size, default='1600x1000',
         help='screenshot size in pixels (default %(default)s)')
     add('--throw', metavar='N', type=int,
-        help='show this throw (default the last complete one)')
+        help='show this throw (default the last complete one with a release)')
     add(
         '--at', metavar='TIME', type=any_number,
         help='show it at this time of the rig since the throw started, in seconds '
@@ -183,9 +183,8 @@ def _choose_throw(
     if number is not None and not chosen:
         known = f'{throws[0].number}-{throws[-1].number}' if throws else 'no throws'
         raise ValueError(f'{reader.path}: throw {number} not found (bag contains {known})')
-    released = [throw for throw in chosen if throw.ejection_time is not None] or chosen
-    whole = [throw for throw in released if throw.is_over] or released
-    return whole[-1] if whole else None
+    return max(chosen, key=lambda throw: (throw.ejection_time is not None, throw.is_over,
+                                          throw.stamp), default=None)
 
 
 def _draw(scene: Scene, reader: BagReader) -> None:

@@ -84,7 +84,7 @@ class ThrowStart:
     number: int
     time_scale: float
     ejection_time: float | None = None  # from the start; None if there is none so far [s]
-    is_over: bool = False  # whether its last result has come
+    is_over: bool = False  # whether its end has been reported
 
     def seconds_to(self, stamps: Any) -> Any:
         """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
@@ -184,11 +184,12 @@ class TwinReader:
             case 'throw':
                 stamp = self._start_throw(entry)
             case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
-                time, stage = (entry['result'].get(key) for key in ('ejection_time', 'stage'))
+                time = entry['result'].get('ejection_time')
+                is_release = isinstance(time, float) and time > 0.0
                 self.throw = replace(
                     self.throw,
-                    ejection_time=time if isinstance(time, float) and time > 0.0 else None,
-                    is_over=stage == 'final',
+                    ejection_time=time if is_release else None,
+                    is_over=entry['result'].get('stage') == 'final',
                 )
         return None if self.rig is None or self.rig is rig else (stamp, self.rig)
 

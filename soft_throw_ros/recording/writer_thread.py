@@ -15,7 +15,7 @@ from soft_throw_ros.storage.message import BagError, Channel, Message
 FLUSH_PERIOD = 0.5
 """Period of flushes, and of retries after an error of the disk. [s]"""
 
-OPEN_TIMEOUT = 1.0
+OPEN_TIMEOUT = 3.0
 """Longest wait for the first attempt to create the bag. [s]"""
 
 STALL_TIMEOUT = 15.0
