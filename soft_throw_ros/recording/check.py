@@ -93,17 +93,7 @@ class CheckResult:
 
 
 def check_bag(reader: BagReader) -> list[CheckResult]:
-    """
-    Check every twin in a bag, which is read twice for each.
-
-    Raises
-    ------
-    CheckError
-        If the bag contains no twin.
-    BagError
-        If the bag cannot be read.
-
-    """
+    """Check every twin in a bag, which is read twice for each; CheckError if there is none."""
     types = {channel.topic: channel.type for channel in reader.channels}
     ending = TWIN_TOPICS.journal.at('').name
     nodes = [

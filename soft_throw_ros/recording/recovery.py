@@ -56,8 +56,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
                 except UnfinishedError as error:
                     if size := file.rest():  # else only the end of the file is missing
                         reason = error.__cause__ or error
-                        text = f'the last {size} of {file.path.stat().st_size} bytes'
-                        omitted.append(f'{file.path}: {text}, {reason!s:.200}')
+                        rest = f'the last {size} of {file.path.stat().st_size} bytes'
+                        omitted.append(f'{file.path}: {rest}, {reason!s:.200}')
             for text in unrepeated(file.metadata for file in files):
                 writer.add_metadata(text.name, text.metadata)
             for item in unrepeated(file.attachments for file in files):

@@ -246,10 +246,10 @@ class _TwinView:
         pixels = rr.components.ImageFormat(
             width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
         )
-        style = rr.Image.from_fields(format=pixels, magnification_filter='linear')
-        canvas.style(self._path('side/layer'), style)
-        style = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
-        canvas.style(self._path('strain/now'), style)
+        layer = rr.Image.from_fields(format=pixels, magnification_filter='linear')
+        canvas.style(self._path('side/layer'), layer)
+        cursor = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
+        canvas.style(self._path('strain/now'), cursor)
 
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'

@@ -119,7 +119,7 @@ def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
     with viewer_at(free_port(), '--connect', url_of(port)) as viewer:
         ros.spin_until(lambda: kept <= entities(viewer), 'earlier messages')
         client = ViewerClient.connect(url_of(viewer.port))
-        ros.spin_until(lambda: len(client.get_state().views) == 10, 'the layout')
+        ros.spin_until(lambda: len(client.get_state().views) >= 10, 'the layout')
         os.killpg(viewer.pid, signal.SIGSTOP)
         twin.publish(begin=0.5)
         node.end_well(signal.SIGTERM)
