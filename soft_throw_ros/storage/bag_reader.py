@@ -281,9 +281,11 @@ class BagReader:
         found = [
             file.messages(topics, first, last, by_log_time=by_log_time) for file in self._files
         ]
-        if by_log_time:
-            return heapq.merge(*found, key=lambda message: message.log_time)
-        return itertools.chain(*found)
+        spans = [file.span for file in self._files if file.span is not None]
+        is_in_order = all(one[1] <= other[0] for one, other in itertools.pairwise(spans))
+        if is_in_order or not by_log_time:  # a later file is not read before
+            return itertools.chain(*found)
+        return heapq.merge(*found, key=lambda message: message.log_time)
 
 
 def unrepeated(files: Iterable[Iterable[Named]]) -> list[Named]:

@@ -255,6 +255,20 @@ def test_damaged_index_is_refused(recording):
         BagReader(path)
 
 
+def test_bag_is_read_up_to_the_first_damaged_chunk(recording):
+    recording.write(900, max_duration=0.3)
+    path = recording.files[1]
+    data = bytearray(path.read_bytes())
+    data[data.index(b'zstd') + 100] ^= 1
+    path.write_bytes(data)
+    messages = []
+    with BagReader(recording.folder) as bag, pytest.raises(UnfinishedError, match='chunk'):
+        for message in bag.messages():
+            messages.append(message)  # noqa: PERF402  until the error
+    assert recording.content(messages) == recording.content(recording.messages[:len(messages)])
+    assert len(messages) == 303
+
+
 # Large claims
 
 
