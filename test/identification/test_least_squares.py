@@ -67,6 +67,15 @@ def test_fit_agrees_with_curve_fit(known):
     assert fit.dof == 198
 
 
+def test_a_slow_misfit_within_the_noise_enlarges_the_errors():
+    plain, slow = (
+        fit_tracks(MODEL, TRUTH, [('decay', track(extra=extra, known=0.01))])
+        for extra in (0.0, 0.005)
+    )
+    assert slow.reduced_chi2 < 1.2
+    assert (slow.errors > 1.4 * plain.errors).all()
+
+
 def test_fit_of_noise_alone_seldom_warns():
     warned = [
         bool(fit_warnings(fit_tracks(MODEL, TRUTH, [('decay', track(seed))])))
