@@ -8,8 +8,9 @@ Notes
 Residuals are weighted by the noise of each track, which is estimated once from the track alone.
 Huber's loss is quadratic up to `_LIMIT` times the noise and linear beyond, so that outliers
 hardly matter. If a model leaves more than noise, the limit grows with the median residual. The
-covariance of the values is multiplied by chi squared per degree of freedom if that is above 1; no
-sample contributes more to it than the square of the limit.
+covariance of the values is multiplied by chi squared per degree of freedom if that is above 1, or
+by chi squared of the means of `_SLOW_WINDOW` residuals, in which a slow misfit shows that single
+residuals hide. No sample contributes more than the square of the limit.
 
 A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, hence :math:`C =
 \sum_i C F_i C`: each term is the contribution of one source, noise or prior, to a variance
@@ -289,7 +290,8 @@ def fit_tracks(
     dof = solution.fun.size - start.size
     # An outlier has no weight in the Jacobian of Huber's loss
     slopes = solution.jac.toarray() if sparse.issparse(solution.jac) else solution.jac
-    slopes[:samples] /= max(math.sqrt(chi2 / dof), 1.0)
+    parts = np.split(np.clip(solution.fun[:samples], -limit, limit), np.cumsum(sizes)[:-1])
+    slopes[:samples] /= math.sqrt(max(chi2 / dof, _slow_chi2(parts), 1.0))
     heights = np.split(position + noise * solution.fun[:samples], np.cumsum(sizes)[:-1])
     return Fit(
         names=model.names,
@@ -304,6 +306,13 @@ def fit_tracks(
         known=dict(model.known),
         is_converged=solution.status > 0,  # 0 is the limit of evaluations
     )
+
+
+def _slow_chi2(parts: Sequence[Floats]) -> float:
+    """Return chi squared per mean of `_SLOW_WINDOW` residuals, which is 1 for white noise."""
+    width = _SLOW_WINDOW
+    means = [part[:part.size // width * width].reshape(-1, width).mean(axis=1) for part in parts]
+    return width * float(np.mean(np.square(np.concatenate([*means, [width**-0.5]]))))
 
 
 def _covariance(jacobian: Floats) -> Floats:

@@ -90,18 +90,12 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     path = tmp_path / 'my_rig.yaml'
     args = call.replace('\\\n', '').replace('my_rig.yaml', str(path)).split()
     answer, table, *_ = command.run(*args, '--figure', tmp_path / 'a.png').split('\n\n')
-    printed = table.splitlines()[:7]
     assert (tmp_path / 'a.png').read_bytes().startswith(b'\x89PNG')
-    shown = re.findall(r'^    ((?:engine|layer|projectile)\.\w+ +.* \+- .*)$', text, re.MULTILINE)
     titles = ('effective wave speed', 'wave speed at rest', 'energy transfer')
     for line, title in zip(answer.splitlines(), titles, strict=True):
         (line_of_page,) = re.findall(rf'^    ({title}  .*)$', text, re.MULTILINE)
         assert line.partition(' +- ')[0] == line_of_page.partition(' +- ')[0]
     assert 'good enough to choose a layer' in answer
-    # The last digits may depend on the processor
-    for line, other in zip(printed, shown, strict=True):
-        assert line.split()[0] == other.split()[0]
-        assert float(line.split()[1]) == pytest.approx(float(other.split()[1]), rel=1e-3)
     result, settings = sample_result, files.read(path)
     for name in result['found']:
         assert settings[name] == pytest.approx(value(result, name)[0], rel=1e-6)
@@ -113,7 +107,7 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
         assert settings[name] == pytest.approx(bound, rel=1e-2)
     # Parameters that do not describe the rig are left out of the file
     assert not re.search(r'^\s*rate', path.read_text(), re.MULTILINE)
-    for line in printed:  # with their standard errors
+    for line in table.splitlines()[:7]:  # with their standard errors
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
     predicted = throw.predict(settings)['throw']
     assert predicted['energy_transfer'] == pytest.approx(

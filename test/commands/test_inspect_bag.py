@@ -21,14 +21,14 @@ pytest.importorskip('rerun')
 
 from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
 
-from soft_throw_ros.recording.rerun_canvas import STAMP, THROW_TIME  # noqa: E402
+from soft_throw_ros.recording.rerun_layout import STAMP, THROW_TIME  # noqa: E402
 
 COMMAND = (inspect_bag.main,)
 
 
 @pytest.fixture(scope='module')
 def twin() -> Any:
-    """Messages of two throws and the start of a third."""
+    """Messages of a complete throw, one in flight."""
     return TwinMessages(throw__period=0.2).go(500)
 
 

@@ -67,6 +67,16 @@ def test_fit_agrees_with_curve_fit(known):
     assert fit.dof == 198
 
 
+def test_a_slow_misfit_within_the_noise_enlarges_the_errors():
+    plain, slow = (
+        [fit_tracks(MODEL, TRUTH, [('decay', track(seed, extra=extra, known=0.01))])
+         for seed in range(20)]
+        for extra in (0.0, 0.007)
+    )
+    assert np.mean([fit.reduced_chi2 for fit in slow]) < 1.3
+    assert np.mean([fit.errors for fit in slow]) > 1.4 * np.mean([fit.errors for fit in plain])
+
+
 def test_fit_of_noise_alone_seldom_warns():
     warned = [
         bool(fit_warnings(fit_tracks(MODEL, TRUTH, [('decay', track(seed))])))
