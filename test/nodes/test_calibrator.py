@@ -173,7 +173,7 @@ def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> N
 
 @pytest.mark.parametrize(
     ('behind', 'ended_by', 'stamp_error'),
-    [(0.3, 'noise', 1e-4), (-1e5, 'reset', 0.0)],  # the twin cannot follow the first throw
+    [(0.3, 'noise', 3e-4), (-1e5, 'reset', 0.0)],  # the twin cannot follow the first throw
 )
 def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
     ros, start_twin, capfd, behind, ended_by, stamp_error
@@ -191,7 +191,7 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
         )
         first_ns = begin_ns + 352 * MILLISECOND
         samples = [item for item in samples if not 0 <= item.stamp_ns - first_ns < gap]
-        errors = stamp_error * SECOND * np.random.default_rng(2).standard_normal(len(samples))
+        errors = stamp_error * SECOND * np.random.default_rng(4).standard_normal(len(samples))
         samples = [
             item._replace(stamp_ns=item.stamp_ns + round(error))
             for item, error in zip(samples, errors.tolist(), strict=True)
