@@ -87,6 +87,7 @@ class MeasuredThrow(OngoingThrow):
     ) -> None:
         config = estimator.config
         assert prepared.forked is not None
+        assert prepared.release_weights is not None
         self._forked = prepared.forked
         self._forked.stepper.reset()
         super().__init__(

@@ -52,10 +52,10 @@ UNMODELLED = 0.04
 Standard deviation of the change of the speed by unmodelled accelerations in the time 1 / omega,
 over the peak speed of the plate. A second mode of 1 % of the amplitude at 5 f is as large. [-]
 """
-AMPLITUDE_ERROR = 0.025
-"""Relative standard error of the amplitude before the throw. [-]"""
 _COMMANDED = 0.2
 """The same of a controlled plate around a commanded motion, over that of the engine. [-]"""
+AMPLITUDE_ERROR = 0.025
+"""Relative standard error of the amplitude before the throw. [-]"""
 _SETTLED = 0.5
 """Age at which a smoothed state does not change any more, over the smoothing window. [-]"""
 _SPACING = 0.125
@@ -117,7 +117,7 @@ class ReleaseWeights(NamedTuple):
 
     times: Floats  # since the start, shape (n,) [s]
     weights: Floats  # shape (3, n)
-    release_time: float  # expected [s]
+    release_time: float  # expected, 0 for none [s]
 
 
 @subroutine
@@ -253,13 +253,13 @@ class PlateObserver:
     """
 
     def __init__(
-        self, config: MeasurementConfig, onset: Onset, weights: ReleaseWeights | None
+        self, config: MeasurementConfig, onset: Onset, weights: ReleaseWeights
     ) -> None:
         plate = config.plate
         self._config, self._onset = config, onset
         self._expected = config.motion
         self.next_ns = onset.onset_ns + 1  # time from which samples are not used yet [ns]
-        self._weights = weights or ReleaseWeights(np.zeros(1), np.zeros((3, 1)), 0.0)
+        self._weights = weights
         omega = 2.0 * math.pi * plate.frequency
         speed, swing = plate.peak_velocity, plate.amplitude * omega
         is_engine = isinstance(config.motion, Underdamped)

@@ -96,7 +96,7 @@ class PreparedRig:
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
     forked: ForkedStepper | None = None  # with a measured plate
-    release_weights: ReleaseWeights | None = None  # likewise, if the projectile leaves
+    release_weights: ReleaseWeights | None = None  # likewise
 
     @classmethod
     def from_config(cls, config: TwinConfig) -> PreparedRig:
@@ -204,25 +204,24 @@ def stepper_of(config: TwinConfig) -> Stepper:
     )
 
 
-def _release_weights(config: TwinConfig) -> ReleaseWeights | None:
+def _release_weights(config: TwinConfig) -> ReleaseWeights:
     """
-    Return the weights of the plate in the release; None if the projectile does not leave.
+    Return the weights of the plate in the release; without one, in the speed after half a period.
 
     By superposition they are the answers of the projectile to a small jump of the velocity.
     """
-    nominal = stepper_of(dataclasses.replace(config, motion='underdamped'))
+    nominal, rig = stepper_of(dataclasses.replace(config, motion='underdamped')), config.rig
     _ejection_time(nominal)
-    if not nominal.event_count:
-        return None
-    release, rig = nominal.events()[0], config.rig
+    release = nominal.events()[0] if nominal.event_count else None
+    end = 0.5 / rig.engine.frequency if release is None else release.time
     nominal.reset()
-    nominal.advance_to((1.0 - _NEAR) * release.time)
-    force_rate = nominal.state[PROJECTILE_FORCE] / (_NEAR * release.time)
+    nominal.advance_to((1.0 - _NEAR) * end)
+    force_rate = nominal.state[PROJECTILE_FORCE] / (_NEAR * end)
     in_contact = dataclasses.replace(rig, gravity=max(rig.gravity, _CONTACT_GRAVITY))
     stepper = make_stepper(in_contact, is_measured=True)
-    since = np.linspace(0.0, release.time, _ANSWERS)
+    since = np.linspace(0.0, end, _ANSWERS)
     stepper.append_plate_states(
-        [0.0, 2.0 * release.time], [[0.0, _JUMP, 0.0], [2.0 * _JUMP * release.time, _JUMP, 0.0]]
+        [0.0, 2.0 * end], [[0.0, _JUMP, 0.0], [2.0 * _JUMP * end, _JUMP, 0.0]]
     )
     answers = []
     for time in since.tolist():
@@ -230,10 +229,11 @@ def _release_weights(config: TwinConfig) -> ReleaseWeights | None:
         answers.append(stepper.state[PROJECTILE_VELOCITY] / _JUMP)
     rates = rig.projectile.mass / force_rate * np.gradient(answers, since)
     peak_time = config.measurement.motion.peak_velocity_time
-    times = np.linspace(0.0, max(release.time, 1.1 * peak_time), _ANSWERS)
-    left = release.time - times
+    times = np.linspace(0.0, max(end, 1.1 * peak_time), _ANSWERS)
+    left = end - times
     rows = [np.interp(left, since, row, left=0.0) for row in (answers, rates)]
-    return ReleaseWeights(times, np.array([*rows, times < peak_time]), release.time)
+    expected = 0.0 if release is None else release.time
+    return ReleaseWeights(times, np.array([*rows, times < peak_time]), expected)
 
 
 def check_settings(settings: Settings, before: TwinConfig | None = None) -> TwinConfig:

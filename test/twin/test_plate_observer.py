@@ -30,10 +30,11 @@ CONFIG = replace(
 )
 OMEGA = PLATE.angular_frequency
 STEP = 1e-4
+NO_WEIGHTS = ReleaseWeights(np.zeros(1), np.zeros((3, 1)), 0.0)
 
 
 def observe(
-    heights: np.ndarray, weights: ReleaseWeights | None = None, **changes
+    heights: np.ndarray, weights: ReleaseWeights = NO_WEIGHTS, **changes
 ) -> PlateObserver:
     """Observe heights above the rest, with a sample in each step after the start."""
     observer = PlateObserver(replace(CONFIG, **changes), ONSET, weights)
