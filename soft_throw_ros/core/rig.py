@@ -69,7 +69,8 @@ class Engine:
     damping_ratio : float
         Damping ratio :math:`\zeta`, 0 for the harmonic motion of Eq. (1). [-]
     motion : SampledMotion, optional
-        Recorded motion of the plate, which replaces the oscillation. Frequency and amplitude are
+        Recorded motion of the plate, which replaces the oscillation; its times count from its
+        first state, the start of the throw. Frequency and amplitude are
         then only units of time and length; the loss tangent of a layer still refers to the
         frequency.
 
@@ -87,6 +88,8 @@ class Engine:
 
     def __post_init__(self) -> None:
         check_fields(self, damping_ratio='in_unit_interval')
+        if self.motion is not None:
+            object.__setattr__(self, 'motion', self.motion.from_start())
 
     @property
     def angular_frequency(self) -> float:

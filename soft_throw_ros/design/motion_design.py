@@ -7,10 +7,9 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
 from soft_throw_ros.design.prediction import predict, PredictedThrow

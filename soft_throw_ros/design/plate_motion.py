@@ -52,12 +52,12 @@ import numpy as np
 from numpy.typing import NDArray
 import scipy  # its parts are imported where they are first used, which takes 0.3 s
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
-from soft_throw_ros.core.throws import Cancelled, check_cancelled, SEARCH_CELLS
+from soft_throw_ros.core.throws import SEARCH_CELLS
 from soft_throw_ros.design.objective import Limits
 
 Floats = NDArray[np.float64]
@@ -260,7 +260,7 @@ def find_best_motion(
     loads : Limits, optional
         Limits of the loads; only strain and acceleration apply.
     cancelled : callable, optional
-        Called between programmes, some tenths of a second each; returns whether to give up.
+        See `batch.Cancelled`; also called between programmes, some tenths of a second each.
 
     Returns
     -------
@@ -289,7 +289,7 @@ def find_best_motion(
         programme = _Programme(problem, time_factor * time, is_fine=True)
         check_cancelled(cancelled)
         pulses, _ = programme.solve(time_factor * time)
-        throw = pulses and _follow(rig, pulses, loads=loads)
+        throw = pulses and _follow(rig, pulses, loads, cancelled)
         if throw and (best is None or throw.ejection_speed > best.ejection_speed):
             best = throw
         if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
@@ -307,7 +307,9 @@ def _whole_ns(time: float) -> float:
     return 1e-9 * math.ceil(1e9 * time)
 
 
-def _follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
+def _follow(
+    rig: Rig, pulses: Pulses, loads: Limits, cancelled: Cancelled | None
+) -> Throw | None:
     """
     Simulate a throw to its end with a motion, scaled down as far as the loads require.
 
@@ -320,7 +322,7 @@ def _follow(rig: Rig, pulses: Pulses, *, loads: Limits) -> Throw | None:
     for _ in range(_SCALINGS):
         try:
             engine = replace(rig.engine, motion=pulses.motion_and_back())
-            throw = simulate(replace(rig, engine=engine))
+            throw = simulate(replace(rig, engine=engine), cancelled=cancelled)
         except (ValueError, EventLimitError, ThrowUnfinishedError):
             return None
         excess = max(

@@ -10,8 +10,8 @@ from typing import TypeAlias
 
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.aiming import Aim, aim
 from soft_throw_ros.design.motion_design import design_motion, MotionDesign
 from soft_throw_ros.design.objective import Limits, OBJECTIVES

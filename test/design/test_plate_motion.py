@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 from soft_throw_ros.commands.design_texts import motion_summary
+from soft_throw_ros.core.batch import SearchCancelledError
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design.motion_design import design_motion
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import (
