@@ -335,6 +335,12 @@ def simulate(
     events = tuple(stepper.events()[:max_events])
     end_time = float(stepper.state[TIME])
     if not events:
+        largest = rig.engine.speed_scale * rig.engine.angular_frequency
+        if rig.engine.motion is None and largest < rig.gravity:
+            raise ThrowUnfinishedError(
+                f"the plate's acceleration, at most {largest:.3g} m/s2, is below gravity, "
+                f'{rig.gravity:g} m/s2, and the projectile stays on the layer'
+            )
         raise ThrowUnfinishedError(
             f'the projectile is not released by {end_time:g} s; follow it for longer'
         )
