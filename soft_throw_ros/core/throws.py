@@ -3,9 +3,9 @@
 """
 First releases and loads of many throws, in SI units, by a suitable method for each throw.
 
-Without loss the closed form is exact; steppers compute others, and loads up to the release. The
-method of a release is the same with and without loads; otherwise the release of a layer near a
-discontinuity could jump when its loads are computed.
+Without loss the closed form is exact; steppers compute throws with loss or strong gravity, and
+loads. The method of a release is the same with and without loads; otherwise the release of a layer
+near a discontinuity could jump when its loads are computed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,14 @@ SEARCH_CELLS = 16
 """Cells of a layer with loss in a search: a sixth of the time of the default, and 1e-3 exact."""
 
 STRONG_GRAVITY = 0.2
-"""Gravity over the plate's acceleration beyond which later swings of the plate throw. [-]"""
+"""Gravity over the plate's acceleration beyond which the closed form slows down. [-]"""
+
+_LIGHT = 1.0 / 64.0
+"""
+Projectile over layer mass below which strong gravity does not exclude the closed form. [-]
+
+It may leave and be caught again between two of the 512 steps that waves cross a layer in.
+"""
 
 _HOLDING_GRAVITY = 4.0
 r"""
@@ -65,8 +72,8 @@ On a spring the acceleration is :math:`2 q^2 / (q^2 - 1)` times the plate's at m
 frequencies :math:`q \ge 2` times the plate's. Waves increase it; 3.1 is the largest seen.
 """
 
-_CLOSED_FORM_BATCH, _STRONG_BATCH, _STEPPER_BATCH = 1 << 16, 1 << 7, 1 << 10
-"""Throws per batch: a tenth of a second of the closed form, with weak and strong gravity."""
+_CLOSED_FORM_BATCH, _LIGHT_BATCH, _STEPPER_BATCH = 1 << 16, 1 << 5, 1 << 10
+"""Throws per batch: some tenths of a second of the closed form, with weak and strong gravity."""
 
 _WAIT = 8.0
 """Longest wait for a release after a sampled motion, in periods of plate and projectile. [-]"""
@@ -154,15 +161,19 @@ def throw_many(
     rows = results.reshape(len(results), *shape)
     ratios = Ratios(*(np.broadcast_to(ratio, shape).ravel() for ratio in ratios_of(rig, values)))
     for name, chosen in _methods(rig, ratios).items():
-        size = {'weak': _CLOSED_FORM_BATCH, 'strong': _STRONG_BATCH}.get(name, _STEPPER_BATCH)
+        size = {'closed_form': _CLOSED_FORM_BATCH, 'light': _LIGHT_BATCH}.get(name, _STEPPER_BATCH)
         for batch in _batches(chosen, size, cancelled):
             selected = Ratios(*(row[batch] for row in ratios))
             if name == 'cells':
                 results[:, batch] = cell_stepper.throw_batch(
                     selected, rig.layer, cells=cells, threads=threads, cancelled=cancelled
                 )
+            elif name == 'waves':
+                results[:, batch] = wave_stepper.throw_batch(
+                    selected, threads=threads, cancelled=cancelled
+                )
             else:
-                results[:, batch] = _throw_lossless(selected, loads, threads, cancelled)
+                results[:, batch] = _throw_by_closed_form(selected, loads, threads, cancelled)
     results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
     for n, unit in enumerate(units_of(values)):
         rows[n] *= unit
@@ -267,19 +278,20 @@ def _methods(rig: Rig, ratios: Ratios) -> dict[str, NDArray[np.bool_]]:
     is_lossy = ratios.loss_tangent > 0.0
     needs_cells = is_lossy | (not rig.layer.is_uniform or rig.layer.stress_strain_law != 'linear')
     return {
-        'weak': exist & ~needs_cells & ~is_strong,
-        'strong': exist & ~needs_cells & is_strong,
+        'closed_form': exist & ~needs_cells & ~is_strong,
+        'light': exist & ~needs_cells & is_strong & (mu < _LIGHT),
+        'waves': exist & ~needs_cells & is_strong & (mu >= _LIGHT),
         'cells': exist & needs_cells,
     }
 
 
-def _throw_lossless(
+def _throw_by_closed_form(
     ratios: Ratios, loads: bool, threads: int | None, cancelled: Cancelled | None
 ) -> Floats:
     """
     Compute rows as of `cell_stepper.throw_batch` by the closed form, and loads by waves.
 
-    With strong gravity waves also find the releases that the closed form gives up on.
+    Under strong gravity waves also find the releases that the closed form gives up on.
     """
     results = np.full((len(Throws._fields), ratios.mass_ratio.size), math.nan)
     results[:3] = closed_form.first_releases(**ratios.lossless, threads=threads)
