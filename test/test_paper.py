@@ -45,15 +45,23 @@ def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
     assert (x.flat[highest], c.flat[highest]) == pytest.approx((0.8102, 6.678), abs=0.05)
 
 
+@pytest.mark.parametrize(('x', 'c'), [(0.1, 0.19), (0.5, 0.88), (0.99, 1.33)])
+def test_slow_waves_release_after_a_period_of_the_plate(x, c):
+    # The caption of Fig. 3 in docs/paper.md
+    below, above = first_releases(
+        mass_ratio=(1.0 - x) / x, speed_ratio=np.array([c, c + 0.01]) / x
+    ).ejection_phase
+    assert above < 1.0 < below
+
+
 @pytest.mark.parametrize('omega_tau', [0.02, 0.05, 0.1])
 def test_limit_of_a_light_projectile_is_that_of_appendix_c_corrected(omega_tau):
     exact = limits.exact(omega_tau)
     corrected = limits.light_projectile(omega_tau)
     as_printed = limits.light_projectile_as_printed(omega_tau)
-    assert exact.angle == pytest.approx(corrected.angle, abs=omega_tau**3)
-    assert exact.energy_transfer == pytest.approx(
-        corrected.energy_transfer, abs=5.0 * omega_tau**4
-    )
+    assert exact.angle == pytest.approx(corrected.angle, abs=1e-9)
+    assert exact.energy_transfer == pytest.approx(corrected.energy_transfer, abs=1e-9)
+    assert exact.energy_transfer == pytest.approx(4.0 / (1.0 + omega_tau**2), abs=1e-7)
     error = as_printed.energy_transfer - exact.energy_transfer
     assert error == pytest.approx(2.0 * omega_tau**2, rel=0.05)
 
@@ -128,7 +136,6 @@ TABLE = {
     'alpha at these two, (0.32, 8.4)': ('4.12', 4.1101, 5e-5),
     'alpha of a thick soft layer, x = 1': ('4', 4.0, 1e-6),
     'largest C for that': ('7.9', 8.0, 1e-4),
-    'the same by the analysis': ('8', 8.0, 1e-4),
     'ridge for small x: C/sqrt(x)': ('10.2', 2.0 * math.pi * 1.619874, 2e-3),
     'alpha on it': ('3.13', 3.127442, 1e-4),
     'alpha on the axes, C = 0 or x = 0': ('0', 0.0, 2e-3),

@@ -25,6 +25,9 @@ Floats = NDArray[np.float64]
 SLOPE = 0.256
 """Slope of T_0 over L_s, as printed without a unit, which can only be this one. [s/m]"""
 
+SLOPE_ERROR = 0.008
+"""Its printed error. [s/m]"""
+
 NOISE = 20e-6
 """Standard deviation of a measured height of the plate. [m]"""
 

@@ -49,18 +49,18 @@ def light_projectile(omega_tau: ArrayLike) -> ThickLayer:
 
     Notes
     -----
-    With :math:`d = \omega \tau - e^{-1 - \pi / (2 \omega \tau)}`, the angle is
-    :math:`\pi / 2 + d` and the transfer factor :math:`4 - 4 d^2`.
+    The angle :math:`a` is :math:`\pi / 2 + \arctan \omega \tau - e^{-1 - \pi / (2 \omega \tau)}`,
+    and the transfer factor :math:`4 \sin^2 a`, which tends to :math:`4 / (1 + (\omega \tau)^2)`.
 
     """
     omega_tau = np.asarray(omega_tau, dtype=np.float64)
-    delay = omega_tau - np.exp(-1.0 - math.pi / (2.0 * omega_tau))
-    return ThickLayer(0.5 * math.pi + delay, 4.0 - 4.0 * delay**2)
+    delay = np.arctan(omega_tau) - np.exp(-1.0 - math.pi / (2.0 * omega_tau))
+    return ThickLayer(0.5 * math.pi + delay, 4.0 * np.cos(delay) ** 2)
 
 
 def light_projectile_as_printed(omega_tau: ArrayLike) -> ThickLayer:
     r"""
-    Return App. C(i) as printed: another sign, no factor 1/e, and 2 instead of 4.
+    Return App. C(i) as printed: another sign, no factor 1/e, no arctan, and 2 instead of 4.
 
     Notes
     -----
@@ -86,7 +86,7 @@ def draw_thick_layer() -> Figure:
         r'Only $\omega\tau = 2\pi m c_s f / E_s S$ counts. For small $\omega\tau$ the paper '
         r'prints $4 - 2\,(\omega\tau + e^{-\pi/2\omega\tau})^2$;'
         '\n'
-        r'exact is $\alpha \to 4 - 4\,(\omega\tau - e^{-1-\pi/2\omega\tau})^2$.',
+        r'exact is $\alpha \to 4\,/\,(1 + (\omega\tau)^2)$.',
         height=4.4, grid=(1, 3),
     )
     near = np.linspace(0.02, 1.6, 400)

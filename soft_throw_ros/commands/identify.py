@@ -22,7 +22,6 @@ from soft_throw_ros.commands.identify_report import (
     fit_data,
     fit_lines,
     IdentificationReport,
-    layer_lines,
     remark_lines,
     unit_of,
     warning_lines,
@@ -43,12 +42,14 @@ from soft_throw_ros.identification.fit_description import (
     FitDescription,
     FIXED,
     PARAMETERS,
-    parse_treatments,
+    parse_error,
+    Treatment,
     values_of,
 )
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.systematics import FLOORS
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
@@ -100,8 +101,8 @@ def add_fit_options(parser: CommandParser) -> None:
     )
     add(
         '--fit-file', metavar='FILE',
-        help='YAML file of the fit (docs/measured.md): `parameters` to fit or hold, `throws` '
-        'whose parameters differ, `heights`, `reference`, and the `topic` of bags',
+        help='YAML file of the fit (docs/measured.md): `free`, `fixed`, `prior`, `per_throw`, '
+        '`throws` whose parameters differ, `heights`, `reference`, and the `topic` of bags',
     )
 
 
@@ -113,24 +114,24 @@ def describe_fit(arguments: argparse.Namespace) -> FitDescription:
         description = description.change(dict.fromkeys(_OF_TWO_SENSORS, FIXED))
     if arguments.fit_file:
         description = FitDescription.from_file(arguments.fit_file, description)
-    changes = [(argument_of(arguments, name), name, text) for name, text in known.items()]
-    changes += [('argument --hold', name, 'held') for name in arguments.hold]
-    for argument, name, text in changes:
-        try:
-            description = description.change(parse_treatments({name: text}))
-        except ValueError as error:
-            raise ValueError(f'{argument}: {error}') from None
-    return description
+    try:
+        description = description.change(dict.fromkeys(arguments.hold, FIXED))
+    except ValueError as error:
+        raise ValueError(f'argument --hold: {error}') from None
+    return description.change(known)
 
 
-def _split_known(arguments: argparse.Namespace) -> dict[str, str]:
-    """Split the errors off parameters of the rig, as in `--mass 0.0012+-1%`."""
+def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
+    """Split the errors off options of the rig, as in `--mass 0.0012+-1%`."""
     known = {}
     for name in PARAMETERS:
         value, sign, error = str(getattr(arguments, name, '')).partition('+-')
         if sign:
             setattr(arguments, name, value.strip())
-            known[name] = f'+- {error}'
+            try:
+                known[name] = parse_error(error, value)
+            except ValueError as refusal:
+                raise ValueError(f'{argument_of(arguments, name)}: {name} {refusal}') from None
     return known
 
 
@@ -165,11 +166,9 @@ def _identify(
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': FIXED})
     description = description.assume(stated, [throw.name for throw in throws])
-    rig = rig_of(settings)
-    result = fit_rig(throws, rig, description, on_progress=_show_progress)
+    result = fit_rig(throws, rig_of(settings), description, on_progress=_show_progress)
     remarks = tuple(remark_lines(result))
-    lines = [*budget_lines(result), '', *remarks, *layer_lines(result.layers)]
-    lines += fit_lines(result.fit)
+    lines = [*budget_lines(result), '', *remarks, *fit_lines(result.fit)]
     warnings = warning_lines(result.fit)
     ejection = answer = None
     if has_projectile:
@@ -181,7 +180,6 @@ def _identify(
             lines += ['', warnings[-1]]
         answer = answer_of(result, ejection)
     relevant = PARAMETERS if has_projectile else ENGINE
-    law = result.rig.layer.stress_strain_law
     values = {
         name: value for name, value in result.estimates().items()
         if name in relevant and name not in description.assumed
@@ -197,16 +195,14 @@ def _identify(
         result=values,
         held=values_of(result.model.rigs[0], [name for name in relevant if name not in values]),
         assumed=description.assumed,
-        chosen={'layer.stress_strain_law': law} if law != rig.layer.stress_strain_law else {},
         answer=tuple(answer_lines(answer, result, ejection)) if answer else (),
         lines=tuple(lines),
         data={
             'answer': answer and vars(answer),
             'fit': fit_data(result.fit),
+            'systematic_errors': {name: floor._asdict() for name, floor in FLOORS.items()},
             'terms': result.terms(),
             'remarks': remarks,
-            'layers': result.layers,
-            'intervals': result.intervals,
             'throws': [
                 {
                     'name': throw.name,

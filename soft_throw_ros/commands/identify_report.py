@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
@@ -25,7 +25,6 @@ from soft_throw_ros.identification.fit_description import PARAMETERS
 from soft_throw_ros.identification.fit_warnings import (
     Ambiguity,
     Contradiction,
-    CorrelatedResiduals,
     fit_warnings,
     FitWarning,
     InseparablePair,
@@ -33,16 +32,16 @@ from soft_throw_ros.identification.fit_warnings import (
     NotConverged,
 )
 from soft_throw_ros.identification.least_squares import Estimate, Fit
-from soft_throw_ros.identification.model_choice import LayerModel
-from soft_throw_ros.identification.parameter_layout import RINGING
+from soft_throw_ros.identification.parameter_layout import RINGING_AMPLITUDES
 from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.systematics import FLOORS
 
 _UNITS_IN_TABLES = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
 _MAX_NAMES = 4  # largest number of sources listed in a parameter file
 _MAX_OUTLIERS = 4  # largest number of outliers of a track that are listed individually
 _MAX_TRACKS = 8  # largest number of tracks in the table; the worst ones come first
 _NAME_WIDTH = 24
-_NOISY = 0.7  # share of noise in an error, above which no other source is listed
+_NOISY = 0.7  # share of noise and systematic errors, above which no other source is listed
 _LARGE_SHARE = 0.3  # share of an error, above which its source is listed
 _UNITS_OF_TERMS = {'projectile.delay': 's'}
 
@@ -66,8 +65,6 @@ class IdentificationReport:
     """Parameters that the fit held."""
     assumed: tuple[str, ...] = ()
     """Parameters with default values, because nobody stated them."""
-    chosen: Mapping[str, str] = field(default_factory=dict)
-    """Chosen models that differ from the request."""
     answer: tuple[str, ...] = ()
     """Lines that come first."""
     lines: tuple[str, ...]
@@ -91,8 +88,6 @@ class IdentificationReport:
         for name, value in self.held.items():
             source = 'assumed' if name in self.assumed else 'taken as known'
             yield f'{name:{width}}  {_in_handy_unit(name, value)}, {source}'
-        for name, model in self.chosen.items():
-            yield f'{name:{width}}  {model}'
         yield from ('', *self.lines)
 
     def values(self) -> dict[str, object]:
@@ -105,7 +100,6 @@ class IdentificationReport:
             'found': result,
             'held': self.held,
             'assumed': self.assumed,
-            'chosen': self.chosen,
             **self.data,
             'notes': self.notes,
             'warnings': self.warnings,
@@ -128,7 +122,6 @@ class IdentificationReport:
                 scale = value if name == 'projectile.mass' else 1.0  # its error is relative
                 largest = BOUND_PER_DEVIATION * error / scale
                 request[bound.name] = float(f'{min(largest, bound.high):.3g}')
-        request |= self.chosen
         try:
             return {**settings, **TWIN.change(settings, request)}
         except ParameterError as error:
@@ -233,48 +226,32 @@ def warning_text(warning: FitWarning) -> str:
             return (
                 f'the residuals are {ratio:.2g} times the noise: the model leaves out something '
                 f'that these tracks show, most of {track} from {start:.4g} s to {end:.4g} s; '
-                'errors are larger by as much, and may be too small'
-            )
-        case CorrelatedResiduals(track, others, autocorrelation, inflation):
-            more = f' and {others} more' if others else ''
-            return (
-                f'the residuals of {track}{more} are no white noise (correlation of neighbours '
-                f'{autocorrelation:.2f}): errors are up to '
-                f'{math.sqrt(max(inflation, 1.0)):.2g} times larger'
+                'the errors are larger by as much'
             )
         case NotConverged():
             return 'the solver stopped at its limit before it converged: the values may be wrong'
 
 
 def remark_lines(result: RigFit) -> Iterator[str]:
-    """Yield sentences about added terms and about omissions of a fit."""
-    for term in result.added_terms:
-        if term.name == RINGING:  # a loss has its own row in the table
-            yield (
-                'a plate that rings before the throw explains these throws (chi squared '
-                f'{term.reduced_chi2:.2f} per degree of freedom); without it they are not '
-                f'explained ({term.reduced_chi2_before:.2f}). {term.name}: '
-                f'{", ".join(map(str, term.values))}'
-            )
+    """Yield sentences about added terms and omissions of a fit."""
+    if RINGING_AMPLITUDES[0] in result.model.layout:
+        yield 'a plate that rings before the throw explains these throws better'
     if not result.is_complete:
-        yield 'the search for effects of the bench is incomplete: the fit takes too long'
-    for name, reason in result.skipped_effects.items():
-        yield f'the errors do not include the effect of {name}: {reason}'
+        yield 'the search for a loss and for other minima is incomplete: the fit takes too long'
 
 
 def budget_lines(result: RigFit) -> Iterator[str]:
-    """Yield the nuisance parameters of the fit, and all large sources of error besides noise."""
+    """Yield the systematic errors, the nuisance parameters, and all other large errors."""
+    floors = [f'{name} {floor}' for name, floor in FLOORS.items()]
+    yield f'systematic errors, part of all errors here: {", ".join(floors)}'
     for name, value in result.terms().items():
         yield f'{name:{_NAME_WIDTH}} {with_unit(value, unit_of(name))}'
-    for name, ends in result.intervals.items():
-        shown, factor = _handy_unit(unit_of(name))
-        low, high = (f'{factor * end:.4g}' for end in ends)
-        yield f'{name} is from {low} to {high} {shown}'.rstrip() + ' with 95 % (profile)'
     for name in result.estimates():
         if name not in result.fit or result.fit.names.index(name) in result.fit.known:
             continue
-        budget = result.fit.budget(name)
-        if budget['noise'] < _NOISY * math.hypot(*budget.values()):
+        budget = result.budget(name)
+        expected = math.hypot(budget['noise'], budget.get('systematic', 0.0))
+        if expected < _NOISY * math.hypot(*budget.values()):
             yield _budget_line(name, math.hypot(*budget.values()), unit_of(name), budget)
 
 
@@ -322,22 +299,11 @@ def answer_lines(
     elif ejection.alternatives:
         verdict += '; another number of echoes is possible, see below'
     elif not answer.is_good_enough:
-        verdict += f' ({100.0 * GOOD_ENOUGH:g} %); soft-throw plan ranks the next throws'
+        verdict += f' ({100.0 * GOOD_ENOUGH:g} %)'
     yield (
         f'{"energy transfer":{_NAME_WIDTH}} {ejection.energy_transfer} '
         f'(known to {100.0 * answer.energy_transfer_error:.2g} %): {verdict}'
     )
-
-
-def layer_lines(layers: Sequence[LayerModel]) -> Iterator[str]:
-    """Yield a table that compares the fits of different models of the layer."""
-    if layers:
-        yield f'{"layer":{_NAME_WIDTH}} {"chi squared":>12} {"each":>8} {"BIC":>8}'
-    for layer in layers:
-        yield (
-            f'{layer.name:{_NAME_WIDTH}} {layer.chi2:12.1f} {layer.chi2 / layer.dof:8.3f} '
-            f'{layer.criterion:+8.1f}'
-        )
 
 
 def fit_lines(fit: Fit) -> Iterator[str]:
@@ -349,12 +315,13 @@ def fit_lines(fit: Fit) -> Iterator[str]:
     yield f'{"":{_NAME_WIDTH}} {"samples":>8} {"noise":>10} {"residual":>10} {"neighbours":>11}'
     shown = list(fit.residuals)
     if len(shown) > _MAX_TRACKS:
-        shown = sorted(shown, key=lambda residual: residual.reduced_chi2)[-_MAX_TRACKS:]
+        shown.sort(key=lambda residual: residual.rms / residual.track.noise)
+        shown = shown[-_MAX_TRACKS:]
     for residual in shown:
         name, track = residual.name, residual.track
         short = name if len(name) <= _NAME_WIDTH else f'...{name[3 - _NAME_WIDTH :]}'
         yield (
-            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * residual.rms_noise:7.3g} um '
+            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * track.noise:7.3g} um '
             f'{1e6 * residual.rms:7.3g} um {residual.autocorrelation:11.2f}'
         )
     if len(shown) < len(fit.residuals):
@@ -367,7 +334,7 @@ def fit_lines(fit: Fit) -> Iterator[str]:
             ]
             more = len(residual.outliers) - len(listed)
             yield (
-                f'left out as outliers of {residual.name}: {", ".join(listed)}'
+                f'outliers of {residual.name}: {", ".join(listed)}'
                 + (f' and {more} more' if more else '')
             )
 
@@ -385,10 +352,9 @@ def fit_data(fit: Fit) -> dict[str, object]:
             {
                 'track': residual.name,
                 'samples': residual.track.time.size,
-                'noise': residual.rms_noise,
+                'noise': residual.track.noise,
                 'rms': residual.rms,
                 'autocorrelation': residual.autocorrelation,
-                'whiteness': residual.whiteness,
                 'outliers': residual.outliers,
             }
             for residual in fit.residuals
@@ -408,9 +374,6 @@ def ejection_lines(ejection: Ejection) -> Iterator[str]:
             f'{"later" if other.echoes > 0 else "earlier"}: t_e {with_unit(other.time, "s")}, '
             f'V_e {with_unit(other.speed, "m/s")}, alpha {other.energy_transfer}'
         )
-    budget = ejection.time_budget
-    if budget['tracks'] < _NOISY * math.hypot(*budget.values()):
-        yield _budget_line('ejection time', ejection.time.error, 's', budget)
 
 
 def ejection_data(ejection: Ejection | None) -> dict[str, object] | None:
@@ -418,4 +381,4 @@ def ejection_data(ejection: Ejection | None) -> dict[str, object] | None:
     if ejection is None:
         return None
     data: dict[str, object] = {key: getattr(ejection, key) for key, _, _ in EJECTION_ROWS}
-    return {**data, 'alternatives': ejection.alternatives, 'time_budget': ejection.time_budget}
+    return {**data, 'alternatives': ejection.alternatives}

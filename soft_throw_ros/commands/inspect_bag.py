@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 import contextlib
 from functools import partial
 import itertools
@@ -26,7 +27,6 @@ from soft_throw_ros.commands.output import (
     written_file,
 )
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
-from soft_throw_ros.recording import rerun_output as output
 from soft_throw_ros.recording import rerun_viewer as viewer
 from soft_throw_ros.recording.timeseries import find_throws, identify, READERS, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
@@ -91,7 +91,7 @@ def _parser() -> CommandParser:
     add('--size', metavar='WxH', type=_size, default='1600x1000',
         help='screenshot size in pixels (default %(default)s)')
     add('--throw', metavar='N', type=int,
-        help='show this throw (default the last one with a release)')
+        help='show this throw (default the last complete one with a release)')
     add(
         '--at', metavar='TIME', type=any_number,
         help='show it at this time of the rig since the throw started, in seconds '
@@ -102,7 +102,7 @@ def _parser() -> CommandParser:
         help='show it in a viewer, or to viewers that connect (default viewer)',
     )
     add(
-        '--port', type=_port, default=output.PORT,
+        '--port', type=_port, default=viewer.PORT,
         help='port of the viewer or the server (default %(default)s)',
     )
     return parser
@@ -125,7 +125,7 @@ def _port(text: str) -> int:
 
 def _show_bag(arguments: argparse.Namespace) -> None:
     """Show a bag in one of four ways."""
-    from soft_throw_ros.recording.rerun_canvas import THROW_TIME
+    from soft_throw_ros.recording.rerun_layout import THROW_TIME
     from soft_throw_ros.recording.rerun_view import Scene
 
     with BagReader(arguments.bag) as reader:
@@ -136,35 +136,41 @@ def _show_bag(arguments: argparse.Namespace) -> None:
             )
         journals = [name for name, topic in topics.items() if topic == TWIN_TOPICS.journal]
         throw = _choose_throw(reader, journals, arguments.throw)
-        scene = Scene(reader.path.name, is_picture=bool(arguments.screenshot), throw=throw)
-        stream = output.new_stream()
-        draw = partial(_draw, scene, stream, reader)
+        stream = viewer.new_stream(reader.path.name)
+        scene = Scene(stream, is_picture=bool(arguments.screenshot), throw=throw)
+        draw = partial(_draw, scene, reader)
         if arguments.save:
             with written_file(arguments.save) as unfinished:
-                output.save_recording(stream, unfinished, draw)
+                _save(stream, unfinished, draw)
         elif arguments.screenshot:
             with report_io_errors(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
                 recording = Path(folder) / 'scene.rrd'
-                output.save_recording(stream, recording, draw)
+                _save(stream, recording, draw)
                 cursor = _cursor(scene, throw, arguments.at)
                 options = ('--headless', '--window-size', arguments.size, recording)
                 with viewer.Viewer(viewer.free_port(), *options) as process:
                     picture = process.photograph(THROW_TIME, cursor)
                 arguments.screenshot.write_bytes(picture)
         elif arguments.sink == 'serve':
-            output.serve(stream, arguments.port)
+            viewer.serve(stream, arguments.port)
             print_note('inspect', f'to see it: rerun {viewer.url_of(arguments.port)}')
             draw()
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     signal.pause()
         else:
-            output.check_viewer(arguments.port, '--save FILE.rrd or --screenshot FILE.png')
-            output.send_recording(stream, arguments.port, draw)
+            viewer.show(stream, arguments.port, draw)
             cursor = _cursor(scene, throw, arguments.at)
             if cursor is not None:
                 viewer.go_to(stream, arguments.port, THROW_TIME, cursor)
             stream.disconnect()
+
+
+def _save(stream: rr.RecordingStream, path: Path, draw: Callable[[], None]) -> None:
+    """Draw a recording into a file; raise OSError if it is not written completely."""
+    viewer.save_to(stream, path, is_live=False)
+    draw()
+    viewer.finish(stream, path)
 
 
 def _choose_throw(
@@ -177,13 +183,12 @@ def _choose_throw(
     if number is not None and not chosen:
         known = f'{throws[0].number}-{throws[-1].number}' if throws else 'no throws'
         raise ValueError(f'{reader.path}: throw {number} not found (bag contains {known})')
-    whole = [throw for throw in chosen if throw.ejection_time is not None] or chosen
-    return whole[-1] if whole else None
+    return max(chosen, key=lambda throw: (throw.ejection_time is not None, throw.is_over,
+                                          throw.stamp), default=None)
 
 
-def _draw(scene: Scene, stream: rr.RecordingStream, reader: BagReader) -> None:
+def _draw(scene: Scene, reader: BagReader) -> None:
     """Draw a whole bag, and report damage."""
-    scene.connect(stream)
     with slow_notice('inspect'):
         messages = reader.messages()
         while batch := list(itertools.islice(messages, _BATCH)):

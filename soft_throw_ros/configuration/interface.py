@@ -116,19 +116,18 @@ class TwinTopics(NamedTuple):
         depth=_ONE_SECOND, joints=JOINTS)
     layer_joint_states: Topic = Topic(
         '~/layer/joint_states', JOINT_STATE,
-        'Height and velocity of the layer at 64 points from plate to top, and the force through '
-        'each of them, positive in compression, at `rate.field`',
+        'Height and velocity of 64 points of the layer from plate to top, and the force through '
+        'them, positive in compression, at `rate.field`',
         depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
         '~/throw_field', CLOUD,
-        'Strain of the layer over time t since the stamp [s] (rows) and height y in the layer at '
-        'rest [m] (columns, from plate to top), from start to after release, once per throw, with '
-        'the start as stamp',
+        'Strain of the layer over time t since the stamp (the start) [s] in rows and height y in '
+        'the layer at rest [m] in columns, until after the release, once per throw',
         is_latched=True, axes=('t', 'y', 'strain'))
     throw_energies: Topic = Topic(
         '~/throw_energies', CLOUD,
-        'Time t since the stamp [s], work of the plate, and energy of projectile, layer and both '
-        'relative to rest [J], up to the first release, once per throw, with the start as stamp',
+        'Time t since the stamp (the start) [s], work of the plate, and energy of projectile, '
+        'layer and both relative to rest [J], up to the first release, once per throw',
         is_latched=True, axes=ENERGIES)
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',

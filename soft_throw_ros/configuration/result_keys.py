@@ -33,8 +33,8 @@ RESULT_KEYS = (
     Key('start_ns', 'stamp of the start', 'ns'),
     *(Key(name, f'first release: {meaning}', unit)
       for name, (meaning, unit) in _OF_RELEASE.items()),
-    *(Key(f'last_{name}', f'last release before the projectile falls back: {meaning}', unit)
-      for name, (meaning, unit) in _OF_RELEASE.items()),
+    *(Key(f'last_{name}', 'the same of the last release before the projectile falls back')
+      for name in _OF_RELEASE),
     Key('peak_plate_speed', 'largest speed of the plate', 'm/s'),
     Key('peak_strain', 'largest strain of the layer up to the first release'),
     Key('max_strain', 'strain at which the linear range of the layer ends'),
@@ -47,9 +47,8 @@ RESULT_KEYS = (
     Key('apex_height', 'largest height of the projectile by its last release', 'm'),
     Key('recontacts', 'contacts before the projectile fell back'),
     Key('landings', 'contacts after the projectile fell back'),
-    *(Key(f'uncertainty.{name}.{end}', f'{meaning}: {side} end of the 95 % interval', unit)
-      for name, (meaning, unit) in _OF_RELEASE.items() if name != 'release_ns'
-      for end, side in (('low', 'lower'), ('high', 'upper'))),
+    *(Key(f'uncertainty.{name}.{end}', 'ends of the 95 % intervals of the first release')
+      for name in _OF_RELEASE if name != 'release_ns' for end in ('low', 'high')),
     Key('uncertainty.stuck_fraction',
         'fraction of throws without release within the uncertainties'),
     Key('uncertainty.jumps', 'whether the release jumps within the uncertainties'),

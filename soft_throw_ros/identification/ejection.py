@@ -8,8 +8,7 @@ The answer consists of the wave speeds, and whether the fit suits its purpose.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.identification.forward import FirstReleases
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import RigFit
+from soft_throw_ros.identification.systematics import with_floor
 
 Floats = NDArray[np.float64]
 
@@ -76,8 +76,6 @@ class Ejection:
     r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
     alternatives: tuple[AlternativeRelease, ...] = ()
     """Releases after another number of echoes, the most probable one first."""
-    time_budget: Mapping[str, float] = field(default_factory=dict)
-    """Contributions to the error of the time, see `RigFit.release_time_budget`. [s]"""
 
 
 def ejection_of(result: RigFit) -> Ejection:
@@ -92,8 +90,8 @@ def ejection_of(result: RigFit) -> Ejection:
     Notes
     -----
     Errors are the deviations of rigs that are drawn from the covariance of the fit, since
-    :math:`t_e` and :math:`\alpha` jump and have no derivative there. They include the unseen
-    effects, such as a layer that sticks and releases the projectile later.
+    :math:`t_e` and :math:`\alpha` jump and have no derivative there, and the systematic errors of
+    `FLOORS`, such as that of a layer that sticks and releases the projectile later.
 
     """
     releases = result.releases(_DRAWS)
@@ -107,9 +105,10 @@ def ejection_of(result: RigFit) -> Ejection:
     echoes = releases.echoes - releases.echoes[0]
     is_near = is_released & (echoes == 0)
 
-    def estimate(values: Floats) -> Estimate:
+    def estimate(name: str, values: Floats) -> Estimate:
         deviations = values[is_near] - values[0]
-        return Estimate(float(values[0]), float(np.sqrt(np.mean(deviations**2))))
+        drawn = Estimate(float(values[0]), float(np.sqrt(np.mean(deviations**2))))
+        return with_floor(name, drawn)
 
     alternatives = [
         _alternative(releases, is_released & (echoes == other), int(other))
@@ -117,12 +116,12 @@ def ejection_of(result: RigFit) -> Ejection:
         if other and np.mean(echoes[is_released] == other) > _MIN_PROBABILITY
     ]
     return Ejection(
-        time=estimate(releases.time),
-        speed=estimate(releases.speed),
-        peak_plate_speed=estimate(releases.peak_plate_speed),
-        energy_transfer=estimate(releases.energy_transfer),
+        time=estimate('ejection.time', releases.time),
+        speed=estimate('ejection.speed', releases.speed),
+        # which is proportional to the amplitude
+        peak_plate_speed=estimate('engine.amplitude', releases.peak_plate_speed),
+        energy_transfer=estimate('ejection.energy_transfer', releases.energy_transfer),
         alternatives=tuple(sorted(alternatives, key=lambda item: -item.probability)),
-        time_budget=result.release_time_budget(),
     )
 
 
@@ -131,8 +130,15 @@ def _alternative(
 ) -> AlternativeRelease:
     """Return the mean and the spread of some of the releases."""
     time, speed, energy_transfer = (
-        Estimate(float(values[chosen].mean()), float(values[chosen].std(ddof=1)))
-        for values in (releases.time, releases.speed, releases.energy_transfer)
+        with_floor(
+            f'ejection.{name}',
+            Estimate(float(values[chosen].mean()), float(values[chosen].std(ddof=1))),
+        )
+        for name, values in (
+            ('time', releases.time),
+            ('speed', releases.speed),
+            ('energy_transfer', releases.energy_transfer),
+        )
     )
     probability = float(chosen.sum() / np.isfinite(releases.time).sum())
     return AlternativeRelease(echoes, probability, time, speed, energy_transfer)
@@ -147,7 +153,7 @@ class Answer:
     rest_wave_speed: Estimate
     """Wave speed of the layer at rest. [m/s]"""
     limited_by: str | None
-    """Main source of the error of the wave speed at rest, as in `Fit.budget`; None if several."""
+    """Main source of the error of the wave speed at rest, see `RigFit.budget`; None if several."""
     energy_transfer_error: float | None
     """Error of the energy transfer over its value; None without a release. [-]"""
     is_good_enough: bool
@@ -169,7 +175,7 @@ def answer_of(result: RigFit, ejection: Ejection | None) -> Answer | None:
     name = next((n for n in result.fit.names if n.partition('[')[0] == 'layer.wave_speed'), None)
     if name is None:
         return None
-    squares = {source: part**2 for source, part in result.fit.budget(name).items()}
+    squares = {source: part**2 for source, part in result.budget(name).items()}
     main = max(squares, key=squares.__getitem__)
     error, is_known = None, False
     if ejection is not None:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Treatments of the parameters of a fit: free, held or known with an error, for all throws or some.
+Treatments of the parameters of a fit: free, fixed or known with an error, for all throws or some.
 
 Command line, YAML file and Python share them.
 """
@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from fnmatch import fnmatchcase
 import math
 from operator import attrgetter
 from pathlib import Path
-import re
-from typing import cast, Literal, NamedTuple
+from typing import Any, cast, Literal, NamedTuple
 
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import rig_with
@@ -25,7 +24,8 @@ from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.tracks import names_of
 
 ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
-LAYER = ('layer.wave_speed', 'layer.thickness', 'layer.loss_tangent')
+LOSS = 'layer.loss_tangent'
+LAYER = ('layer.wave_speed', 'layer.thickness', LOSS)
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
 
@@ -49,15 +49,6 @@ plate before the throw, both over the amplitude. `scale` is the measured over th
 projectile, and `delay` the delay of its measurement [s].
 """
 
-PLATE_MODE = 'plate.mode'
-"""Size of a second mode of the plate that the throw excites, over the amplitude. [-]"""
-
-RELEASE_DELAY = 'projectile.sticking'
-"""Longest delay of the release because the projectile sticks to the layer. [s]"""
-
-UNSEEN = (PLATE_MODE, RELEASE_DELAY)
-"""Effects that tracks hardly show; they are not fitted, but increase the errors."""
-
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
 
@@ -73,11 +64,7 @@ Reference = Literal['face', 'centre']
 HEIGHTS: tuple[Heights, ...] = ('own', 'common', 'absolute')
 REFERENCES: tuple[Reference, ...] = ('face', 'centre')
 
-TREATMENTS = (
-    "'free', 'held', VALUE, VALUE +- ERROR, or +- ERROR, which may be in %; then 'per throw' or "
-    "'if seen' may follow"
-)
-"""Allowed treatments of a parameter, for messages."""
+_KEYS = ('free', 'fixed', 'prior', 'per_throw')
 
 PARTS = ('layer', 'projectile')
 """Parts of a rig that may be replaced between throws, and have names then."""
@@ -85,77 +72,49 @@ PARTS = ('layer', 'projectile')
 _MAX_NAMES = 8
 """Names of throws that a message lists, so that it stays readable."""
 
-_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
-_TEXT = re.compile(
-    rf'(?P<word>free|held)?(?P<value>{_NUMBER})?'
-    rf'(?:\s*\+-\s*(?P<error>{_NUMBER})\s*(?P<percent>%)?)?'
-    r'(?P<own>\s+per throw)?(?P<seen>\s+if seen)?'
-)
-
-
-class ParameterRole(Enum):
-    """Role of a parameter in a fit."""
-
-    FREE = 'free'
-    """The fit determines the parameter."""
-    FIXED = 'held'
-    """The parameter is known exactly."""
-    PRIOR = '+-'
-    """The parameter is known with an error, which is the prior of the fit."""
-
 
 class Treatment(NamedTuple):
     """Treatment of a parameter by a fit."""
 
-    role: ParameterRole
+    is_varied: bool
+    """Whether the fit changes it."""
     value: float | None = None
     """Value, or mean of the prior; None for the value of the rig."""
     error: float | None = None
-    """Standard error of the prior; None for other roles."""
+    """Standard error of the prior; None without a prior."""
     is_relative: bool = False
     """Whether the error is relative to the value."""
     is_per_throw: bool = False
     """Whether each throw has a value of its own."""
-    only_if_significant: bool = False
-    """Whether it is fixed until the tracks show that it is needed."""
 
     @property
-    def is_varied(self) -> bool:
-        """Whether the fit changes it."""
-        return self.role is not ParameterRole.FIXED and not self.only_if_significant
+    def is_free(self) -> bool:
+        """Whether the fit determines it without a prior."""
+        return self.is_varied and self.error is None
 
 
-FREE = Treatment(ParameterRole.FREE)
+FREE = Treatment(True)
 """Treatment of a parameter that the fit determines."""
 
-FIXED = Treatment(ParameterRole.FIXED)
+FIXED = Treatment(False)
 """Treatment of a parameter that is known exactly, at the value of the rig."""
 
 
-def _prior(error: float, **flags: bool) -> Treatment:
-    """Return the treatment of a parameter that is known with an error."""
-    return Treatment(ParameterRole.PRIOR, error=error, **flags)
-
-
 DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
-    (*PARAMETERS, *NUISANCE_PARAMETERS, *UNSEEN), FIXED
+    (*PARAMETERS, *NUISANCE_PARAMETERS), FIXED
 ) | {
     'engine.frequency': FREE,
     'engine.damping_ratio': FREE,
     'engine.amplitude': FREE._replace(is_per_throw=True),
     'layer.wave_speed': FREE,
-    'layer.thickness': _prior(1e-4),
-    'layer.diameter': _prior(1e-4),
-    'layer.loss_tangent': FREE._replace(only_if_significant=True),
-    'layer.stiffening': _prior(0.4),
-    'projectile.mass': _prior(0.01, is_relative=True),
-    'projectile.scale': _prior(0.005, is_relative=True),
-    'projectile.delay': _prior(1e-4),
-    RELEASE_DELAY: _prior(2e-4),
-    'plate.drift': _prior(0.02, is_per_throw=True),
-    'projectile.drift': _prior(0.02, is_per_throw=True),
-    'plate.ringing': _prior(0.02, is_per_throw=True, only_if_significant=True),
-    PLATE_MODE: _prior(0.01),
+    'layer.thickness': Treatment(True, error=1e-4),
+    'layer.diameter': Treatment(True, error=1e-4),
+    'layer.stiffening': Treatment(True, error=0.4),
+    'projectile.mass': Treatment(True, error=0.01, is_relative=True),
+    'projectile.scale': Treatment(True, error=0.005),
+    'projectile.delay': Treatment(True, error=1e-4),
+    'plate.drift': Treatment(True, error=0.02, is_per_throw=True),
+    'projectile.drift': Treatment(True, error=0.02, is_per_throw=True),
 }
 """
 Default treatments; errors of lengths and mass are those of the paper.
@@ -163,6 +122,12 @@ Default treatments; errors of lengths and mass are those of the paper.
 With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
 error.
 """
+
+SEARCHED: Mapping[str, Treatment] = {
+    LOSS: FREE,
+    'plate.ringing': Treatment(True, error=0.02, is_per_throw=True),
+}
+"""Treatments of parameters that are fixed by default, and fitted if the tracks show them."""
 
 IDEAL_BENCH: Mapping[str, Treatment] = {
     name: FIXED for name in DEFAULTS if name not in DEFAULT_FREE
@@ -189,7 +154,7 @@ class FitDescription:
 
     Examples
     --------
-    >>> fit = FitDescription({**IDEAL_BENCH, **parse_treatments({'layer.thickness': '+- 1 %'})})
+    >>> fit = FitDescription({**IDEAL_BENCH, 'layer.thickness': Treatment(True, error=1e-4)})
     >>> [name for name in DEFAULTS if fit.treatment(name).is_varied]
     ['engine.frequency', 'engine.damping_ratio', 'engine.amplitude', 'layer.wave_speed', \
 'layer.thickness']
@@ -197,7 +162,7 @@ class FitDescription:
     """
 
     parameters: Mapping[str, Treatment] = field(default_factory=dict)
-    """Treatments of some parameters, see `parse_treatments`; the others have their `DEFAULTS`."""
+    """Treatments of some parameters; the others have their `DEFAULTS`."""
     heights: Heights = 'own'
     """Origin of the heights, see `Heights`."""
     reference: Reference = 'face'
@@ -215,10 +180,7 @@ class FitDescription:
 
     def __post_init__(self) -> None:
         for name in (*self.parameters, *(n for item in self.throws.values() for n in item[0])):
-            if name not in DEFAULTS:
-                raise ValueError(
-                    f'a parameter must be one of {", ".join(DEFAULTS)}, got {name!r}'
-                )
+            check_name(name)
         for name, value, choices in (
             ('heights', self.heights, HEIGHTS),
             ('reference', self.reference, REFERENCES),
@@ -231,9 +193,10 @@ class FitDescription:
         """
         Read a description from a YAML file.
 
-        It is a mapping with the keys `parameters` (a mapping of names to treatments), `heights`,
-        `reference`, `topic`, and `throws` (names of throws to such mappings, in which the names
-        of `PARTS` may stand, too). All keys are optional; the defaults are those of `base`.
+        It is a mapping with the keys `free` and `per_throw` (lists of names), `fixed` (names to
+        values), `prior` (names to values and standard errors), `heights`, `reference`, `topic`,
+        and `throws` (names of throws to such mappings, in which the names of `PARTS` may stand,
+        too). All keys are optional; the defaults are those of `base`.
 
         Raises
         ------
@@ -242,38 +205,36 @@ class FitDescription:
 
         """
         description = base or cls()
-        tree = read_yaml(path)
+        tree, keys = read_yaml(path), (*_KEYS, 'heights', 'reference', 'topic', 'throws')
         for name in tree:
-            if name not in ('parameters', 'heights', 'reference', 'topic', 'throws'):
-                keys = 'parameters, heights, reference, topic or throws'
-                raise ValueError(f'{path}: must be {keys}, got {name!r}')
+            if name not in keys:
+                raise ValueError(f'{path}: must be one of {", ".join(keys)}, got {name!r}')
         try:
-            for name, value in tree.items():
+            treatments, others = _read_treatments(tree, description)
+            description = description.change(treatments)
+            for name, value in others.items():
                 if name == 'throws':
-                    for throw, conditions in _items(name, value):
-                        for key, item in _items(throw, conditions):
-                            description = description._with_condition(throw, key, str(item))
-                elif name == 'parameters':
-                    for key, item in _items(name, value):
-                        description = description.change(parse_treatments({key: str(item)}))
-                elif name == 'topic':
-                    description = replace(description, topic=str(value))
+                    for throw, item in _items(name, value):
+                        description = description._with_conditions(throw, item)
                 elif name == 'heights':
                     description = replace(description, heights=cast(Heights, str(value)))
-                else:
+                elif name == 'reference':
                     description = replace(description, reference=cast(Reference, str(value)))
+                else:
+                    description = replace(description, topic=str(value))
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
         return description
 
-    def _with_condition(self, throw: str, name: str, text: str) -> FitDescription:
-        """Add the text of a treatment, or the name of a part, to the conditions of some throws."""
-        treatments, parts = self.throws.get(throw, ({}, {}))
-        if name in PARTS:
-            conditions = ThrowConditions(treatments, {**parts, name: text})
-        else:
-            conditions = ThrowConditions({**treatments, name: _parse_condition(name, text)}, parts)
-        return replace(self, throws={**self.throws, throw: conditions})
+    def _with_conditions(self, throw: str, value: object) -> FitDescription:
+        """Add the conditions of some throws."""
+        treatments, others = _read_treatments(dict(_items(throw, value)), self)
+        for name in others:
+            if name not in PARTS:
+                keys = ', '.join((*_KEYS, *PARTS))
+                raise ValueError(f'{throw}: must be one of {keys}, got {name!r}')
+        parts = {name: str(item) for name, item in others.items()}
+        return replace(self, throws={**self.throws, throw: ThrowConditions(treatments, parts)})
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
@@ -284,7 +245,7 @@ class FitDescription:
         used = [(name, self.treatment(name, throw)) for throw in throws
                 for name in DEFAULT_IS_ANOTHER_RIG if name not in stated]
         assumed = {name: FIXED for name, treatment in used
-                   if treatment.value is None and treatment.role is not ParameterRole.FREE}
+                   if treatment.value is None and not treatment.is_free}
         return replace(self.change(assumed), assumed=tuple(assumed))
 
     def treatment(self, name: str, throw: str | None = None) -> Treatment:
@@ -322,17 +283,12 @@ class FitDescription:
 
     def is_free(self, name: str) -> bool:
         """Return whether a parameter is fitted without a prior."""
-        treatment = self.treatment(name)
-        return treatment.is_varied and treatment.role is ParameterRole.FREE
+        return self.treatment(name).is_free
 
-    @property
-    def if_seen(self) -> list[str]:
-        """Names of the parameters that are held until the tracks show that they are needed."""
-        return [name for name in DEFAULTS if self.treatment(name).only_if_significant]
-
-    def activate(self, name: str) -> FitDescription:
-        """Vary a parameter that is held until the tracks show that it is needed."""
-        return self.change({name: self.treatment(name)._replace(only_if_significant=False)})
+    def searches(self, name: str) -> bool:
+        """Whether a parameter is fitted if the tracks show it: nothing is said about it."""
+        conditions = [item.treatments for item in self.throws.values()]
+        return not any(name in item for item in (self.parameters, *conditions))
 
     def value(self, name: str, rig: Rig, throw: str | None = None) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
@@ -348,10 +304,7 @@ class FitDescription:
         treatment, value = self.treatment(name, throw), self.value(name, rig, throw)
         if treatment.error is None:
             return None
-        error = treatment.error * (abs(value) if treatment.is_relative else 1.0)
-        if error == 0.0:
-            raise FitError(f'{name} is {value:g} and has no error in %; give an absolute error')
-        return Estimate(value, error)
+        return Estimate(value, treatment.error * (abs(value) if treatment.is_relative else 1.0))
 
     def prepare(self, rig: Rig, throw: str | None = None) -> Rig:
         """Return a rig with the values of the description; raise FitError for invalid ones."""
@@ -362,84 +315,56 @@ class FitDescription:
             raise FitError(str(error)) from None
 
 
-def parse_treatments(texts: Mapping[str, str]) -> dict[str, Treatment]:
-    """
-    Parse the treatments of some parameters.
-
-    A treatment is `free`; `held`; a value at which the parameter is held; or a value with a
-    standard error, as in `0.0012 +- 1 %` or `0.012 +- 1e-4`. `+- 1 %` alone takes the value of
-    the rig. `per throw` may follow `free` or an error, if each throw has its own value; then `if
-    seen`, if the parameter is held unless it improves the fit of the tracks much.
-
-    Raises
-    ------
-    ValueError
-        If a text is no treatment, or is not allowed for its parameter.
-
-    """
-    return {name: _parse(name, text) for name, text in texts.items()}
+def parse_error(text: str, value: str) -> Treatment:
+    """Parse the error of a value, which may be in %; raise ValueError."""
+    number, is_relative = text.strip().removesuffix('%'), text.strip().endswith('%')
+    error = float_of(number.strip())
+    if error is None or not 0.0 < error < math.inf or (is_relative and not float_of(value)):
+        raise ValueError(f'must be VALUE+-ERROR or VALUE+-ERROR%, got {value}+-{text}')
+    return Treatment(True, error=0.01 * error if is_relative else error, is_relative=is_relative)
 
 
-def _parse(name: str, text: str) -> Treatment:
-    """Parse the treatment of a parameter; raise ValueError with its name."""
-    try:
-        treatment = _parse_text(text)
-    except ValueError as error:
-        raise ValueError(f'{name} {error}') from None
-    if name in UNSEEN and treatment not in (FIXED, FIXED._replace(
-        role=ParameterRole.PRIOR, error=treatment.error
-    )):
-        raise ValueError(
-            f"{name} cannot be fitted, because tracks hardly show it: it must be 'held', or "
-            f"'+- ERROR' to be part of the errors, got {text!r}"
-        )
-    return treatment
+def _read_treatments(
+    tree: Mapping[str, Any], base: FitDescription
+) -> tuple[dict[str, Treatment], dict[str, Any]]:
+    """Return the treatments of a mapping, and its other items."""
+    treatments = dict.fromkeys(_names(tree.get('free', [])), FREE)
+    for key in ('fixed', 'prior'):
+        for name, value in _items(key, tree.get(key, {})):
+            check_name(name)
+            treatments[name] = _known(name, value, has_error=key == 'prior')
+    for name in _names(tree.get('per_throw', [])):
+        treatment = treatments.get(name) or base.treatment(name)
+        if not treatment.is_varied:
+            raise ValueError(f'{name} must be free or have a prior')
+        treatments[name] = treatment._replace(is_per_throw=True)
+    return treatments, {key: value for key, value in tree.items() if key not in _KEYS}
 
 
-def _parse_text(text: str) -> Treatment:
-    """Parse a treatment, see `parse_treatments`."""
-    match = _TEXT.fullmatch(text.strip())
-    groups = match.groupdict() if match else {}
-    word, value, error = (groups.get(name) for name in ('word', 'value', 'error'))
-    if (word is None) == (value is None and error is None):
-        raise ValueError(f'must be {TREATMENTS}, got {text!r}')
-    if value is not None and not math.isfinite(float(value)):
-        raise ValueError(f'must have a value that is finite, got {text!r}')
-    if error is not None and not 0.0 < float(error) < math.inf:
-        raise ValueError(f'must have an error that is finite and positive, got {text!r}')
-    role = ParameterRole(word) if word else ParameterRole.FIXED
-    if error is not None:
-        role = ParameterRole.PRIOR
-    is_per_throw, only_if_significant = groups['own'] is not None, groups['seen'] is not None
-    if (is_per_throw or only_if_significant) and role is ParameterRole.FIXED:
-        raise ValueError(
-            f"must be free or have an error to be 'per throw' or 'if seen', got {text!r}"
-        )
-    is_relative = groups['percent'] is not None
-    return Treatment(
-        role=role,
-        value=None if value is None else float(value),
-        error=None if error is None else float(error) * (0.01 if is_relative else 1.0),
-        is_relative=is_relative,
-        is_per_throw=is_per_throw,
-        only_if_significant=only_if_significant,
-    )
+def _names(value: Any) -> list[str]:
+    """Return a list of names of parameters."""
+    if not isinstance(value, list):
+        raise ValueError(f'must be a list of names, got {value!r}')
+    for name in value:
+        check_name(name)
+    return value
 
 
-def _parse_condition(name: str, text: str) -> Treatment:
-    """Parse the treatment of a parameter of some throws."""
-    treatment = _parse(name, text)
-    if name in UNSEEN:
-        raise ValueError(
-            f'{name} is the same for all throws: it must stand below `parameters`, got {text!r} '
-            'below `throws`'
-        )
-    if treatment.only_if_significant:
-        raise ValueError(
-            f"{name} of some throws must not be 'if seen', got {text!r}; say so below "
-            '`parameters`, for all throws'
-        )
-    return treatment
+def _known(name: str, value: Any, *, has_error: bool) -> Treatment:
+    """Return the treatment of a parameter with a value, or with a value and an error."""
+    items = value if isinstance(value, list) else [value]
+    numbers = [float_of(str(item)) for item in items]
+    finite = [number for number in numbers if number is not None and math.isfinite(number)]
+    if not len(items) == len(finite) == 1 + has_error or (has_error and finite[1] <= 0.0):
+        rule = '[VALUE, ERROR] with an error above 0' if has_error else 'a finite number'
+        raise ValueError(f'{name} must be {rule}, got {value!r}')
+    return Treatment(has_error, finite[0], finite[1] if has_error else None)
+
+
+def check_name(name: str) -> None:
+    """Raise ValueError if a name is not that of a parameter of a fit."""
+    if name not in DEFAULTS:
+        raise ValueError(f'a parameter must be one of {", ".join(DEFAULTS)}, got {name!r}')
 
 
 def _matches(throw: str, pattern: str) -> bool:

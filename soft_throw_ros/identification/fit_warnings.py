@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 
-INSEPARABLE = 0.99
+_INSEPARABLE = 0.99
 """Correlation from which on two parameters cannot be separated. [-]"""
 
 _CONTRADICTION = 4.0
@@ -64,26 +64,11 @@ class Mismatch(NamedTuple):
     """[s]"""
 
 
-class CorrelatedResiduals(NamedTuple):
-    """Residuals that are no white noise."""
-
-    track: str
-    """The track with the largest effect on the errors."""
-    others: int
-    """Number of other such tracks."""
-    autocorrelation: float
-    """Correlation of neighbours. [-]"""
-    inflation: float
-    """Variance of a mean over that of white noise. [-]"""
-
-
 class NotConverged(NamedTuple):
     """A solver that stopped at its limit of evaluations."""
 
 
-FitWarning: TypeAlias = (
-    Ambiguity | InseparablePair | Contradiction | Mismatch | CorrelatedResiduals | NotConverged
-)
+FitWarning: TypeAlias = Ambiguity | InseparablePair | Contradiction | Mismatch | NotConverged
 
 
 def fit_warnings(fit: Fit) -> list[FitWarning]:
@@ -92,7 +77,7 @@ def fit_warnings(fit: Fit) -> list[FitWarning]:
         *_ambiguities(fit),
         *_inseparable_pairs(fit),
         *_contradictions(fit),
-        *_residual_warnings(fit),
+        *_mismatches(fit),
         *([] if fit.is_converged else [NotConverged()]),
     ]
 
@@ -114,7 +99,7 @@ def _inseparable_pairs(fit: Fit) -> Iterator[InseparablePair]:
     ]
     correlation = fit.correlation
     for i, j in combinations(free, 2):
-        if abs(correlation[i, j]) > INSEPARABLE:
+        if abs(correlation[i, j]) > _INSEPARABLE:
             yield InseparablePair((fit.names[i], fit.names[j]), float(correlation[i, j]))
 
 
@@ -125,13 +110,7 @@ def _contradictions(fit: Fit) -> Iterator[Contradiction]:
             yield Contradiction(fit.names[index], deviation, prior)
 
 
-def _residual_warnings(fit: Fit) -> Iterator[Mismatch | CorrelatedResiduals]:
+def _mismatches(fit: Fit) -> Iterator[Mismatch]:
     if fit.is_mismatch:
-        worst = max(fit.residuals, key=lambda residual: residual.reduced_chi2)
+        worst = max(fit.residuals, key=lambda residual: residual.rms / residual.track.noise)
         yield Mismatch(math.sqrt(fit.reduced_chi2), worst.name, *worst.worst_part)
-    coloured = [residual for residual in fit.residuals if not residual.is_white]
-    if coloured:
-        worst = max(coloured, key=lambda residual: residual.inflation)
-        yield CorrelatedResiduals(
-            worst.name, len(coloured) - 1, worst.autocorrelation, worst.inflation
-        )

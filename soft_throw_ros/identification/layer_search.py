@@ -114,7 +114,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
     """Fit `others`, the most likely ones first; return the best fit with near alternatives."""
     if 'layer.wave_speed' not in model.layout:
         return fit
-    starts = [model.without_faults(fit.values)] if fit.is_mismatch else []
+    starts = []
     for rig in others:
         start = fit.values.copy()
         for name, value in values_of(rig, LAYER).items():
@@ -124,7 +124,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
     fits = [fit]
     for start in starts[:_MAX_STARTS]:
         with contextlib.suppress(FitError):
-            fits.append(model.fit(start, noise=fit.noise, max_evaluations=_MAX_EVALUATIONS))
+            fits.append(model.fit(start, max_evaluations=_MAX_EVALUATIONS))
     best, *others_found = sorted(fits, key=attrgetter('chi2'))
     minima = [best]
     for other in others_found:
@@ -133,7 +133,7 @@ def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> 
             minima.append(other)
     alternatives = [Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]]
     if best is not fit:
-        best = model.fit(best.values)  # with its own noise
+        best = model.fit(best.values)
     return best.spanning(alternatives)
 
 
@@ -168,13 +168,12 @@ def _refine(
 ) -> list[LayerCandidate]:
     """Fit the layer alone from each candidate; leave out those that no model can follow."""
     loss = {'layer.loss_tangent': _INITIAL_LOSS} if 'layer.loss_tangent' in free else {}
-    noise = np.concatenate([np.full(t.time.size, t.noise) for _, t in model.tracks()])
     refined = []
     for candidate in candidates:
         trial = replace(model, rig=changed_rig(candidate.rig, loss))
         with contextlib.suppress(FitError):
             fit = trial.fit(
-                trial.start(), noise=noise, only=(*free, *OWN), max_evaluations=_MAX_EVALUATIONS
+                trial.start(), only=(*free, *OWN), max_evaluations=_MAX_EVALUATIONS
             )
             refined.append(LayerCandidate(fit.chi2, trial.rig_of(trial.start(fit))))
     return refined

@@ -1,21 +1,16 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 r"""
-Least squares without outliers, with standard errors.
+Least squares with a robust loss, by SciPy, with standard errors.
 
 Notes
 -----
-Weights are one over the noise of each sample. By default, `_estimate_noise` estimates the noise
-from the differences of neighbouring residuals, with a term that grows with the speed of the body
-if stamps are inaccurate. Errors of a model change slowly, so they increase chi squared and not the
-noise. Standard errors are multiplied by the square root of chi squared per degree of freedom if
-this ratio is above 1 or the noise was estimated. They are also multiplied by the effect of
-correlated residuals on the variance of a mean (`TrackResidual.inflation`).
-
-A sample is an outlier if its residual deviates from its neighbours by more than `_OUTLIER_LIMIT`
-times the noise; errors of a model change slowly, and make no outliers. So outliers are removed
-before the first fit. If a fit shows more outliers, it is repeated with a robust loss; then these
-outliers are removed, too, and the other samples are fitted by plain least squares.
+Residuals are weighted by the noise of each track, which is estimated once from the track alone.
+Huber's loss is quadratic up to `_LIMIT` times the noise and linear beyond, so that outliers
+hardly matter. If a model leaves more than noise, the limit grows with the median residual. The
+covariance of the values is multiplied by chi squared per degree of freedom if that is above 1, or
+by chi squared of the means of `_SLOW_WINDOW` residuals, in which a slow misfit shows that single
+residuals hide. No sample contributes more than the square of the limit.
 
 A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, hence :math:`C =
 \sum_i C F_i C`: each term is the contribution of one source, noise or prior, to a variance
@@ -25,37 +20,25 @@ A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, sparse, stats
-from scipy.ndimage import rank_filter, uniform_filter1d
+from scipy import optimize, sparse
+from scipy.ndimage import uniform_filter1d
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
-_OUTLIER_LIMIT = 6.0  # deviation of an outlier from its neighbours [noise]; by chance once in 1e8
-_NEIGHBOURHOOD = 7  # number of neighbouring samples, of which two may be outliers
-_RANKS = (2, 4)  # ranks of the neighbours, by size, that bound the usual residuals
-_MAX_OUTLIER_SHARE = 0.1  # share of outliers of a track above which the model is wrong
-_MAX_OUTLIER_ROUNDS = 6  # largest number of repeated fits without outliers
-_AUTOCORRELATION_LAGS = 10
+_LIMIT = 5.0  # residual of an outlier [noise]; by chance once in 2e6
+_NORMAL = 1.4826  # standard deviation of normal numbers over their median deviation
 _TOLERANCE = 1e-8  # relative tolerance of chi squared: 1e-2 of an error, as exact as steppers
 _MAX_DENSE_PARAMETERS = 40  # more ones are of many throws, and their Jacobian is sparse
-_SIGNIFICANCE = 1e-4  # probability below which chance is no explanation
-_NEGLIGIBLE_RMS = 0.5  # residual over noise below which correlations do not matter (rms)
-_ESTIMATED_NOISE_FACTOR = 3.0  # variance of chi squared if noise was estimated, over if known
-_MAX_NOISE_ROUNDS = 2  # largest number of fits with a new estimate of the noise
-_NOISE_TOLERANCE = 0.1  # relative change of the noise below which no further fit is needed
-_NOISE_SIGMAS = 5.0  # standard deviations beyond which a difference is excluded from the noise
-_JITTER_SIGNIFICANCE = 4.0  # significance of noise that grows with speed [standard errors]
+_MISMATCH = 9.0  # excess of chi squared per degree, times the root of the degrees; by chance 1e-4
 _SLOW_WINDOW = 25  # number of residuals in a mean that shows systematic errors
-_CURVATURE = np.array([1.0, -2.0, 1.0]) / math.sqrt(6.0)  # preserves the size of white noise
 
 
 class FitError(ValueError):
@@ -78,7 +61,7 @@ class Estimate(NamedTuple):
 
 
 class Outlier(NamedTuple):
-    """A sample that was left out: its time [s], and how far above the model it is [m]."""
+    """A sample beyond the limit: its time [s], and how far above the model it is [m]."""
 
     time: float
     deviation: float
@@ -90,12 +73,10 @@ class TrackResidual:
 
     name: str
     track: Track
-    """The data that were fitted, without outliers."""
     fitted: Floats
     """Heights of the model at the same times [m]."""
-    noise: Floats
-    """Standard deviation of each sample [m]."""
-    outliers: tuple[Outlier, ...] = ()
+    limit: float
+    """Residual of an outlier. [m]"""
 
     @property
     def values(self) -> Floats:
@@ -103,64 +84,34 @@ class TrackResidual:
         return self.track.position - self.fitted
 
     @property
+    def outliers(self) -> list[Outlier]:
+        """Samples beyond the limit."""
+        is_far = np.abs(self.values) > self.limit
+        pairs = zip(self.track.time[is_far].tolist(), self.values[is_far].tolist(), strict=True)
+        return [Outlier(*pair) for pair in pairs]
+
+    @property
     def rms(self) -> float:
-        """Root of the mean square of the residuals [m]."""
-        return float(np.sqrt(np.mean(self.values**2)))
-
-    @property
-    def rms_noise(self) -> float:
-        """Root of the mean square of the noise [m]."""
-        return float(np.sqrt(np.mean(self.noise**2)))
-
-    @property
-    def reduced_chi2(self) -> float:
-        """Mean of the squares of residual over noise [-]."""
-        return float(np.mean((self.values / self.noise) ** 2))
+        """Root of the mean square of the residuals within the limit [m]."""
+        return float(np.sqrt(np.mean(self._usual**2)))
 
     @property
     def autocorrelation(self) -> float:
         """Correlation of neighbouring residuals, 0 for white noise [-]."""
-        return float(self._autocorrelations(1)[0])
-
-    @property
-    def whiteness(self) -> float:
-        """Probability that white noise is as correlated as this (Ljung and Box) [-]."""
-        size = self.track.time.size
-        lags = np.arange(1, min(_AUTOCORRELATION_LAGS, size // 4) + 1)
-        squares = self._autocorrelations(lags.size) ** 2
-        statistic = size * (size + 2) * float(np.sum(squares / (size - lags)))
-        return float(stats.chi2.sf(statistic, lags.size))
-
-    @property
-    def is_white(self) -> bool:
-        """Whether the residuals may be white noise, or are negligible beside the noise."""
-        is_negligible = self.rms <= _NEGLIGIBLE_RMS * self.rms_noise
-        return is_negligible or self.whiteness > _SIGNIFICANCE
-
-    @property
-    def inflation(self) -> float:
-        r"""Variance of a mean over that of white noise, :math:`1 + 2 \sum_k \rho_k` [-]."""
-        if self.is_white:
-            return 1.0
-        result = self._autocorrelations(self.track.time.size // 4)
-        # Sum up to the first correlation that is not significant
-        last = int(np.argmax(np.append(result, -1.0) < 2.0 / math.sqrt(self.track.time.size)))
-        return 1.0 + 2.0 * float(result[:last].sum())
+        usual = self._usual - self._usual.mean()
+        return float(usual[1:] @ usual[:-1] / max(usual @ usual, 1e-300))
 
     @property
     def worst_part(self) -> tuple[float, float]:
-        """Begin and end of the section with the largest mean residual over noise [s]."""
+        """Begin and end of the section with the largest mean residual [s]."""
         width = min(_SLOW_WINDOW, self.track.time.size)
-        slow = np.abs(uniform_filter1d(self.values / self.noise, width, mode='constant'))
+        slow = np.abs(uniform_filter1d(self.values, width, mode='constant'))
         times = self.track.time[max(0, int(np.argmax(slow)) - width // 2):][:width]
         return float(times[0]), float(times[-1])
 
-    def _autocorrelations(self, lags: int) -> Floats:
-        """Correlate the residuals with themselves, 1 to `lags` samples later."""
-        residuals = self.values / self.noise
-        residuals = residuals - np.mean(residuals)
-        power = max(float(residuals @ residuals), 1e-300)
-        return np.array([residuals[lag:] @ residuals[:-lag] for lag in range(1, lags + 1)]) / power
+    @property
+    def _usual(self) -> Floats:
+        return self.values[np.abs(self.values) <= self.limit]
 
 
 class Alternative(NamedTuple):
@@ -179,22 +130,19 @@ class Fit:
     """Fitted values, shape (n,), in SI units."""
     covariance: Floats
     chi2: float
-    """Sum of the squared residuals over their noise, and of deviations from priors over errors."""
+    """
+    Sum of the squared residuals over their noise, each at most that of an outlier, and of
+    deviations from priors over errors.
+    """
     dof: int
     """Degrees of freedom: samples, and parameters known with an error, less parameters."""
     residuals: tuple[TrackResidual, ...]
-    noise: Floats
-    """Noise of each sample of all tracks, including outliers [m]."""
-    kept: Flags
-    """Whether each sample of all tracks was fitted, and is no outlier."""
     known: Mapping[int, Estimate] = field(default_factory=dict)
     """Priors of some parameters, by their indices."""
     alternatives: tuple[Alternative, ...] = ()
     """Other minima that are hardly worse; the covariance spans them."""
     is_converged: bool = True
     """Whether the solver ended before its limit of evaluations."""
-    unseen: Mapping[str, Floats] = field(default_factory=dict)
-    """Shifts of the values by unseen effects, shape (k, n), which the covariance includes."""
 
     def __getitem__(self, name: str) -> Estimate:
         index = self.names.index(name)
@@ -219,13 +167,6 @@ class Fit:
         return self.chi2 / self.dof
 
     @property
-    def variance_scale(self) -> float:
-        """Factor on all variances, above 1 if the residuals are larger than the noise [-]."""
-        if self.is_mismatch or not all(item.track.known_noise for item in self.residuals):
-            return self.reduced_chi2
-        return 1.0
-
-    @property
     def correlation(self) -> Floats:
         """Correlations of the errors, shape (n, n); 0 for parameters without an error."""
         scale = np.outer(self.errors, self.errors)
@@ -233,43 +174,15 @@ class Fit:
         return np.asarray(np.divide(self.covariance, scale, out=zeros, where=scale > 0.0))
 
     def budget(self, name: str) -> dict[str, float]:
-        """Return the contributions of noise, priors and unseen effects to the error [SI]."""
+        """Return the contributions of noise and priors to the error [SI]."""
         index = self.names.index(name)
-        row = self.seen_covariance[index]
+        row = self.covariance[index]
         contributions = {
             self.names[other]: abs(float(row[other])) / known.error
             for other, known in self.known.items()
         }
         noise = row[index] - sum(contribution**2 for contribution in contributions.values())
-        contributions |= {
-            effect: float(np.linalg.norm(shifts[:, index]))
-            for effect, shifts in self.unseen.items()
-        }
         return {'noise': math.sqrt(max(float(noise), 0.0)), **contributions}
-
-    @property
-    def seen_covariance(self) -> Floats:
-        """Return the covariance without the unseen effects."""
-        unseen = sum(shifts.T @ shifts for shifts in self.unseen.values())
-        return np.asarray(self.covariance - unseen)
-
-    def with_unseen(self, shifts: Mapping[str, Floats]) -> Fit:
-        """
-        Add unseen effects to the covariance, as shifts of the values of shape (k, n).
-
-        No error becomes larger than that of the prior.
-        """
-        added = np.zeros_like(self.values)
-        for item in shifts.values():
-            added += np.sum(item**2, axis=0)
-        scales = np.ones_like(self.values)
-        for index, known in self.known.items():
-            reducible = max(known.error**2 - float(self.covariance[index, index]), 0.0)
-            if added[index] > reducible:
-                scales[index] = math.sqrt(reducible / added[index])
-        scaled = {name: item * scales for name, item in shifts.items()}
-        covariance = self.covariance + sum(item.T @ item for item in scaled.values())
-        return replace(self, covariance=covariance, unseen={**self.unseen, **scaled})
 
     def spanning(self, alternatives: Sequence[Alternative]) -> Fit:
         """Extend the intervals of 95 % to other minima."""
@@ -280,11 +193,8 @@ class Fit:
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the residuals are larger than noise explains; estimated noise has errors too."""
-        if all(residual.track.known_noise for residual in self.residuals):
-            return bool(stats.chi2.sf(self.chi2, self.dof) < _SIGNIFICANCE)
-        spread = math.sqrt(_ESTIMATED_NOISE_FACTOR * 2.0 / self.dof)
-        return bool(stats.norm.sf((self.reduced_chi2 - 1.0) / spread) < _SIGNIFICANCE)
+        """Whether the residuals are larger than noise explains, whose estimate has an error."""
+        return self.reduced_chi2 > 1.0 + _MISMATCH / math.sqrt(self.dof)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,49 +203,12 @@ class FitModel:
 
     names: tuple[str, ...]
     predict: Callable[[Floats], Floats]
-    jacobian: Callable[[Floats], Floats]
+    jacobian: Callable[[Floats], Floats] | None = None
+    """Derivatives of the heights; by default, differences between values of order 1."""
     low: Floats
     high: Floats
     known: Mapping[int, Estimate] = field(default_factory=dict)
     """Priors of some parameters, by their indices."""
-    speed: Callable[[Floats], Floats] | None = None
-    """Speeds [m/s] that turn errors of stamps into noise; None for exact stamps."""
-
-    @classmethod
-    def with_steps(
-        cls,
-        names: Sequence[str],
-        predict: Callable[[Floats], Floats],
-        low: Floats,
-        high: Floats,
-        steps: Floats,
-    ) -> FitModel:
-        """Return a model whose derivatives are central differences with the given steps."""
-
-        def jacobian(values: Floats) -> Floats:
-            columns = []
-            for index, step in enumerate(steps):
-                above, below = values.copy(), values.copy()
-                above[index] = min(values[index] + step, high[index])
-                below[index] = max(values[index] - step, low[index])
-                width = above[index] - below[index]
-                columns.append((predict(above) - predict(below)) / width)
-            return np.stack(columns, axis=1)
-
-        return cls(names=tuple(names), predict=predict, jacobian=jacobian, low=low, high=high)
-
-
-def fit_best(
-    model: FitModel, starts: Iterable[Floats], track: tuple[str, Track], *, max_evaluations: int
-) -> Fit:
-    """Fit a model to a track from several starts, and return the fit of least chi squared."""
-    noise = np.full(track[1].time.size, track[1].noise)
-    tried = [
-        fit_tracks(model, item, [track], noise=noise, max_evaluations=max_evaluations)
-        for item in starts
-    ]
-    best = min(tried, key=lambda result: result.chi2)
-    return fit_tracks(model, best.values, [track], max_evaluations=max_evaluations)
 
 
 def fit_tracks(
@@ -343,11 +216,10 @@ def fit_tracks(
     start: Floats,
     tracks: Sequence[tuple[str, Track]],
     *,
-    noise: Floats | None = None,
     max_evaluations: int = 100,
 ) -> Fit:
     """
-    Fit a model to tracks, from a sufficiently close start, without outliers.
+    Fit a model to tracks, from a sufficiently close start.
 
     Parameters
     ----------
@@ -357,9 +229,6 @@ def fit_tracks(
         Initial values of the free parameters.
     tracks : sequence of (str, Track)
         Tracks with their names, in the order of the predictions of the model.
-    noise : ndarray, optional
-        Noise of each sample of all tracks, to compare fits by their chi squared. By default it
-        is estimated, first from the tracks and then from the residuals. [m]
     max_evaluations : int
         Largest number of evaluations of the model in one run of the solver.
 
@@ -369,230 +238,81 @@ def fit_tracks(
         If there are not more samples than parameters.
 
     """
-    samples = sum(track.time.size for _, track in tracks)
+    sizes = [track.time.size for _, track in tracks]
+    samples = sum(sizes)
     if samples + len(model.known) <= start.size:
         raise FitError(
             f'{samples} samples are too few for {start.size} parameters: {", ".join(model.names)}'
         )
-    problem = _LeastSquares(model, tracks, noise, max_evaluations)
-    values = problem.begin(start)
-    if noise is None:
-        for _ in range(_MAX_NOISE_ROUNDS):
-            if not problem.reweigh(values):
-                break
-            values = problem.leave_out(problem.solve(values))
-    return problem.conclude(values)
+    position = np.concatenate([track.position for _, track in tracks])
+    noise = np.repeat([track.noise for _, track in tracks], sizes)
+    known = np.array(list(model.known), dtype=np.intp)
+    means, errors = np.array(list(model.known.values()), dtype=np.float64).reshape(-1, 2).T
 
+    def residuals(values: Floats) -> Floats:
+        return np.concatenate([
+            (model.predict(values) - position) / noise, (values[known] - means) / errors
+        ])
 
-def _estimate_noise(residuals: Floats, speed: Floats) -> tuple[float, float]:
-    r"""
-    Estimate the noise of heights [m] and of stamps [s], 0 if it is not significant.
+    def jacobian(values: Floats) -> Any:
+        assert model.jacobian is not None
+        priors = np.eye(values.size)[known] / errors[:, None]
+        slopes = np.concatenate([model.jacobian(values) / noise[:, None], priors])
+        return sparse.csr_matrix(slopes) if values.size > _MAX_DENSE_PARAMETERS else slopes
 
-    Notes
-    -----
-    Second differences of the residuals [m] preserve white noise, and suppress slow changes. Their
-    mean squares are :math:`\sigma^2 + \tau^2 v^2` at a speed :math:`v` [m/s].
+    def huber(squares: Floats) -> Floats:
+        is_far = (squares > 1.0) & (np.arange(squares.size) < samples)  # priors are no outliers
+        root = np.sqrt(np.where(is_far, squares, 1.0))
+        return np.stack([
+            np.where(is_far, 2.0 * root - 1.0, squares), 1.0 / root, -0.5 * is_far / root**3
+        ])
 
-    """
-    squares = np.convolve(residuals, _CURVATURE, 'valid') ** 2
-    speeds = speed[1:-1] ** 2
-    kept = np.ones(squares.size, bool)
-    for _ in range(8):
-        level, growth = _estimate_variance(squares[kept], speeds[kept])
-        inside = squares <= _NOISE_SIGMAS**2 * (level + growth * speeds)
-        if (inside == kept).all():
-            break
-        kept = inside
-    return math.sqrt(level), math.sqrt(growth)
-
-
-def _estimate_variance(squares: Floats, speeds: Floats) -> tuple[float, float]:
-    """Fit a constant and a growth with squared speeds to squares; no growth by chance."""
-    mean = float(np.mean(squares))
-    if mean == 0.0 or squares.size <= 8 or not speeds.any():  # computed tracks have no noise
-        return mean, 0.0
-    design = np.stack([np.ones(squares.size), speeds], axis=1)
-    variance = np.full(squares.size, mean)
-    for _ in range(4):
-        rows = design / np.maximum(variance, 1e-300)[:, None]
-        level, growth = optimize.nnls(rows, squares / np.maximum(variance, 1e-300))[0]
-        # Of neighbouring differences of second order 0.94 more of the variance is shared
-        information = rows.T @ rows / (2.0 * 1.94)
-        significance = growth * math.sqrt(
-            max(np.linalg.det(information) / max(information[0, 0], 1e-300), 0.0)
-        )
-        if significance < _JITTER_SIGNIFICANCE or level <= 0.0:
-            return mean, 0.0
-        variance = design @ [level, growth]
-    return float(level), float(growth)
-
-
-class _LeastSquares:
-    """Tracks and a model as SciPy's solver takes them."""
-
-    def __init__(
-        self,
-        model: FitModel,
-        tracks: Sequence[tuple[str, Track]],
-        noise: Floats | None,
-        max_evaluations: int,
-    ) -> None:
-        self._model = model
-        self._tracks = tracks
-        self._max_evaluations = max_evaluations
-        sizes = [track.time.size for _, track in tracks]
-        self._position = np.concatenate([track.position for _, track in tracks])
-        if noise is None:
-            noise = np.repeat([track.noise for _, track in tracks], sizes)
-        self._noise = noise
-        self._ends = np.cumsum(sizes)[:-1]
-        self._known = np.array(list(model.known), dtype=np.intp)
-        self._known_values, self._known_errors = (
-            np.array(list(model.known.values()), dtype=np.float64).reshape(-1, 2).T
-        )
-        self._kept: Flags = np.ones(self._position.size, bool)
-        self._is_converged = False  # of the last run of the solver
-
-    def solve(self, start: Floats, *, loss: str = 'linear') -> Floats:
-        """Return the best values."""
-        model = self._model
-        is_sparse = start.size > _MAX_DENSE_PARAMETERS
-
-        def jacobian(values: Floats) -> object:  # an array, or a sparse one
-            slopes = self._jacobian(values)
-            return sparse.csr_matrix(slopes) if is_sparse else slopes
-
-        options = {'atol': 1e-12, 'btol': 1e-12, 'regularize': False} if is_sparse else {}
+    def solve(begin: Floats, **loss: Any) -> Any:
         try:
             with np.errstate(divide='raise', over='raise', invalid='raise'):
-                solution = optimize.least_squares(
-                    self._residuals,
-                    np.clip(start, model.low, model.high),
-                    jac=jacobian,
-                    tr_solver='lsmr' if is_sparse else 'exact',
-                    tr_options=options,
-                    bounds=(model.low, model.high),
-                    x_scale='jac',
-                    xtol=_TOLERANCE,
-                    ftol=_TOLERANCE,
-                    gtol=_TOLERANCE,
-                    loss=loss,
-                    max_nfev=self._max_evaluations,
+                return optimize.least_squares(
+                    residuals, begin, jac=jacobian if model.jacobian else '3-point',
+                    bounds=(model.low, model.high), x_scale='jac', xtol=_TOLERANCE,
+                    ftol=_TOLERANCE, gtol=_TOLERANCE, max_nfev=max_evaluations, **loss,
                 )
         except FloatingPointError:
             raise FitError(
                 'the numbers of the fit overflow; check the heights of the tracks'
             ) from None
-        self._is_converged = solution.status > 0  # 0 is the limit of evaluations
-        return np.asarray(solution.x)
 
-    def begin(self, start: Floats) -> Floats:
-        """Return the best values without outliers, starting from given values."""
-        # A fit with the outliers that are visible at the start might end in a wrong minimum
-        self._kept = ~self._find_outliers(np.clip(start, self._model.low, self._model.high))
-        return self.leave_out(self.solve(start))
+    solution = solve(np.clip(start, model.low, model.high))
+    limit = _LIMIT * max(1.0, _NORMAL * float(np.median(np.abs(solution.fun))))
+    if (np.abs(solution.fun[:samples]) > limit).any():
+        solution = solve(solution.x, loss=huber, f_scale=limit)
+    squares = solution.fun**2
+    squares[:samples] = np.minimum(squares[:samples], limit**2)
+    chi2 = float(squares.sum())
+    dof = solution.fun.size - start.size
+    # An outlier has no weight in the Jacobian of Huber's loss
+    slopes = solution.jac.toarray() if sparse.issparse(solution.jac) else solution.jac
+    parts = np.split(np.clip(solution.fun[:samples], -limit, limit), np.cumsum(sizes)[:-1])
+    slopes[:samples] /= math.sqrt(max(chi2 / dof, _slow_chi2(parts), 1.0))
+    heights = np.split(position + noise * solution.fun[:samples], np.cumsum(sizes)[:-1])
+    return Fit(
+        names=model.names,
+        values=np.asarray(solution.x),
+        covariance=_covariance(slopes),
+        chi2=chi2,
+        dof=dof,
+        residuals=tuple(
+            TrackResidual(name=name, track=track, fitted=fitted, limit=limit * track.noise)
+            for (name, track), fitted in zip(tracks, heights, strict=True)
+        ),
+        known=dict(model.known),
+        is_converged=solution.status > 0,  # 0 is the limit of evaluations
+    )
 
-    def leave_out(self, values: Floats) -> Floats:
-        """Remove outliers and fit again, until the outliers stay the same."""
-        outliers = self._find_outliers(values)
-        if (outliers & self._kept).any():
-            values = self.solve(values, loss='soft_l1')
-            outliers = self._find_outliers(values)
-        for _ in range(_MAX_OUTLIER_ROUNDS):
-            if (outliers == ~self._kept).all():
-                break
-            self._kept = ~outliers
-            values = self.solve(values)
-            outliers = self._find_outliers(values)
-        return values
 
-    def reweigh(self, values: Floats) -> bool:
-        """Estimate the noise of tracks where it is not known; return whether it changes much."""
-        residuals = self._position - self._model.predict(values)
-        speeds = self._model.speed(values) if self._model.speed else np.zeros_like(residuals)
-        noises = []
-        for (_, track), residual, speed, kept, noise in self._by_track(
-            residuals, speeds, self._kept, self._noise
-        ):
-            if track.known_noise:
-                noises.append(noise)
-            else:
-                height, stamp = _estimate_noise(residual[kept], speed[kept])
-                noises.append(np.hypot(max(height, track.least_noise, 1e-15), stamp * speed))
-        before, self._noise = self._noise, np.concatenate(noises)
-        return float(np.max(np.abs(np.log(self._noise / before)))) > _NOISE_TOLERANCE
-
-    def _by_track(self, *series: NDArray[Any]) -> Iterator[Any]:
-        """Yield each track with its name, and its samples of each series."""
-        samples = (np.split(item, self._ends) for item in series)
-        return zip(self._tracks, *samples, strict=True)
-
-    def _find_outliers(self, values: Floats) -> Flags:
-        """Return which samples are outliers of the model with these values."""
-        residuals = (self._model.predict(values) - self._position) / self._noise
-        flags = []
-        for residual in np.split(residuals, self._ends):
-            low, high = (
-                rank_filter(residual, rank, _NEIGHBOURHOOD, mode='mirror') for rank in _RANKS
-            )
-            deviation = np.maximum(residual - high, low - residual).clip(0.0)
-            scale = max(1.0, 1.4826 * float(np.median(np.abs(residual - 0.5 * (low + high)))))
-            flagged = deviation > _OUTLIER_LIMIT * scale
-            flags.append(flagged & (flagged.mean() < _MAX_OUTLIER_SHARE))
-        return np.concatenate(flags)
-
-    def conclude(self, values: Floats) -> Fit:
-        """Return the fit with its covariance."""
-        squares = self._residuals(values) ** 2
-        dof = squares.size - values.size
-        chi2 = float(squares.sum())
-        residuals = tuple(
-            TrackResidual(
-                name=name,
-                track=track if kept.all() else track.where(kept),
-                fitted=fitted[kept],
-                noise=noise[kept],
-                outliers=tuple(map(
-                    Outlier,
-                    track.time[~kept].tolist(),
-                    (track.position - fitted)[~kept].tolist(),
-                )),
-            )
-            for (name, track), fitted, noise, kept in self._by_track(
-                self._model.predict(values), self._noise, self._kept
-            )
-        )
-        fit = Fit(
-            names=self._model.names,
-            values=values,
-            covariance=np.eye(values.size),
-            chi2=chi2,
-            dof=dof,
-            residuals=residuals,
-            noise=self._noise,
-            kept=self._kept,
-            known=dict(self._model.known),
-            is_converged=self._is_converged,
-        )
-        scale = max(math.sqrt(fit.variance_scale), 1e-150)
-        sizes = [residual.values.size for residual in residuals]
-        scales = [scale * math.sqrt(max(residual.inflation, 1.0)) for residual in residuals]
-        jacobian = self._jacobian(values)
-        jacobian[: sum(sizes)] /= np.repeat(scales, sizes)[:, None]
-        return replace(fit, covariance=_covariance(jacobian))
-
-    def _residuals(self, values: Floats) -> Floats:
-        """Return the weighted residuals of the samples and of the priors."""
-        residuals = (self._model.predict(values) - self._position) / self._noise
-        known = (values[self._known] - self._known_values) / self._known_errors
-        return np.concatenate([residuals[self._kept], known])
-
-    def _jacobian(self, values: Floats) -> Floats:
-        """Differentiate the residuals."""
-        slopes = self._model.jacobian(values) / self._noise[:, None]
-        known = np.zeros((self._known.size, values.size))
-        known[np.arange(self._known.size), self._known] = 1.0 / self._known_errors
-        return np.concatenate([slopes[self._kept], known])
+def _slow_chi2(parts: Sequence[Floats]) -> float:
+    """Return chi squared per mean of `_SLOW_WINDOW` residuals, which is 1 for white noise."""
+    width = _SLOW_WINDOW
+    means = [part[:part.size // width * width].reshape(-1, width).mean(axis=1) for part in parts]
+    return width * float(np.mean(np.square(np.concatenate([*means, [width**-0.5]]))))
 
 
 def _covariance(jacobian: Floats) -> Floats:

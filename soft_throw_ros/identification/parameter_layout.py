@@ -8,7 +8,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from soft_throw_ros.identification.fit_description import DEFAULTS, FitDescription, UNSEEN
+from soft_throw_ros.identification.fit_description import DEFAULTS, FitDescription
 from soft_throw_ros.identification.tracks import ThrowTracks
 
 START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
@@ -45,7 +45,7 @@ class ParameterLayout:
     def of(cls, throws: Sequence[ThrowTracks], description: FitDescription) -> ParameterLayout:
         """Return the layout of a fit: first the values that all throws share."""
         groups: dict[tuple[str, Hashable], list[int]] = {}
-        for name in (name for name in DEFAULTS if name not in UNSEEN):
+        for name in DEFAULTS:
             for number, throw in enumerate(throws):
                 is_measured = throw.projectile is not None or name.startswith(('engine', 'plate'))
                 if is_measured and description.treatment(name, throw.name).is_varied:
@@ -84,11 +84,6 @@ class ParameterLayout:
     def indices_of(self, name: str) -> list[int]:
         """Return the indices of a parameter among the values, of all throws."""
         return sorted(set(self.indices[name].values()))
-
-    def waves_of(self, throw: int) -> list[int]:
-        """Return the indices of the waves of the plate of a throw."""
-        by_throw = [self.indices.get(name, {}) for name in RINGING_AMPLITUDES]
-        return [indices[throw] for indices in by_throw if throw in indices]
 
     def is_per_throw(self, name: str) -> bool:
         """Return whether each throw has its own value of a parameter."""

@@ -8,20 +8,21 @@ Notes
 The model is Eq. (D2) from a start :math:`t_0` on, above a height :math:`z_0` at rest. For given
 frequency and damping the amplitude and :math:`z_0` enter linearly, and a shift in time is a
 correlation. So the sum of squares is computed for a table of frequencies and dampings and, by
-FFT, for every sample as the start; least squares refine the best entries. So the fit needs no
+FFT, for every sample as the start; least squares refine the best entry. So the fit needs no
 initial guess.
 
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.least_squares import Fit, fit_best, FitError, FitModel
+from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError, FitModel
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -38,8 +39,6 @@ _SAMPLES_PER_PERIOD = 5.0  # samples per period of the highest frequency of the 
 _PERIODS_SEEN = 0.25  # periods of the lowest frequency of the table in the record
 _MAX_MISMATCH = 0.08  # largest residual of a plate, over the amplitude (rms)
 _BLOCK = 2**18  # numbers per block of the table, to limit memory
-_REFINED = 3  # number of refined entries of the table
-_STEP = 1e-5  # step of derivatives, relative to the scale of each value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,23 +76,27 @@ def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
     """
     free = len(NAMES) if offset is None else len(NAMES) - 1
     fixed = () if offset is None else (offset,)
-    starts = [start[:free] for start in _starts(track.without_spikes())]
-    frequency, amplitude = starts[0][0], max(starts[0][2], 1e-12)
-    steps = np.array([frequency, 0.1, amplitude, 1.0 / frequency, amplitude])[:free]
-    model = FitModel.with_steps(
-        NAMES[:free],
-        lambda values: _position(np.append(values, fixed), track.time),
-        np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free],
-        np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free],
-        _STEP * steps,
+    start = _start(track.without_spikes())[:free]
+    frequency, amplitude = start[0], max(start[2], 1e-12)
+    units = np.array([frequency, 1.0, amplitude, 1.0 / frequency, amplitude])[:free]
+    low = np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free]
+    high = np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free]
+    model = FitModel(  # of the deviations from the start, which are of order 1 in these units
+        names=NAMES[:free],
+        predict=lambda steps: _position(np.append(start + units * steps, fixed), track.time),
+        low=(low - start) / units,
+        high=(high - start) / units,
     )
-    best = fit_best(model, starts, ('plate', track), max_evaluations=200)
+    best = fit_tracks(model, np.zeros(free), [('plate', track)], max_evaluations=200)
+    covariance = best.covariance * np.outer(units, units)
+    best = replace(best, values=start + units * best.values, covariance=covariance)
     if best.values[2] < 3.0 * best.errors[2] or best.values[2] <= 0.0:
         raise FitError(
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
-    residual = best.residuals[0].rms
+    usual = track.without_spikes()
+    residual = float(np.std(usual.position - _position(np.append(best.values, fixed), usual.time)))
     if residual > max(_MAX_MISMATCH * best.values[2], 5.0 * track.noise):
         raise FitError(
             f'the plate does not move as a damped step: the best of {best.values[2]:.2g} m leaves '
@@ -116,21 +119,21 @@ def _position(values: Floats, time: Floats) -> Floats:
     return np.asarray(values[4] + _motion(values).position(time - values[3]))
 
 
-def _starts(track: Track) -> list[Floats]:
-    """Return initial values from the table of frequencies and dampings."""
+def _start(track: Track) -> Floats:
+    """Return the best entry of the table of frequencies and dampings."""
     count = min(_MAX_SAMPLES, max(32, math.ceil(track.duration / track.interval) + 1))
     time = np.linspace(track.time[0], track.time[-1], count)
     height = np.interp(time, track.time, track.position)
     table = [
         _best_of(_frequencies(time, damping), damping, time, height) for damping in _DAMPING_RATIOS
     ]
-    table.sort(key=lambda entry: entry[0], reverse=True)
-    if table[0][1][2] < 0.0:
+    _, best = max(table, key=itemgetter(0))
+    if best[2] < 0.0:
         raise FitError(
-            f'the plate goes down by about {-table[0][1][2]:.1g} m; heights must count upwards, '
+            f'the plate goes down by about {-best[2]:.1g} m; heights must count upwards, '
             'and its track must begin before it moves'
         )
-    return [start for _, start in table[:_REFINED]]
+    return best
 
 
 def _frequencies(time: Floats, damping: float) -> Floats:

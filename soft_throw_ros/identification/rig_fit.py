@@ -22,21 +22,25 @@ parameters that are not separate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 import contextlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Event
+from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
     LAYER,
+    LOSS,
     PARAMETERS,
+    SEARCHED,
     values_of,
 )
 from soft_throw_ros.identification.forward import (
@@ -47,28 +51,25 @@ from soft_throw_ros.identification.forward import (
 )
 from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.linear_fit import profile_intervals
-from soft_throw_ros.identification.model_choice import (
-    add_terms,
-    AddedTerm,
-    compare_layers,
-    LayerModel,
+from soft_throw_ros.identification.parameter_layout import (
+    RINGING,
+    RINGING_AMPLITUDES,
+    START,
+    value_names,
 )
-from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
+from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.systematics import FLOORS, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
-from soft_throw_ros.identification.unseen import (
-    add_unseen,
-    release_shift,
-    UnseenEffect,
-)
 
 Floats = NDArray[np.float64]
 
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
-_SLOPE_STEP = 0.05  # step of the derivatives of the ejection time [standard errors]
+_LAST_RELEASE = 3.0  # time until which a projectile is released [periods of the plate]
+_INITIAL_LOSS = 0.05  # initial loss tangent of a fit with loss
+_MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
 _MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 _SECONDS_PER_THROW = 60.0
@@ -86,18 +87,8 @@ class RigFit:
     at rest `plate_offset` and `projectile_offset`. The name of a parameter that only some throws
     share ends with the number of its first throw in brackets, from 1.
     """
-    added_terms: tuple[AddedTerm, ...] = ()
-    """Terms that the tracks need besides the requested ones."""
     is_complete: bool = True
-    """Whether all terms and kinds of layers were tried within the time of the fit."""
-    layers: tuple[LayerModel, ...] = ()
-    """Fitted kinds of layers, the best first."""
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Intervals of 95 % where standard errors are inaccurate, see `profile_intervals`."""
-    effects: tuple[UnseenEffect, ...] = ()
-    """Unseen effects, of the sizes that the fit leaves open."""
-    skipped_effects: Mapping[str, str] = field(default_factory=dict)
-    """Unseen effects that the errors do not include, and the reasons."""
+    """Whether other minima and a loss were tried within the time of the fit."""
 
     @cached_property
     def rig(self) -> Rig:
@@ -124,12 +115,13 @@ class RigFit:
         The wave speed is that of the squeezed layer, for a linear model, and its error that with
         which it is the one of a layer at rest.
         """
-        return Estimate(values_of(self.rig, [name])[name], self._error_of(self._weights(name)))
+        value = values_of(self.rig, [name])[name]
+        return self._estimate(name, value, self._weights(name))
 
     def rest_wave_speed(self) -> Estimate:
         """Return the wave speed of the layer at rest [m/s]."""
         weights = self._weights('layer.wave_speed')
-        return Estimate(float(weights @ self.fit.values), self._error_of(weights))
+        return self._estimate('layer.wave_speed', float(weights @ self.fit.values), weights)
 
     def effective_wave_speed(self) -> Estimate:
         """Return the wave speed of the layer at the amplitude of the throws [m/s]."""
@@ -138,7 +130,15 @@ class RigFit:
         if stiffening is not None:
             engine = self.rig.engine
             weights[stiffening] = 2.0 * math.pi * engine.frequency * engine.amplitude
-        return Estimate(self.rig.layer.wave_speed, self._error_of(weights))
+        return self._estimate('layer.wave_speed', self.rig.layer.wave_speed, weights)
+
+    def budget(self, name: str) -> dict[str, float]:
+        """Return the contributions of noise, priors and systematic errors to an error [SI]."""
+        budget = self.fit.budget(name)
+        floor = FLOORS.get(name.partition('[')[0])
+        if floor is not None and self.fit.names.index(name) not in self.fit.known:
+            budget['systematic'] = floor.of(self.fit[name].value)
+        return budget
 
     def _weights(self, name: str) -> Floats:
         """Return the weights of the fitted values in a parameter, or in the mean over throws."""
@@ -150,9 +150,12 @@ class RigFit:
         weights[indices] = 1.0 / len(indices)
         return weights
 
-    def _error_of(self, weights: Floats) -> float:
-        """Return the standard error of a weighted sum of the fitted values."""
-        return math.sqrt(float(weights @ self.fit.covariance @ weights))
+    def _estimate(self, name: str, value: float, weights: Floats) -> Estimate:
+        """Return a value with its error as a weighted sum of the fitted values."""
+        error = math.sqrt(float(weights @ self.fit.covariance @ weights))
+        is_known = not self.fit.known.keys().isdisjoint(self.model.layout.indices_of(name))
+        found = Estimate(value, error)
+        return found if is_known else with_floor(name, found)
 
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
@@ -162,73 +165,51 @@ class RigFit:
         """
         Compute the release of the fitted rig, and of rigs drawn from the errors of the fit.
 
-        The first release is that of the fitted rig. Waves of the plate and unseen effects change
-        time and speed of each release.
+        The first release is that of the fitted rig. Ringing of the plate shifts each release, to
+        first order in its amplitudes.
         """
+        fit, model = self.fit, self.model
         rng = np.random.default_rng(seed)
-        fit = self.fit
-        steps = draw_normal(rng, fit.seen_covariance, count)
-        shift, slopes = self._shift_of_release()
-        shifts = np.tile(shift, (1 + count, 1))
-        for effect in self.effects:
-            causes = rng.normal(size=(count, effect.time.size))
-            steps -= causes @ fit.unseen[effect.name]
-            shifts[1:] += effect.changes(rng, causes)
-        shifts[1:] += steps @ slopes
+        steps = draw_normal(rng, fit.covariance, count)
+        steps = np.vstack([np.zeros(fit.values.size), steps])
+        shift = release_shift(model, fit.values)
+        shifts = np.tile(shift, (len(steps), 1))
+        shifts[1:] += np.outer(rng.normal(size=count), shift)  # it is known to first order only
+        for name in RINGING_AMPLITUDES:
+            index = model.layout.indices.get(name, {}).get(0)
+            if index is not None:
+                moved = fit.values.copy()
+                moved[index] += fit.errors[index]
+                slope = (release_shift(model, moved) - shift) / fit.errors[index]
+                shifts += np.outer(steps[:, index], slope)
         rigs, kept = [], []
-        for row, values in enumerate(fit.values + np.vstack([np.zeros(fit.values.size), steps])):
+        for row, values in enumerate(fit.values + steps):
             with contextlib.suppress(ValueError):
-                rigs.append(self.model.rig_of(values))
+                rigs.append(model.rig_of(values))
                 kept.append(row)
         result = first_releases(rigs)
         time, speed = shifts[kept].T
         return result._replace(time=result.time + time, speed=result.speed + speed)
 
-    def release_time_budget(self) -> dict[str, float]:
-        """
-        Return the contributions to the error of the ejection time [s], to first order.
 
-        `tracks` is the contribution of the noise and of the priors, the others are unseen effects.
-        """
-        fit = self.fit
-        slopes = self._shift_of_release()[1][:, 0] + self._time_slopes()
-        variance = max(float(slopes @ fit.seen_covariance @ slopes), 0.0)
-        contributions = {'tracks': math.sqrt(variance)}
-        for effect in self.effects:
-            shift = -fit.unseen[effect.name] @ slopes
-            total = shift + effect.time if effect.is_linear else np.hypot(shift, effect.time)
-            contributions[effect.name] = float(np.linalg.norm(total))
-        return contributions
+def release_shift(model: RigModel, values: Floats) -> Floats:
+    """Return the effect of ringing on time [s] and speed [m/s] of the release, first throw."""
+    rig, motion = model.motion(values, 0)
+    if not any(motion.ringing):
+        return np.zeros(2)
+    plain = next(iter(ejections(_events(model, rig, PlateWithWaves(motion.step)))), None)
+    if plain is None:
+        return np.zeros(2)
+    # A ringing plate may release the projectile briefly, long before the throw
+    releases = [event for event in _events(model, rig, motion) if event.kind == 'release']
+    near = min(releases, key=lambda event: abs(event.time - plain.time), default=plain)
+    return np.array([near.time - plain.time, near.velocity - plain.velocity])
 
-    def _time_slopes(self) -> Floats:
-        """Return the derivatives of the ejection time by the fitted values; 0 across a jump."""
-        values, steps = self.fit.values, _SLOPE_STEP * np.maximum(self.fit.errors, 1e-300)
-        offsets = np.concatenate([np.zeros((1, steps.size)), np.diag(steps), -np.diag(steps)])
-        rigs, widths = [], []
-        for offset in offsets:
-            try:
-                rigs.append(self.model.rig_of(values + offset))
-                widths.append(float(np.abs(offset).sum()))
-            except ValueError:  # the value is at its bound
-                rigs.append(rigs[0])
-                widths.append(0.0)
-        result = first_releases(rigs)
-        times = np.where(result.echoes == result.echoes[0], result.time, np.nan)
-        above, below = times[1:].reshape(2, -1)
-        width = np.array(widths[1:]).reshape(2, -1).sum(axis=0)
-        slopes = np.divide(above - below, width, out=np.zeros_like(width), where=width > 0.0)
-        return np.asarray(np.nan_to_num(slopes))
 
-    def _shift_of_release(self) -> tuple[Floats, Floats]:
-        """Return the effect of waves of the plate on the release, and its derivatives."""
-        fit, model = self.fit, self.model
-        shift = release_shift(model, fit.values)
-        slopes = np.zeros((fit.values.size, 2))
-        for index in model.layout.waves_of(0):
-            values = fit.values.copy()
-            values[index] += fit.errors[index]
-            slopes[index] = (release_shift(model, values) - shift) / fit.errors[index]
-        return shift, slopes
+def _events(model: RigModel, rig: Rig, motion: PlateWithWaves) -> tuple[Event, ...]:
+    """Return the events of the first few periods of the plate."""
+    end = np.array([_LAST_RELEASE / rig.engine.frequency])
+    return model.simulator.follow(rig, end, motion=motion, by_cells=model.by_cells).events
 
 
 def draw_normal(rng: np.random.Generator, covariance: Floats, count: int) -> Floats:
@@ -278,13 +259,13 @@ def fit_rig(
     simulator = ThrowSimulator(seconds)
     try:
         on_progress('fitting the plate')
-        model, terms = _fit_plates(throws, rig, description, simulator)
+        model = _fit_plates(throws, rig, description, simulator)
         others: list[Rig] = []
         if free:
             on_progress('searching the layers')
             model, others = _find_layers(model, free)
         on_progress('fitting')
-        result = replace(_fit_until_landing(model), added_terms=tuple(terms))
+        result = _fit_until_landing(model)
     except DeadlineExceeded:
         raise FitError(
             f'the fit takes more than {seconds:g} s; leave out late samples of the tracks, or fit '
@@ -293,21 +274,13 @@ def fit_rig(
     try:
         on_progress('searching for other minima')
         result = replace(result, fit=find_best_minimum(result.model, result.fit, others))
-        on_progress('searching for effects of the bench, and comparing layers')
-        result = _choose_layer(result)
+        on_progress('searching for a loss')
+        if model.projectiles:
+            model, fit = _with_term(result.model, result.fit, LOSS, _INITIAL_LOSS)
+            result = replace(result, model=model, fit=fit)
     except DeadlineExceeded:
         result = replace(result, is_complete=False)
-    on_progress('computing the errors')
-    model = replace(result.model, simulator=ThrowSimulator())
-    fit, effects, skipped = add_unseen(model, result.fit)
-    return replace(
-        result,
-        model=model,
-        fit=fit,
-        intervals=profile_intervals(model, result.fit),
-        effects=tuple(effects),
-        skipped_effects=skipped,
-    )
+    return replace(result, model=replace(result.model, simulator=ThrowSimulator()))
 
 
 def _fit_plates(
@@ -315,37 +288,15 @@ def _fit_plates(
     rig: Rig,
     description: FitDescription,
     simulator: ThrowSimulator,
-) -> tuple[RigModel, list[AddedTerm]]:
+) -> RigModel:
     """Fit the plates alone, with their ringing, which no layer changes; return the whole model."""
-    throws = _with_like_noise(throws)
+    throws = tuple(_with_noise(throws))
     plates = tuple(_fit_plate(throw, description) for throw in throws)
     rig = _with_engine_of(plates, description.prepare(rig), description)
-    alone = RigModel(
-        tuple(replace(throw, projectile=None) for throw in throws),
-        rig, description, simulator, plates,
-    )
-    alone, fit, terms = add_terms(alone, alone.fit(alone.start()))
-    model = RigModel(
-        tuple(throws), rig, alone.description, simulator, plates, initial=fit.by_name
-    )
-    return model, terms
-
-
-def _choose_layer(result: RigFit) -> RigFit:
-    """Add the terms that the tracks show, and choose the law of the layer that explains them."""
-    simple = result.model
-    model, fit, terms = add_terms(simple, result.fit)
-    layers, strained = compare_layers(model, fit)
-    if strained is not None:
-        other = replace(simple, rig=strained[0])
-        model, fit, terms = add_terms(other, other.fit(other.start(strained[1])))
-    return replace(
-        result,
-        model=model,
-        fit=fit,
-        layers=tuple(layers),
-        added_terms=(*result.added_terms, *terms),
-    )
+    without = tuple(replace(throw, projectile=None) for throw in throws)
+    alone = RigModel(without, rig, description, simulator, plates)
+    alone, fit = _with_term(alone, alone.fit(alone.start()), RINGING)
+    return replace(alone, throws=throws, initial=fit.by_name)
 
 
 def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[Rig]]:
@@ -371,9 +322,9 @@ def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[R
     return replace(model, initial=initial), []
 
 
-def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
+def _with_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     """
-    Raise estimates of the noise that are far below the others or below the error of the models.
+    Return tracks whose noise is known, none far below the others or the error of the models.
 
     One camera measures both bodies. A very small estimate shows only a smooth motion, and this
     track would dominate the fit.
@@ -385,7 +336,7 @@ def _with_like_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     )
 
     def with_noise(track: Track) -> Track:
-        return replace(track, least_noise=max(track.least_noise, least))
+        return replace(track, known_noise=track.known_noise or max(track.noise, least))
 
     return [throw.apply(with_noise) for throw in throws]
 
@@ -420,6 +371,34 @@ def _fit_until_landing(model: RigModel) -> RigFit:
             break
         result = RigFit(model=cut, fit=cut.fit(cut.start()))
     return result
+
+
+def _with_term(
+    model: RigModel, before: Fit, name: str, initial: float = 0.0
+) -> tuple[RigModel, Fit]:
+    r"""
+    Return a fit with one more parameter if it lowers the Bayesian information criterion strongly.
+
+    The criterion is :math:`\chi^2 + k \ln n` for k parameters and n samples; differences beyond
+    6 count as strong (R. E. Kass and A. E. Raftery, J. Am. Stat. Assoc. 90, 773, 1995).
+    """
+    if not model.description.searches(name):
+        return model, before
+    wider = replace(model, description=model.description.change({name: SEARCHED[name]}))
+    start = wider.start(before)
+    for index, known in wider.known.items():
+        if not wider.layout.names[index].startswith('plate'):
+            start[index] = known.value  # the priors have absorbed what the loss explains
+    for value_name in value_names(name):
+        start[wider.layout.indices_of(value_name)] = initial
+    try:
+        fit = wider.fit(start)
+    except FitError:
+        return model, before
+    gain = (before.chi2 - fit.chi2) / max(1.0, fit.reduced_chi2)
+    added = fit.values.size - before.values.size
+    is_needed = gain - added * math.log(before.dof + before.values.size) > _MIN_GAIN
+    return (wider, fit) if is_needed else (model, before)
 
 
 def _in_flight(model: RigModel) -> RigModel:

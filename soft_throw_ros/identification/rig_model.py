@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +45,6 @@ from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-Change: TypeAlias = Callable[[Rig, PlateWithWaves], tuple[Rig, PlateWithWaves]]
-"""Returns another rig and motion of the plate to follow instead."""
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -116,15 +113,13 @@ class RigModel:
     simulator: ThrowSimulator
     plates: tuple[PlateFit, ...] = ()
     """Fits of the plates alone, throw by throw."""
-    needs_cells: bool = False
-    """Whether cells simulate a layer of any kind, to compare layers without other differences."""
     initial: Mapping[str, float] = field(default_factory=dict)
     """Start values from an earlier fit or a search, by the names of the values."""
 
     @property
     def by_cells(self) -> bool:
         """Whether the layer needs cells, or its loss is fitted."""
-        return self.needs_cells or any(
+        return any(
             rig.layer.needs_cells
             or self.description.treatment('layer.loss_tangent', throw.name).is_varied
             for rig, throw in zip(self.rigs, self.throws, strict=True)
@@ -218,33 +213,23 @@ class RigModel:
             for throw, body, track in self.series
         ]
 
-    def predict(self, values: Floats, change: Change | None = None) -> Floats:
+    def predict(self, values: Floats) -> Floats:
         """Heights of all tracks in one series; see `trajectories`."""
-        return np.concatenate([item.height for item in self.trajectories(values, change=change)])
-
-    def speed(self, values: Floats) -> Floats:
-        """Speeds of all bodies in one series."""
-        velocities = [item.velocity for item in self.trajectories(values)]
-        return np.asarray(np.abs(np.concatenate(velocities)))
+        return np.concatenate([item.height for item in self.trajectories(values)])
 
     def trajectories(
-        self,
-        values: Floats,
-        requests: Sequence[tuple[int, str, Floats]] | None = None,
-        change: Change | None = None,
+        self, values: Floats, requests: Sequence[tuple[int, str, Floats]] | None = None
     ) -> list[Trajectory]:
         """
         Compute trajectories of bodies, or raise FitError if a throw cannot be followed.
 
         They are those of throws, bodies, and times on the clock of the tracks; by default those
-        of all tracks. `change` returns another rig and motion to follow.
+        of all tracks.
         """
         if requests is None:
             requests = [(throw, body, track.time) for throw, body, track in self.series]
         result = []
         motions = {throw: self.motion(values, throw) for throw in {item[0] for item in requests}}
-        if change is not None:
-            motions = {throw: change(*motion) for throw, motion in motions.items()}
         for throw, body, time in requests:
             rig, motion = motions[throw]
             since = self.since(values, throw, body, time)
@@ -347,19 +332,10 @@ class RigModel:
             values[index] = fitted.get(name, values[index])
         return values
 
-    def without_faults(self, values: Floats) -> Floats:
-        """Return the values with all priors at their means, except those of the plate."""
-        start: Floats = values.copy()
-        for index, known in self.known.items():
-            if not self.layout.names[index].startswith('plate'):  # as the plates alone have it
-                start[index] = known.value
-        return start
-
     def fit(
         self,
         start: Floats,
         *,
-        noise: Floats | None = None,
         max_evaluations: int = _MAX_EVALUATIONS,
         only: Sequence[str] | None = None,
     ) -> Fit:
@@ -380,13 +356,11 @@ class RigModel:
             low=low,
             high=high,
             known={k: self.known[index] for k, index in enumerate(free) if index in self.known},
-            speed=lambda values: self.speed(whole(values)),
         )
         result = fit_tracks(
             model,
             start[free],
             self.tracks(),
-            noise=noise,
             max_evaluations=max_evaluations,
         )
         unseen = np.flatnonzero(~(result.errors < _MAX_ERROR))

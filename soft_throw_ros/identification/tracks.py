@@ -29,8 +29,7 @@ MAX_TIME, MAX_HEIGHT = 1e12, 1e6
 """Largest time and height; larger numbers have a wrong unit. [s], [m]"""
 
 _NOISE_SIGMAS = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
-_ROUNDING_TOLERANCE = 0.1  # largest deviation of rounded heights from multiples of a step [steps]
-_MAX_ROUNDING_STEPS = 1e5  # range of heights over the smallest step whose rounding matters
+_MIN_STEP = 1e-5  # smallest step of rounded heights that matters, over their range
 _SPIKE_LIMIT = 8.0  # deviation of a spike from the cubic through neighbours [usual deviations]
 _SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # offsets of the usual samples
 _SPIKE_SHARE = 1e-4  # smallest usual deviation, as a share of the range of heights
@@ -88,8 +87,6 @@ class Track:
     """Heights, upwards from any zero, shape (n,). [m]"""
     known_noise: float | None = None
     """Standard deviation of the positions, estimated if None. [m]"""
-    least_noise: float = 0.0
-    """Lower limit of the estimate. [m]"""
 
     def __post_init__(self) -> None:
         time = np.asarray(self.time, dtype=np.float64)
@@ -117,19 +114,12 @@ class Track:
     @cached_property
     def noise(self) -> float:
         """Standard deviation of the positions, known or estimated [m]."""
-        if self.known_noise is not None:
-            return self.known_noise
-        return max(noise_of(self.time, self.position), self.least_noise)
+        return self.known_noise or noise_of(self.time, self.position)
 
     @property
     def interval(self) -> float:
         """Usual time between samples [s]."""
         return float(np.median(np.diff(self.time)))
-
-    @cached_property
-    def rounding_step(self) -> float:
-        """Step that all heights are multiples of; 0 if they are not rounded [m]."""
-        return _rounding_step(self.position)
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
@@ -156,10 +146,8 @@ class Track:
         return np.asarray(after - before < _MIN_DENSITY * 2.0 * _NEIGHBOURS)
 
     def where(self, kept: Flags | Indices) -> Track:
-        """Return some of the samples, by flags or indices, with the noise of the whole track."""
-        return replace(
-            self, time=self.time[kept], position=self.position[kept], least_noise=self.noise
-        )
+        """Return some of the samples, by flags or indices."""
+        return replace(self, time=self.time[kept], position=self.position[kept])
 
     def between(self, start: float, end: float) -> Track:
         """Return the part from `start` to `end` [s], both included; refuse too few samples."""
@@ -239,20 +227,17 @@ def noise_of(time: Floats, position: Floats) -> float:
     The estimate uses the deviation of each sample from the cubic through the two samples on either
     side, over the deviation for unit noise. A motion of n even samples per period contributes its
     amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`. Deviations beyond five median deviations, at
-    kinks and jumps, are excluded. Rounded heights have an error of :math:`1 / \sqrt{12}` of a
-    step; at rest all have the same error, so that only samples that move by a step show the noise.
-    The result is never 0, so that weights are finite.
+    kinks and jumps, are excluded. The result is at least :math:`1 / \sqrt{12}` of the smallest
+    step, the error of rounded heights, and never 0.
 
     """
     deviation, spread = _beside_neighbours(time, position)
-    steps = (deviation / spread)[2:-2]
-    noise = _rms_without_outliers(steps)
-    step = _rounding_step(position)
-    if step > 0.0:
-        moving = np.abs(position[4:] - position[:-4]) >= 4.0 * step
-        if moving.sum() >= FEWEST:
-            noise = max(noise, _rms_without_outliers(steps[moving]))
-    return max(noise, step / math.sqrt(12.0), 1e-9 * float(np.ptp(position)), 1e-15)
+    noise = _rms_without_outliers((deviation / spread)[2:-2])
+    extent = float(np.ptp(position))
+    steps = np.diff(np.unique(position))
+    steps = steps[steps > _MIN_STEP * extent]
+    step = float(steps.min()) if steps.size else 0.0
+    return max(noise, step / math.sqrt(12.0), 1e-9 * extent, 1e-15)
 
 
 def _rms_without_outliers(values: Floats) -> float:
@@ -260,20 +245,6 @@ def _rms_without_outliers(values: Floats) -> float:
     usual = 1.4826 * float(np.median(np.abs(values)))
     kept = values[np.abs(values) <= _NOISE_SIGMAS * usual]
     return float(np.sqrt(np.mean(kept**2))) if usual > 0.0 else 0.0
-
-
-def _rounding_step(position: Floats) -> float:
-    """Return the step of rounded heights, 0 if they are not rounded."""
-    levels = np.unique(position)
-    steps = np.diff(levels)
-    steps = steps[steps > np.ptp(position) / _MAX_ROUNDING_STEPS]
-    if not steps.size:
-        return 0.0
-    # The mean over many equal steps is far more precise than a single step
-    step = float(np.mean(steps[steps < 1.5 * steps.min()]))
-    multiples = (levels - levels[0]) / step
-    is_rounded = np.abs(multiples - np.round(multiples)).max() < _ROUNDING_TOLERANCE
-    return step if is_rounded else 0.0
 
 
 def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:

@@ -27,6 +27,7 @@ MAX_MESSAGE_SIZE = 2**14
 MAX_DATA_RATE = 16e6
 """Largest data rate, about 100,000 samples per second, which bounds a tick [bytes/s]."""
 
+
 class Measurement:
     """
     Subscription to the measurements of a rig, which passes them to a session.

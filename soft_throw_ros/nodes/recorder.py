@@ -106,7 +106,7 @@ class Recorder(RunnableNode):
         """Finish the recording, and return whether it has failed."""
         recording, self.recording = self.recording, None
         assert recording is not None
-        recording.stop(on_stall=self.get_logger().warning)
+        recording.stop()
         self._has_failed |= recording.has_failed
         self._last = recording.summary()
         self._report()

@@ -10,7 +10,7 @@ is a process with subscriptions of its own.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib import util
 import json
@@ -172,12 +172,8 @@ class Recording:
         """Whether, after `stop`, the bag has no end, or has none of the received messages."""
         return bool(self.error) or 0 == self.saved < self.received
 
-    def stop(self, on_stall: Callable[[str], None]) -> None:
-        """
-        Take the last messages, and finish bag and viewer; see `error` and `has_failed`.
-
-        `on_stall` is called with a sentence if the disk holds up the end.
-        """
+    def stop(self) -> None:
+        """Take the last messages, and finish bag and viewer; see `error` and `has_failed`."""
         if self.viewer is not None:
             self.viewer.terminate()  # it ends while the bag is finished
         self._is_stopping.set()
@@ -192,7 +188,7 @@ class Recording:
                 self._note(self.writer, 'published before recording', missed)
             if refused := self.subscriptions.refused:
                 self._note(self.writer, 'not recorded', refused)
-            self.writer.close(on_stall)
+            self.writer.close()
         if self.viewer is not None:
             self.viewer.close()
 

@@ -135,12 +135,8 @@ def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) 
     )
 
 
-def _report_progress(twin: str, steps: int) -> None:
-    print(f'replay: {twin}: {steps} steps repeated', file=sys.stderr, flush=True)
-
-
 def _check(reader: BagReader) -> int:
-    results = check_bag(reader, _report_progress)
+    results = check_bag(reader)
     for result in results:
         for line in result.describe().splitlines():
             if result.exit_code == 2:

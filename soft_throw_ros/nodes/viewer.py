@@ -10,6 +10,7 @@ subscriptions, so neither twins nor recorder wait for the viewer.
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
 import os
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,13 @@ from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import exit_after, EXIT_TIME, run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name, Publishers
+from soft_throw_ros.recording import rerun_viewer
 
-DRAIN_PERIOD = 1.0 / 30.0
-"""Time between two calls that take the received messages. [s]"""
+DRAIN_PERIOD = 0.1
+"""Time between two updates of the drawing; shorter ones cost more of a core. [s]"""
+
+FLUSH_TIME = 0.7
+"""Longest wait for viewers and disk at the end. [s]"""
 
 DISCOVERY_PERIOD = 0.2
 """Time between two searches for new topics. [s]"""
@@ -53,8 +58,7 @@ class Viewer(RunnableNode):
         if settings['sink'] == 'file' and not settings['file']:
             raise ParameterError("sink is 'file' and file is empty; name a file such as live.rrd")
         try:
-            from soft_throw_ros.recording.live_display import LiveDisplay
-            from soft_throw_ros.recording.rerun_view import is_drawn
+            from soft_throw_ros.recording.rerun_view import is_drawn, Scene
         except ModuleNotFoundError as error:
             raise ParameterError(
                 f"Rerun is needed: pip install 'soft_throw_ros[rerun]' ({error})"
@@ -62,13 +66,16 @@ class Viewer(RunnableNode):
         self._outgoing = Publishers(self, VIEWER_TOPICS)
         wanted = [full_name(self, name) for name in settings['topics']]
         self.raw_subscriptions = RawSubscriptions(self, wanted, is_accepted=is_drawn)
-        path = Path(settings['file']).expanduser()
+        self._stream = rerun_viewer.new_stream('live')
         try:
-            self._display = LiveDisplay(
-                settings['sink'], settings['port'], path, self.get_logger().info
-            )
+            if settings['sink'] == 'file':
+                path = Path(settings['file']).expanduser()
+                rerun_viewer.save_to(self._stream, path, is_live=True)
+            else:
+                self._serve(settings['port'], opens=settings['sink'] == 'viewer')
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
+        self._scene = Scene(self._stream, is_live=True)
         self.create_steady_timer(DISCOVERY_PERIOD, self._discover)
         self.create_steady_timer(DRAIN_PERIOD, self._drain)
         self.create_steady_timer(1.0, self._report)
@@ -82,22 +89,36 @@ class Viewer(RunnableNode):
         """Draw the last messages, and close the sink."""
         self._drain()
         self.raw_subscriptions.close()
-        self._display.close()
+        with contextlib.suppress(OSError):
+            rerun_viewer.finish(self._stream, '', FLUSH_TIME)
         received = sum(item.received for item in self.raw_subscriptions)
-        self.get_logger().info(f'{received} messages, {self._display.dropped} not shown')
+        lost = sum(item.lost for item in self.raw_subscriptions)
+        self.get_logger().info(f'{received} messages, {lost} not shown')
+
+    def _serve(self, port: int, *, opens: bool) -> None:
+        """Send the drawing to all viewers that connect, and open one."""
+        if opens and rerun_viewer.listens(port):  # such as a viewer of bags
+            port = rerun_viewer.free_port()
+        rerun_viewer.serve(self._stream, port)
+        url = rerun_viewer.url_of(port)
+        if opens and rerun_viewer.has_display():
+            try:
+                rerun_viewer.Viewer(rerun_viewer.free_port(), '--connect', url, stays=True)
+            except rerun_viewer.ViewerError as error:
+                self.get_logger().error(str(error))
+        self.get_logger().info(f'to see it: rerun {url}')
 
     def _discover(self) -> None:
         for topic, reason in self.raw_subscriptions.discover().items():
             self.get_logger().warning(f'{topic} is not shown: {reason}')
 
     def _drain(self) -> None:
-        self._display.put(self.raw_subscriptions.drain())
+        self._scene.show(self.raw_subscriptions.drain())
 
     def _report(self) -> None:
         """Publish how many messages are not shown."""
-        scene, dropped = self._display.scene, self._display.dropped
-        lost = sum(item.lost for item in self.raw_subscriptions)
-        values = {'dropped': dropped, 'lost': lost, 'damaged': scene.damaged}
+        scene, lost = self._scene, sum(item.lost for item in self.raw_subscriptions)
+        values = {'lost': lost, 'damaged': scene.damaged}
         missing = sum(values.values())
         text = '; '.join(filter(None, [f'{missing} messages not shown', scene.damage]))
         status = status_to_msg(

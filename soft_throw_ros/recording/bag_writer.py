@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 import math
 import os
@@ -38,49 +39,17 @@ LIBRARY = f'soft_throw_ros {__version__}'
 
 class BagWriter:
     """
-    A new bag opened for writing.
+    A new bag opened for writing, whose folder must not exist; BagError is raised if it does.
 
     Chunks are written as they fill up, and the last one at `flush`. From then on their messages
-    survive the end of this process, so call `flush` about once a second.
+    survive the end of this process, so call `flush` about once a second; with `sync` also a loss
+    of power. Every file can be read alone: it contains all channels, metadata and attachments so
+    far. A new one is begun beyond `max_size` [bytes] or `max_duration` [s], if these are not 0.
 
-    Parameters
-    ----------
-    folder : path_like
-        Path of the bag, which must not exist; its files begin with the same name.
-    distribution : str
-        Distribution of ROS, such as `jazzy`; may be empty.
-    compression : {'zstd', 'lz4', 'none'}
-        Compression of chunks.
-    max_size : int
-        Size of a file beyond which a new one is started; 0 for no limit. [bytes]
-    max_duration : float
-        Time span of a file beyond which a new one is started; 0 for no limit. [s]
-    sync : bool
-        Whether `flush` waits for the disk, so that the messages survive a loss of power too.
-
-    Attributes
-    ----------
-    folder : Path
-        The bag.
-    wait_for_disk : callable
-        Called with the reason if the disk does not take data; waits, and returns whether to try
-        again. By default it returns False.
-    saved_size : int
-        Size of all data handed to the operating system. [bytes]
-    is_abandoned : bool
-        Whether the caller has given up waiting; all unsaved messages are lost.
-
-    Raises
-    ------
-    BagError
-        If the folder exists or cannot be made.
-
-    Notes
-    -----
-    Every file can be read alone: it contains all channels, metadata and attachments so far.
-    The folder is locked (`flock`) while it is written. After any other BagError the bag can only
-    be closed.
-
+    `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
+    whether to try again, which is False by default. After any BagError the bag can only be closed.
+    `saved_size` is the size of all data handed to the operating system [bytes]. The folder is
+    locked (`flock`) while it is written.
     """
 
     def __init__(
@@ -101,14 +70,12 @@ class BagWriter:
         self._sync = sync
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
         self.saved_size = 0
-        self.is_abandoned = False
         self._error = ''  # after which the bag can only be closed
         self._is_deleted = False
-        self._files: list[_File] = []
+        self._files: list[_FileInformation] = []
         self._written: Counter[Channel] = Counter()  # accepted by `write`
         self._saved: Counter[Channel] = Counter()  # at the last flush
-        self._channels: dict[Channel, None] = {}
-        self._repeated: dict[tuple[str, str], Callable[[Writer], None]] = {}
+        self._repeated: dict[tuple[str, str], Callable[[Writer], None]] = {}  # in every file
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
@@ -117,6 +84,7 @@ class BagWriter:
             raise BagError(f'{folder}: {error.strerror}') from None
         # Only `is_being_written` can hold the lock of a new folder, and for a moment
         self._lock = lock_folder(self.folder)
+        self._disk: _RawFile | None = None
         try:
             self._begin_file()
         except BagError:
@@ -134,39 +102,30 @@ class BagWriter:
         """
         Write a message, and with its channel's first one the channel.
 
-        Raises
-        ------
-        BagError
-            If the bag is closed, or the disk does not take a chunk.
-        ValueError
-            If a time is negative or too large for ROS.
-
+        BagError is raised if the bag is closed, or the disk does not take a chunk; ValueError, if
+        a time is negative or too large for ROS.
         """
-        channel, log_time = message.channel, message.log_time
+        channel, data, log_time, publish_time, sequence = message
         if not message.has_valid_times:
             raise ValueError(
                 f'{channel.topic}: times must be at least 0 and below 2**63 ns, '
-                f'got {log_time} and {message.publish_time}'
+                f'got {log_time} and {publish_time}'
             )
-        self._require_open()
-        file = self._files[-1]
-        if file.size > self._max_size or log_time - file.first >= self._max_duration:
+        disk, information = self._open_disk(), self._files[-1]
+        is_long = log_time - information.first >= self._max_duration
+        if is_long or disk.size > self._max_size:
             self.split()
-            file = self._files[-1]
-        if channel not in self._channels:
-            self.add_channel(channel)
-        file.add(message)
+            information = self._files[-1]
+        number = self._ids.get(channel) or self._define(channel)
+        self._writer.add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
+        information.count += 1
+        information.first = min(information.first, log_time)
+        information.last = max(information.last, log_time)
         self._written[channel] += 1
-
-    def add_channel(self, channel: Channel) -> None:
-        """Add a channel to the bag, even if it never receives a message."""
-        self._channels[channel] = None
-        self._files[-1].define(channel)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write named texts; later files repeat the last texts of each name."""
-        add = partial(Writer.add_metadata, name=name, data=dict(values))
-        self._add('metadata', name, add)
+        self._add('metadata', name, partial(Writer.add_metadata, name=name, data=dict(values)))
 
     def attach(self, name: str, data: bytes, media_type: str, *, time: int = 0) -> None:
         """
@@ -186,7 +145,7 @@ class BagWriter:
 
     def split(self) -> None:
         """Continue in a new file, unless the present one is empty."""
-        self._require_open()
+        self._open_disk()
         if self._files[-1].count:
             self._finish_file()
             self._begin_file()
@@ -195,38 +154,28 @@ class BagWriter:
         """
         Hand all messages so far to the system, which keeps them if this process is killed.
 
-        Raises
-        ------
-        BagError
-            If the disk does not take them, or the file was deleted.
-
+        BagError is raised if the disk does not take them, or the file was deleted.
         """
-        self._require_open()
-        file = self._files[-1]
-        file.writer.flush()
-        self._mark_saved(file)
-        self._is_deleted = not file.path.exists()
+        disk = self._open_disk()
+        self._writer.flush()
+        self._mark_saved(disk)
+        self._is_deleted = not disk.path.exists()
         if self._is_deleted:
-            raise BagError(f'{file.path}: it was deleted while it was written')
+            raise BagError(f'{disk.path}: it was deleted while it was written')
 
     def close(self) -> None:
         """
         Finish the bag; if it is closed already, do nothing.
 
-        Raises
-        ------
-        BagError
-            If that fails. The bag is closed all the same, with all that was saved.
-
+        BagError is raised if that fails; the bag is closed all the same, with all that was saved.
         """
-        if self._lock < 0:
+        if self._disk is None:
             return
         try:
             self.flush()
             self._finish_file()
             self._write_metadata()
         finally:
-            self._is_deleted = not self._files[-1].path.exists()
             self._close_files()
 
     @property
@@ -237,16 +186,16 @@ class BagWriter:
     @property
     def lost(self) -> Counter[Channel]:
         """Numbers of messages in a deleted file or not saved before the end, by channel."""
-        if self._is_deleted:
-            return self._written.copy()
-        is_over = self._lock < 0 or self.is_abandoned
-        return self._written.copy() - self._saved if is_over else Counter()
+        is_over = self._is_deleted or self._disk is None
+        return self._written.copy() - self.counts if is_over else Counter()
 
-    def _require_open(self) -> None:
-        if self._lock < 0:
+    def _open_disk(self) -> _RawFile:
+        """Return the present file; raise BagError if the bag is closed or has failed."""
+        if self._disk is None:
             raise BagError(f'{self.folder} is closed')
         if self._error:
             raise BagError(self._error)
+        return self._disk
 
     def _try(self, path: Path, act: Callable[..., Any], *args: object) -> Any:
         """Act on the disk, again and again as long as `wait_for_disk` returns True."""
@@ -259,47 +208,65 @@ class BagWriter:
                     self._error = reason
                     raise BagError(reason) from None
 
-    def _save(self, file: _File, data: bytes) -> None:
+    def _save(self, disk: _RawFile, data: bytes) -> None:
         """Write data to a file, waiting for the disk."""
         rest = memoryview(data)
         while rest:
-            count = self._try(file.path, os.write, file.descriptor, rest)
+            count = self._try(disk.path, os.write, disk.descriptor, rest)
             self.saved_size += count
             rest = rest[count:]
 
-    def _mark_saved(self, file: _File) -> None:
+    def _mark_saved(self, disk: _RawFile) -> None:
         """Note that all messages so far are written."""
         if self._sync:
-            self._try(file.path, os.fsync, file.descriptor)
+            self._try(disk.path, os.fsync, disk.descriptor)
         self._saved = self._written.copy()
-        file.saved_size = file.size
 
     def _add(self, kind: str, name: str, add: Callable[[Writer], None]) -> None:
-        self._require_open()
+        self._open_disk()
         self._repeated[kind, name] = add
-        add(self._files[-1].writer)
+        add(self._writer)
+
+    def _define(self, channel: Channel) -> int:
+        """Define a channel in the present file, and return its number."""
+        schema = channel.type, channel.schema_encoding, channel.schema.encode()
+        if schema not in self._schemas:
+            self._schemas[schema] = self._writer.register_schema(*schema)
+        metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
+        self._ids[channel] = number = self._writer.register_channel(
+            channel.topic, 'cdr', self._schemas[schema], metadata
+        )
+        return number
 
     def _begin_file(self) -> None:
         """Begin the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        file = _File(path, self._try(path, os.open, path, flags, 0o666), self._save)
-        self._files.append(file)
-        file.begin(self._compression)
+        self._disk = _RawFile(path, self._try(path, os.open, path, flags, 0o666), self._save)
+        self._files.append(_FileInformation(path.name))
+        self._writer = Writer(
+            self._disk,  # type: ignore[arg-type]  # all that a writer needs of a stream
+            chunk_size=CHUNK_SIZE,
+            compression=self._compression,
+        )
+        self._writer.start(PROFILE, LIBRARY)
+        self._ids: dict[Channel, int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
         for add in self._repeated.values():
-            add(file.writer)
-        for channel in self._channels:
-            file.define(channel)
+            add(self._writer)
+        for channel in self._written:
+            self._define(channel)
         self._write_metadata()
 
     def _finish_file(self) -> None:
         """Write the end of the present file."""
-        file = self._files[-1]
+        disk = self._open_disk()
         information = {'serialized_metadata': dump_yaml(self._information())}
-        file.writer.add_metadata('rosbag2', information)
-        file.writer.finish()
-        self._mark_saved(file)
-        file.close()
+        self._writer.add_metadata('rosbag2', information)
+        self._writer.finish()
+        self._mark_saved(disk)
+        os.close(disk.descriptor)
+        disk.descriptor = -1
 
     def _write_metadata(self) -> None:
         path = self.folder / METADATA_FILE
@@ -308,10 +275,10 @@ class BagWriter:
             self._try(self.folder, os.fsync, self._lock)  # that there are such files
 
     def _close_files(self) -> None:
-        for file in self._files:
-            file.close()
+        if self._disk is not None and self._disk.descriptor >= 0:
+            os.close(self._disk.descriptor)
+        self._disk = None
         os.close(self._lock)
-        self._lock = -1
 
     def _information(self) -> dict[str, object]:
         """Return the metadata of the bag that rosbag2 expects as YAML."""
@@ -332,49 +299,51 @@ class BagWriter:
                         'offered_qos_profiles': profiles_of(channel.qos),
                         'type_description_hash': channel.type_hash,
                     },
-                    'message_count': self._written[channel],
+                    'message_count': count,
                 }
-                for channel in self._channels
+                for channel, count in self._written.items()
             ],
             'compression_format': '',
             'compression_mode': '',
-            'relative_file_paths': [file.path.name for file in self._files],
-            'files': [file.to_dict() for file in self._files],
+            'relative_file_paths': [file.name for file in self._files],
+            'files': [
+                {
+                    'path': file.name,
+                    'starting_time': {'nanoseconds_since_epoch': file.first},
+                    'duration': {'nanoseconds': max(file.last - file.first, 0)},
+                    'message_count': file.count,
+                }
+                for file in self._files
+            ],
             'custom_data': {},
             'ros_distro': self._distribution,
         }
 
 
-class _File:
+@dataclass
+class _FileInformation:
+    """What rosbag2 expects to know of a file."""
+
+    name: str
+    count: int = 0  # of messages
+    first: int = LATEST  # log time [ns]
+    last: int = 0  # the same
+
+
+class _RawFile:
     """
-    A file of a bag, the stream of its `Writer`, and its counts.
+    A file as the stream of a `Writer`.
 
     Nothing is buffered here, so that the size of all written records is known.
     """
 
-    writer: Writer
-
-    def __init__(self, path: Path, descriptor: int, save: Callable[[_File, bytes], None]) -> None:
+    def __init__(
+        self, path: Path, descriptor: int, save: Callable[[_RawFile, bytes], None]
+    ) -> None:
         self.path = path
         self.descriptor = descriptor
-        self.size = self.saved_size = 0  # of the data passed to `write`, and at the last flush
-        self.count = 0
-        self.first, self.last = LATEST, 0  # log times [ns]
+        self.size = 0  # [bytes]
         self._save = save
-        self._ids: dict[Channel, int] = {}
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
-
-    def begin(self, compression: CompressionType) -> None:
-        """Write the beginning."""
-        self.writer = Writer(
-            self,  # type: ignore[arg-type]  # all that a writer needs of a stream
-            chunk_size=CHUNK_SIZE,
-            compression=compression,
-        )
-        self.writer.start(PROFILE, LIBRARY)
-        self.saved_size = self.size
-
-    # as a stream
 
     def write(self, data: bytes) -> None:
         self._save(self, data)
@@ -385,43 +354,3 @@ class _File:
 
     def flush(self) -> None:
         """Do nothing, because nothing is buffered."""
-
-    # as a file
-
-    def define(self, channel: Channel) -> None:
-        """Define a channel once."""
-        if channel in self._ids:
-            return
-        kind, encoding, text = channel.type, channel.schema_encoding, channel.schema.encode()
-        schema = self._schemas.get((kind, encoding, text))
-        if schema is None:
-            schema = self.writer.register_schema(kind, encoding, text)
-            self._schemas[kind, encoding, text] = schema
-        metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
-        self._ids[channel] = self.writer.register_channel(channel.topic, 'cdr', schema, metadata)
-
-    def add(self, message: Message) -> None:
-        """Add a message of a channel that is defined."""
-        channel, data, log_time, publish_time, sequence = message
-        number = sequence & 0xFFFFFFFF
-        self.writer.add_message(self._ids[channel], log_time, data, publish_time, number)
-        self.count += 1
-        self.first = min(self.first, log_time)
-        self.last = max(self.last, log_time)
-
-    def close(self) -> None:
-        """Close the file, without the part of a record that may be at its end after an error."""
-        if self.descriptor >= 0:
-            if os.fstat(self.descriptor).st_size > self.saved_size:
-                os.truncate(self.descriptor, self.saved_size)
-            os.close(self.descriptor)
-            self.descriptor = -1
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the metadata of the file that rosbag2 expects."""
-        return {
-            'path': self.path.name,
-            'starting_time': {'nanoseconds_since_epoch': self.first},
-            'duration': {'nanoseconds': max(self.last - self.first, 0)},
-            'message_count': self.count,
-        }

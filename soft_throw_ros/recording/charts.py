@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 import functools
 import io
+import time
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -16,6 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.configuration import Settings
+from soft_throw_ros.core.closed_form import first_releases
+from soft_throw_ros.core.rig import ratios_of, Rig, values_of
+from soft_throw_ros.recording.timeseries import Values
 from soft_throw_ros.twin.results import Floats
 
 Bytes = NDArray[np.uint8]
@@ -50,6 +55,19 @@ STYLE: dict[Any, Any] = {
 # Both are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
 _SIGNED = mpl.colormaps['PuOr'].with_extremes(bad=_LINE)
 _UNSIGNED = 'viridis'
+
+
+_MAP_SIZE = 6.2, 2.5
+"""Width and height of the map of all layers. [inch]"""
+
+_MAP_COUNTS = {'thickness': 160, 'wave_speed': 100}
+"""Values on each axis of the finest map. [-]"""
+
+_TIME_BUDGET = 1.0
+"""The finest map is chosen that needs no longer: too heavy a projectile takes minutes. [s]"""
+
+_SAME = 0.01
+"""Largest relative difference of two layers that share a mark. [-]"""
 
 
 class MapAxis(NamedTuple):
@@ -138,6 +156,58 @@ def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
         image = ScalarMappable(Normalize(-limit, limit), _SIGNED)
         figure.colorbar(image, cax=_add_axes(figure, _BAR_BOX), label='ε (%)')
         return to_png(figure)
+
+
+def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
+    """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
+    values = {**values_of(rig), 'thickness': thickness, 'wave_speed': wave_speed}
+    return np.asarray(first_releases(**ratios_of(rig, values).lossless).energy_transfer)
+
+
+def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Figure:
+    """
+    Draw the map for a rig with its marks and a legend; the marks are within it.
+
+    The limits in the settings of the twin select the layers. The marks use the values of
+    `~/recommendation` for this rig, which may be empty, so that they agree with the table.
+    """
+    layers = [('now', 'now.', (rig.layer.thickness, rig.layer.wave_speed))]
+    match [recommendation.get(name) for name in _MAP_COUNTS]:
+        case float(thickness), float(wave_speed):
+            if np.allclose(layers[0][2], (thickness, wave_speed), rtol=_SAME):
+                layers = [('now, as recommended', *layers[0][1:])]
+            else:
+                layers.append(('recommended', '', (thickness, wave_speed)))
+    marks = []
+    for name, prefix, layer in layers:
+        alpha = recommendation.get(f'{prefix}energy_transfer')
+        if not isinstance(alpha, float):
+            alpha = float(energy_transfer(rig, *np.array(layer)))
+        text = f'α {alpha:.3f}' if alpha > 0.0 else 'no release'
+        marks.append((f'{name}: {text}', 1e3 * layer[0], layer[1]))
+    limits = {}
+    for column, axis in enumerate(_MAP_COUNTS):
+        low, high = (settings[f'recommendation.{axis}_{limit}'] for limit in ('min', 'max'))
+        marked = [layer[column] for *_, layer in layers]
+        limits[axis] = min(low, *marked), max(high, *marked)
+    for coarseness in (8, 4, 2, 1):
+        begin = time.monotonic()
+        thicknesses, wave_speeds = (
+            np.geomspace(*limits[axis], count // coarseness) for axis, count in _MAP_COUNTS.items()
+        )
+        transfer = energy_transfer(rig, thicknesses[:, None], wave_speeds)
+        if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # duration of the next grid
+            break
+    axes = MapAxis('Lₛ (mm)', 1e3 * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
+    title = 'α, lossless' if rig.layer.loss_tangent else 'α'
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=_MAP_SIZE, layout='constrained')
+        draw_map(figure.subplots(), axes, transfer, label=title, marks=marks)
+        figure.legend(
+            loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white',
+            frameon=True,
+        )
+    return figure
 
 
 def signed_colours(values: Floats, limit: float) -> Bytes:

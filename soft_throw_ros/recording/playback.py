@@ -27,35 +27,9 @@ class PlaybackSchedule(Generic[Item]):
     """
     Deadlines of the items of a recording, at a selectable rate, optionally repeated.
 
-    Playback is paused at the beginning until it is resumed.
-
-    Parameters
-    ----------
-    items : callable
-        Returns the items from the beginning, in order.
-    time_of : callable
-        Returns the time of an item, by the clock of the recording. [ns]
-    begin_ns, end_ns : int
-        First and last time of the recording. [ns]
-    rate : float
-        Time of the recording over time of the caller. [-]
-    is_looping : bool
-        Whether to repeat the recording.
-
-    Raises
-    ------
-    ValueError
-        If the rate is not finite and positive.
-
-    Examples
-    --------
-    >>> schedule = PlaybackSchedule(lambda: [5, 7], int, begin_ns=5, end_ns=7, rate=0.1)
-    >>> schedule.resume(100)
-    >>> schedule.next_due(100), schedule.next_due(100), schedule.deadline(), schedule.time(110)
-    (5, None, 120, 6)
-    >>> schedule.next_due(120), schedule.is_over
-    (7, True)
-
+    `items` returns the items from the beginning, in order; `time_of`, the time of one by the clock
+    of the recording [ns]. Playback is paused at the beginning until it is resumed. ValueError is
+    raised if the rate is not finite and positive.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The layout of a twin in Rerun as data: lines of plots and panels of the window."""
+"""The window of a twin in Rerun: lines of plots, and the arrangement of all views."""
 
 from __future__ import annotations
 
@@ -10,18 +10,34 @@ from typing import NamedTuple
 import rerun as rr
 import rerun.blueprint as rrb
 from soft_throw_ros.configuration.interface import ENERGIES, TWIN_TOPICS
-from soft_throw_ros.recording import rerun_canvas as drawing
-from soft_throw_ros.recording.rerun_canvas import BLUE, Colour, GREEN, GREY, ORANGE, RED
+
+STAMP = 'stamp'
+"""Timeline of the messages' stamps."""
+
+THROW_TIME = 'time since throw'
+"""Timeline of the rig, from the start of the throw that is shown."""
 
 LOG = '/log'
 """Entity with the log of all nodes."""
+
+Colour = tuple[int, int, int]
+
+# The colours of Okabe and Ito, which people with colour blindness can distinguish.
+GREY = (0xB0, 0xB0, 0xB0)
+WHITE = (0xFF, 0xFF, 0xFF)
+BLUE = (0x56, 0xB4, 0xE9)
+ORANGE = (0xE6, 0x9F, 0x00)
+GREEN = (0x00, 0x9E, 0x73)
+PURPLE = (0xCC, 0x79, 0xA7)
+RED = (0xD5, 0x5E, 0x00)
+BLACK = (0x00, 0x00, 0x00)
 
 PHASES = {
     'rest': (0x60, 0x60, 0x60),
     'contact': ORANGE,
     'flight': BLUE,
     'landed': GREEN,
-    'returning': drawing.PURPLE,
+    'returning': PURPLE,
 }
 
 
@@ -61,43 +77,18 @@ POSITIONS = {
 }
 """Entities of positions that are not those of the states."""
 
+_PLOTS = {
+    'position': 'Position z (mm)',
+    'velocity': 'Velocity v (m/s)',
+    'force': 'Compressive force F (N)',
+    'energy': 'Energy (mJ)',
+    'residual': 'Model less measurement (µm)',
+}
 
-class Panel(NamedTuple):
-    """A view of the window."""
-
-    name: str  # of the entity, below that of the twin unless it begins with /
-    kind: str  # of view
-    title: str
-    share: float  # of the height of its column
-
-
-COLUMNS = (
-    (2.5, (
-        Panel('side', 'rig', 'Rig, z (mm)', 3.0),
-        Panel('throw_result', 'text', 'Throw', 2.75),
-    )),
-    (4.2, (
-        Panel('phase', 'phase', 'Phase', 1.5),
-        Panel('position', 'plot', 'Position z (mm)', 3.0),
-        Panel('velocity', 'plot', 'Velocity v (m/s)', 3.0),
-        Panel('force', 'plot', 'Compressive force F (N)', 3.0),
-        Panel('energy', 'plot', 'Energy (mJ)', 3.0),
-        Panel('residual', 'plot', 'Model less measurement (µm)', 3.0),
-    )),
-    (4.2, (
-        Panel('strain', 'image', 'Strain ε(y, t) in the throw', 2.7),
-        Panel('landscape', 'image', 'Energy transfer α(Lₛ, cₛ)', 3.5),
-        Panel('recommendation', 'text', 'Recommended layer', 4.15),
-        Panel('track', 'text', 'Measured track', 1.9),
-        Panel(LOG, 'log', 'Log', 2.25),
-    )),
-)
-"""The window of a twin: columns from left to right with their share of the width, top down."""
-
-OPTIONAL = {'energy', 'residual', 'track', LOG}
+_OPTIONAL = {'energy', 'residual', 'track', LOG}
 """Panels that are left out while they would be empty."""
 
-BEFORE, AFTER = 0.7, 1.8
+_BEFORE, _AFTER = 0.7, 1.8
 """Time that plots show before and after the cursor. [periods of the plate]"""
 
 _LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0
@@ -117,52 +108,63 @@ class TwinLayout:
 
 
 def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
-    """Return the container of all panels of a twin."""
-    before, after = BEFORE * twin.period, AFTER * twin.period
+    """Return all panels of a twin; plots and phases show a time window around the cursor."""
+    before, after = _BEFORE * twin.period, _AFTER * twin.period
     if is_live:
         before, after = max(_LIVE_BEFORE * twin.period, _LEAST_LIVE), 0.0
     begin, end = (
         rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-before, after)
     )
     window = rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end))
-    shares, columns = [], []
-    for share, panels in COLUMNS:
-        shown = [item for item in panels if item.name not in OPTIONAL or item.name in twin.present]
-        views = [_view(panel, twin, window) for panel in shown]
-        shares.append(share)
-        columns.append(rrb.Vertical(*views, row_shares=[panel.share for panel in shown]))
-    return rrb.Horizontal(*columns, column_shares=shares, name=twin.title)
+    root, (half, low, high), limit = twin.root, twin.side, twin.residual_limit
 
+    def text(name: str, title: str) -> rrb.View:
+        return rrb.TextDocumentView(origin=f'{root}/{name}', name=title)
 
-def _view(panel: Panel, twin: TwinLayout, window: rrb.TimeAxis) -> rrb.View:
-    """Return the view of a panel; plots and phases show a time window around the cursor."""
-    origin = panel.name if panel.name.startswith('/') else f'{twin.root}/{panel.name}'
-    match panel.kind:
-        case 'rig':
-            half, low, high = twin.side
-            bounds = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low])
-            return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
-        case 'image':
-            return rrb.Spatial2DView(origin=origin, name=panel.title)
-        case 'phase':
-            return rrb.StateTimelineView(origin=origin, name=panel.title, time_view=window)
-        case 'plot':
-            limit = twin.residual_limit
-            return rrb.TimeSeriesView(
-                origin=origin,
-                name=panel.title,
-                axis_x=window,
-                axis_y=rrb.ScalarAxis(range=(-limit, limit)) if panel.name == 'residual' else None,
-                plot_legend=rrb.PlotLegend('RightTop' if panel.name == 'force' else 'LeftTop'),
-            )
-        case 'log':
-            hidden = [
-                rrb.encodings.TimelineColumn(name, visible=False)
-                for name in (drawing.STAMP, drawing.THROW_TIME)
-            ]
-            columns = rrb.TextLogColumns(
-                timeline_columns=hidden, text_log_columns=['LogLevel', 'Body']
-            )
-            return rrb.TextLogView(origin=origin, name=panel.title, columns=columns)
-        case _:
-            return rrb.TextDocumentView(origin=origin, name=panel.title)
+    def image(name: str, title: str) -> rrb.View:
+        return rrb.Spatial2DView(origin=f'{root}/{name}', name=title)
+
+    def plot(name: str, title: str) -> rrb.View:
+        return rrb.TimeSeriesView(
+            origin=f'{root}/{name}',
+            name=title,
+            axis_x=window,
+            axis_y=rrb.ScalarAxis(range=(-limit, limit)) if name == 'residual' else None,
+            plot_legend=rrb.PlotLegend('RightTop' if name == 'force' else 'LeftTop'),
+        )
+
+    def column(panels: dict[str, tuple[float, rrb.View]]) -> rrb.Container:
+        shown = [
+            panel for name, panel in panels.items()
+            if name not in _OPTIONAL or name in twin.present
+        ]
+        return rrb.Vertical(*(view for _, view in shown), row_shares=[share for share, _ in shown])
+
+    hidden = [rrb.encodings.TimelineColumn(name, visible=False) for name in (STAMP, THROW_TIME)]
+    log_columns = rrb.TextLogColumns(
+        timeline_columns=hidden, text_log_columns=['LogLevel', 'Body']
+    )
+    left = {
+        'side': (3.0, rrb.Spatial2DView(
+            origin=f'{root}/side',
+            name='Rig, z (mm)',
+            visual_bounds=rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low]),
+        )),
+        'throw_result': (2.75, text('throw_result', 'Throw')),
+    }
+    middle = {
+        'phase': (1.5, rrb.StateTimelineView(
+            origin=f'{root}/phase', name='Phase', time_view=window
+        )),
+        **{name: (3.0, plot(name, title)) for name, title in _PLOTS.items()},
+    }
+    right = {
+        'strain': (2.7, image('strain', 'Strain ε(y, t) in the throw')),
+        'landscape': (3.5, image('landscape', 'Energy transfer α(Lₛ, cₛ)')),
+        'recommendation': (4.15, text('recommendation', 'Recommended layer')),
+        'track': (1.9, text('track', 'Measured track')),
+        LOG: (2.25, rrb.TextLogView(origin=LOG, name='Log', columns=log_columns)),
+    }
+    return rrb.Horizontal(
+        *map(column, (left, middle, right)), column_shares=[2.5, 4.2, 4.2], name=twin.title
+    )

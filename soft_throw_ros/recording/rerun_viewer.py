@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer of Rerun as a local process, and its requests."""
+"""Recordings of Rerun, their files and servers, and its viewer as a local process."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import contextlib
+import errno
 from functools import partial
 from importlib import util
+import math
 import os
 from pathlib import Path
 import signal
@@ -27,26 +29,25 @@ Result = TypeVar('Result')
 
 HOST = '127.0.0.1'
 
+PORT = 9876
+"""Default port of the viewer."""
+
 START_TIME = 20.0
 """Longest wait for a viewer to listen, and for the end of one that does not answer. [s]"""
 
 _TIMEOUT = 60.0
-"""Longest wait until the viewer has loaded a recording, or has drawn. [s]"""
+"""Longest wait until the viewer has a recording, or has drawn. [s]"""
 
-_POLL = 0.05
-"""Time between two checks whether a viewer listens. [s]"""
-
-_REQUEST_PAUSE = 0.25
+_POLL = 0.25
 """Time between two requests. [s]"""
 
 _SETTLE_TIME = 2.0
 """Time in which axes move to a new time. [s]"""
 
-_CONNECT_TIME = 0.2
-"""Longest wait for a connection on this machine. [s]"""
+_SERVER_MEMORY = '256MB'
 
 _OPTIONS = (
-    '--memory-limit', '2GB', '--server-memory-limit', '256MB',
+    '--memory-limit', '2GB', '--server-memory-limit', _SERVER_MEMORY,
     '--hide-welcome-screen', '--expect-data-soon',
 )
 
@@ -65,6 +66,42 @@ class NoGraphicsError(ViewerError):
     """The viewer cannot draw, because the machine has no Vulkan."""
 
 
+def new_stream(name: str) -> rr.RecordingStream:
+    """Return a new recording without a sink."""
+    import rerun as rr
+
+    stream = rr.RecordingStream('soft_throw_ros', send_properties=False)
+    stream.send_recording_name(name)
+    return stream
+
+
+def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
+    """Write a recording to a file from now on; raise OSError if that is not possible."""
+    try:
+        stream.save(path, write_footer=not is_live)  # a footer grows in memory with time
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
+
+
+def finish(stream: rr.RecordingStream, path: Path | str, seconds: float = math.inf) -> None:
+    """Send all waiting data, and disconnect; raise OSError if that does not succeed in time."""
+    try:
+        stream.flush(timeout_sec=seconds)
+    except RuntimeError:
+        raise OSError(errno.EIO, os.strerror(errno.EIO), str(path)) from None
+    stream.disconnect()
+
+
+def serve(stream: rr.RecordingStream, port: int) -> None:
+    """Send a recording to viewers that connect, on this machine only."""
+    import rerun as rr
+
+    if listens(port):
+        raise ValueError(f'port {port} of {HOST} is in use; choose another one')
+    sink = rr.GrpcServerSink(bind_ip=HOST, port=port, server_memory_limit=_SERVER_MEMORY)
+    stream.set_sinks(sink)
+
+
 def find_viewer() -> Path:
     """Return the path of the program `rerun`; raise ViewerError if there is none."""
     package = util.find_spec('rerun_cli')
@@ -79,34 +116,15 @@ def has_display() -> bool:
 
 
 def url_of(port: int) -> str:
-    """Return the address of a viewer on a port of this machine."""
+    """Return the address of a viewer or server on a port of this machine."""
     return f'rerun+http://{HOST}:{port}/proxy'
-
-
-def connect(port: int) -> socket.socket | None:
-    """Return a connection to the process that listens on a port; None if there is none."""
-    try:
-        connection = socket.create_connection((HOST, port), _CONNECT_TIME)
-    except OSError:
-        return None
-    connection.setblocking(False)
-    return connection
-
-
-def is_open(connection: socket.socket) -> bool:
-    """Return whether the other end of a connection still exists."""
-    try:
-        return bool(connection.recv(4096))
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
 
 
 def listens(port: int) -> bool:
     """Return whether a process listens on a port."""
-    with connect(port) or contextlib.nullcontext() as connection:
-        return connection is not None
+    with contextlib.suppress(OSError), socket.create_connection((HOST, port), 0.2):
+        return True
+    return False
 
 
 def free_port() -> int:
@@ -126,7 +144,7 @@ class Viewer:
     Raises
     ------
     ViewerError
-        If it ends, or does not listen within `START_TIME`.
+        If there is none.
 
     """
 
@@ -135,24 +153,16 @@ class Viewer:
         command = [viewer, '--bind', HOST, '--port', str(port), *_OPTIONS, *map(str, options)]
         self.port = port
         self._errors = tempfile.TemporaryFile('w+', errors='replace')  # noqa: SIM115
-        # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
-        environment = {'RUST_LOG': 'error', **os.environ, 'CI': '1'}
         self._process = subprocess.Popen(
             command if stays else bound_to_parent(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._errors,
             start_new_session=True,
-            env=environment,
+            # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
+            env={'RUST_LOG': 'error', **os.environ, 'CI': '1'},
         )
         self.pid = self._process.pid  # of the process, and of its group
-        deadline = time.monotonic() + START_TIME
-        while not listens(port):
-            if self._process.poll() is not None:
-                raise self._end_with_error('has ended')
-            if time.monotonic() > deadline:
-                raise self._end_with_error(f'has not answered within {START_TIME:g} s')
-            time.sleep(_POLL)
 
     def __enter__(self) -> Viewer:
         return self
@@ -160,12 +170,21 @@ class Viewer:
     def __exit__(self, *_: object) -> None:
         self.end()
 
+    def wait(self) -> None:
+        """Wait until it listens; raise ViewerError if it ends, or not within `START_TIME`."""
+        deadline = time.monotonic() + START_TIME
+        while not listens(self.port):
+            if self._process.poll() is not None:
+                raise self._end_with_error('has ended')
+            if time.monotonic() > deadline:
+                raise self._end_with_error(f'has not answered within {START_TIME:g} s')
+            time.sleep(_POLL)
+
     def client(self) -> ViewerClient:
         """Return a client after a first picture; raise NoGraphicsError without Vulkan."""
-        from rerun.experimental import ViewerClient
-
+        self.wait()
         with self._explained_errors():
-            client = ViewerClient.connect(url_of(self.port))
+            client = client_of(self.port)
             # the viewer answers other requests before it can draw
             _request(partial(client.take_screenshot, max_size=64))
         return client
@@ -212,19 +231,44 @@ class Viewer:
         return ViewerError(f'the viewer {problem}: {reason}')
 
 
+def show(stream: rr.RecordingStream, port: int, draw: Callable[[], None]) -> None:
+    """Draw a recording into the viewer at a port; start one that stays if there is none."""
+    if not listens(port):
+        if not has_display():
+            raise ViewerError(
+                'there is no screen for a window (DISPLAY and WAYLAND_DISPLAY are not set), and '
+                f'no viewer at {HOST}:{port}; take --save FILE.rrd or --screenshot FILE.png, or '
+                f'start one where there is a screen: {find_viewer()} --bind {HOST} --port {port}'
+            )
+        Viewer(port, stays=True).wait()
+    stream.connect_grpc(url_of(port))
+    draw()
+    while True:
+        with contextlib.suppress(RuntimeError):
+            return stream.flush(timeout_sec=1.0)
+        if not listens(port):
+            raise ViewerError('the viewer was closed before it had everything')
+
+
 def go_to(stream: rr.RecordingStream, port: int, timeline: str, seconds: float) -> None:
     """Move the cursor of a viewer to a time of a recording, if the viewer can do that [s]."""
     import rerun as rr
-    from rerun.experimental import ViewerClient
 
     recording = f'Recording:{rr.get_application_id(stream)}:{rr.get_recording_id(stream)}'
     with contextlib.suppress(*_CLIENT_ERRORS):
-        client = ViewerClient.connect(url_of(port))
+        client = client_of(port)
         _request(
             client.get_state,
             lambda state: any(item.store_id == recording for item in state.recordings),
         )
         client.set_time(timeline, duration=seconds, play_state='paused', recording=recording)
+
+
+def client_of(port: int) -> ViewerClient:
+    """Return a client of the viewer at a port."""
+    from rerun.experimental import ViewerClient
+
+    return ViewerClient.connect(url_of(port))
 
 
 def _request(
@@ -233,12 +277,10 @@ def _request(
     """Repeat a request to a viewer until the result is enough; a busy one may time out."""
     deadline = time.monotonic() + _TIMEOUT
     while True:
-        try:
+        with contextlib.suppress(TimeoutError):
             result = request()
             if is_enough(result):
                 return result
-        except TimeoutError:
-            pass
         if time.monotonic() > deadline:
             raise TimeoutError(f'not within {_TIMEOUT:g} s')
-        time.sleep(_REQUEST_PAUSE)
+        time.sleep(_POLL)

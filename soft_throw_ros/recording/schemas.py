@@ -42,21 +42,10 @@ class Schema:
 
 def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     """
-    Return the definition of an installed message type.
+    Return the definition of an installed message type, such as `sensor_msgs/msg/JointState`.
 
-    Parameters
-    ----------
-    type_name : str
-        Name of a type, such as `sensor_msgs/msg/JointState`.
-    prefixes : iterable of path_like
-        Folders of installed ROS packages, as in `AMENT_PREFIX_PATH`; the first folder with the
-        type wins.
-
-    Raises
-    ------
-    SchemaError
-        If no folder contains the type; the message names the type and the folders.
-
+    `prefixes` are folders of installed ROS packages, as in `AMENT_PREFIX_PATH`, of which the first
+    one with the type wins. SchemaError is raised if none has it.
     """
     folders = [Path(prefix) / 'share' for prefix in prefixes]
     done = {type_name}

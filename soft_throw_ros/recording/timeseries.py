@@ -84,6 +84,7 @@ class ThrowStart:
     number: int
     time_scale: float
     ejection_time: float | None = None  # from the start; None if there is none so far [s]
+    is_over: bool = False  # whether its end has been reported
 
     def seconds_to(self, stamps: Any) -> Any:
         """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
@@ -185,7 +186,11 @@ class TwinReader:
             case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
                 time = entry['result'].get('ejection_time')
                 is_release = isinstance(time, float) and time > 0.0
-                self.throw = replace(self.throw, ejection_time=time if is_release else None)
+                self.throw = replace(
+                    self.throw,
+                    ejection_time=time if is_release else None,
+                    is_over=entry['result'].get('stage') == 'final',
+                )
         return None if self.rig is None or self.rig is rig else (stamp, self.rig)
 
     def _set_rig(self, settings: Settings) -> None:
@@ -239,10 +244,10 @@ class TwinReader:
         self, messages: Sequence[Message], topic: Topic
     ) -> tuple[Stamps, Floats] | None:
         """
-        Read measured positions, predicted positions or residuals.
+        Read measured positions, predicted positions or residuals; NaN for a joint without them.
 
-        Measured positions are relative to rest, at times by the clock of the twin, and NaN for a
-        joint without measurement. Return None for another machine, or while the rest is unknown.
+        Measured positions are relative to rest, at times by the clock of the twin. Return None for
+        another machine, or while the rest is unknown.
         """
         joints = _read_joint_states(messages)
         names = self._names(topic.joints)
@@ -289,20 +294,12 @@ class TwinReader:
         return StrainField(throw, times, throw.stamps_at(times), points[..., 2], thickness)
 
     def read_energies(self, message: Message) -> tuple[Stamps, Floats] | None:
-        """
-        Read the energies of the throw under way, with the columns `ENERGIES` after the first.
-
-        Return None while no throw is known.
-        """
+        """Read `ENERGIES` of the throw under way; None while no throw is known."""
         (rows,) = _read_cloud(message, TWIN_TOPICS.throw_energies)
         return None if self.throw is None else (self.throw.stamps_at(rows[:, 0]), rows[:, 1:])
 
     def interpolate_throw(self, field: StrainField) -> tuple[Floats, LayerStates] | None:
-        """
-        Return positions of plate and projectile, shape (n, 2), and the layer at times of a field.
-
-        Return None if the states of the throw are not there.
-        """
+        """Return positions (n, 2) and the layer at times of a field; None without its states."""
         stamps, rows = np.unique(self._states.stamps, return_index=True)
         if not stamps.size or field.stamps[0] < stamps[0]:
             return None
@@ -368,7 +365,9 @@ def _published(message: Message) -> int:
 
 def _read_joint_states(messages: Sequence[Message]) -> JointStates:
     joints = JointStateReader().read_all([message.data for message in messages])
-    _check_numbers(joints.position, joints.velocity, joints.effort)
+    numbers = np.hstack([joints.position, joints.velocity, joints.effort])
+    if (np.abs(numbers) > _LARGEST).any():  # NaN is a missing measurement
+        raise MessageError(f'a number beyond {_LARGEST:g}')
     return joints
 
 
@@ -379,15 +378,7 @@ def _read_cloud(message: Message, topic: Topic) -> Floats:
     shape = cloud.height, cloud.width, count
     if names != topic.axes or len(cloud.data) != 8 * math.prod(shape) or min(shape) < 1:
         raise MessageError(f'a cloud of {", ".join(topic.axes)}, got {", ".join(names)}')
-    points = np.frombuffer(bytes(cloud.data), '<f8').reshape(shape)
-    _check_numbers(points)
-    return points
-
-
-def _check_numbers(*arrays: Floats) -> None:
-    """Refuse numbers that no twin has; NaN is a missing measurement."""
-    if any((np.abs(values) > _LARGEST).any() for values in arrays):
-        raise MessageError(f'a number beyond {_LARGEST:g}')
+    return np.frombuffer(bytes(cloud.data), '<f8').reshape(shape)
 
 
 def _complete(entry: journal.Entry) -> Settings:

@@ -15,16 +15,11 @@ from soft_throw_ros.storage.message import BagError, Channel, Message
 FLUSH_PERIOD = 0.5
 """Period of flushes, and of retries after an error of the disk. [s]"""
 
-OPEN_TIMEOUT = 1.0
+OPEN_TIMEOUT = 3.0
 """Longest wait for the first attempt to create the bag. [s]"""
 
 STALL_TIMEOUT = 15.0
 """Longest time without progress of the disk before closing gives up. [s]"""
-
-STALL_NOTICE = 2.0
-"""Time without progress after which closing reports the reason. [s]"""
-
-_JOIN_PERIOD = 0.1  # period in which closing checks the progress of the disk [s]
 
 _WRITE_PERIOD = 0.1  # period of writing waiting messages [s]
 
@@ -33,20 +28,9 @@ class WriterThread:
     """
     A bag, and the thread that writes it.
 
-    Parameters
-    ----------
-    open_bag : callable
-        Creates the bag; called again every `FLUSH_PERIOD` as long as it raises BagError.
-    capacity : int
-        Largest amount of data that may wait for the disk; further messages are dropped. [bytes]
-
-    Attributes
-    ----------
-    bag : BagWriter or None
-        The bag; None until its creation succeeds.
-    error : str
-        Present error of writing; empty without an error.
-
+    `open_bag` creates the bag, and is called again every `FLUSH_PERIOD` as long as it raises
+    BagError; `bag` is None until then. `capacity` is the largest amount of data that may wait for
+    the disk [bytes]; further messages are dropped. `error` is the present error of writing.
     """
 
     def __init__(self, open_bag: Callable[[], BagWriter], *, capacity: int) -> None:
@@ -54,8 +38,9 @@ class WriterThread:
         self.error = ''
         self._open_bag = open_bag
         self._capacity = capacity
-        self._count = 0
+        self._count: Counter[Channel] = Counter()  # of all messages
         self._dropped: Counter[Channel] = Counter()
+        self._is_abandoned = False  # whether all that is not saved is lost
         self._waiting: deque[Message | Callable[[BagWriter], None]] = deque()
         # Two sums, each of one thread, and no lock
         self._put_size = 0  # [bytes]
@@ -72,15 +57,14 @@ class WriterThread:
     @property
     def waiting(self) -> int:
         """Number of messages that wait for the disk."""
-        kept = sum(self.bag.counts.values()) if self.bag is not None else 0
-        return max(self._count - kept - sum(self.lost().values()), 0)
+        return max(sum((self._unsaved() - self.lost()).values()), 0)
 
     def put(self, messages: Iterable[Message]) -> None:
         """Queue messages for writing; drop them if too much data waits already."""
         free = self._capacity - self._put_size + self._written_size
         for message in messages:
             size = message.memory
-            self._count += 1
+            self._count[message.channel] += 1
             if size > free:
                 self._dropped[message.channel] += 1
             else:
@@ -94,48 +78,34 @@ class WriterThread:
 
     def lost(self) -> Counter[Channel]:
         """Return the numbers of finally lost messages by channel."""
-        bag = self.bag
-        return self._dropped.copy() + (bag.lost if bag is not None else Counter())
+        if self._is_abandoned:
+            return self._unsaved()
+        return self._dropped.copy() + (self.bag.lost if self.bag is not None else Counter())
 
     def flush(self) -> None:
         """Begin to save all messages so far, without waiting for the next period."""
         self._wake.set()
 
-    def close(self, on_stall: Callable[[str], None] = lambda _text: None) -> None:
+    def close(self) -> None:
         """
         Write all messages that wait, and finish the bag; if that fails, set `error`.
 
-        Parameters
-        ----------
-        on_stall : callable
-            Called with a sentence if the disk takes nothing for `STALL_NOTICE`. After
-            `STALL_TIMEOUT` the thread is left alone, and all messages not saved are lost.
-
+        If the disk takes nothing for `STALL_TIMEOUT`, the thread is left alone, and all messages
+        that are not saved are lost.
         """
         self._closing.set()
         self._wake.set()
-        progress, since, is_reported = self._progress(), time.monotonic(), False
-        while self._thread.is_alive():
-            self._thread.join(_JOIN_PERIOD)
+        progress, since = self._progress(), time.monotonic()
+        while self._thread.is_alive() and time.monotonic() < since + STALL_TIMEOUT:
+            self._thread.join(_WRITE_PERIOD)
             if progress != self._progress():
-                progress, since, is_reported = self._progress(), time.monotonic(), False
-            stalled = time.monotonic() - since
-            if stalled > STALL_NOTICE and not is_reported:
-                is_reported = True
-                on_stall(
-                    f'the disk takes nothing; {self.waiting} messages wait, '
-                    f'for at most {STALL_TIMEOUT:g} s'
-                )
-            if stalled > STALL_TIMEOUT:
-                self._abandon()
-                return
+                progress, since = self._progress(), time.monotonic()
+        if self._thread.is_alive():
+            self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
+            self._is_abandoned = True
 
-    def _abandon(self) -> None:
-        """Count all messages that are not saved as lost."""
-        self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
-        self._drop_waiting()
-        if self.bag is not None:
-            self.bag.is_abandoned = True
+    def _unsaved(self) -> Counter[Channel]:
+        return self._count - (self.bag.counts if self.bag is not None else Counter())
 
     def _progress(self) -> tuple[int, int, int]:
         saved_size = self.bag.saved_size if self.bag is not None else 0
@@ -157,7 +127,8 @@ class WriterThread:
             self._write()
         except BagError:
             pass  # closing raises it again
-        self._drop_waiting()
+        waiting = [item.channel for item in self._waiting if isinstance(item, Message)]
+        self._dropped.update(waiting)
         if self.bag is not None:
             try:
                 self.bag.close()
@@ -165,22 +136,18 @@ class WriterThread:
             except BagError as error:
                 self.error = str(error)
 
-    def _drop_waiting(self) -> None:
-        waiting = self._waiting.copy()  # the thread may go on meanwhile
-        self._dropped.update(item.channel for item in waiting if isinstance(item, Message))
-
     def _write(self) -> None:
         """Write the queued messages, and call the queued functions."""
         while self._waiting and self.bag is not None:
             item = self._waiting[0]  # which waits until it is written
-            if not isinstance(item, Message):
-                item(self.bag)
-            elif item.has_valid_times:
-                self.bag.write(item)
+            if isinstance(item, Message):
+                if item.has_valid_times:
+                    self.bag.write(item)
+                else:
+                    self._dropped[item.channel] += 1
                 self._written_size += item.memory
             else:
-                self._dropped[item.channel] += 1
-                self._written_size += item.memory
+                item(self.bag)
             self._waiting.popleft()
 
     def _open(self) -> None:

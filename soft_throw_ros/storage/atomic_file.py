@@ -15,16 +15,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """
     Create or replace a file only after its content is complete.
 
-    Parameters
-    ----------
-    path : Path
-        File to create or replace; an exception within the context leaves the file unchanged.
-
-    Yields
-    ------
-    Path
-        Temporary file for the content.
-
+    The context is a temporary file for the content; an exception leaves the file unchanged.
     """
     beside = path.parent / f'{path.name}.{os.getpid()}.tmp'
     try:

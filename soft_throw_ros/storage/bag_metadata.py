@@ -52,15 +52,8 @@ def read_metadata(path: Path) -> dict[str, Any]:
     """
     Read the parts of the file of a bag that are needed to find and read the other files.
 
-    Raises
-    ------
-    ValueError
-        If there is none, it is too large, or it does not describe a bag.
-
-    Notes
-    -----
-    LibYAML would be faster, but many opening brackets make it overflow its stack.
-
+    ValueError is raised if there is none, it is too large, or it does not describe a bag. (LibYAML
+    would be faster, but many opening brackets make it overflow its stack.)
     """
     try:
         text = read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode()

@@ -13,17 +13,36 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 import heapq
 import itertools
+import os
 from pathlib import Path
-import re
+import struct
 from typing import Any, TypeVar
+import zlib
 
 from mcap import records as mcap
+from mcap.reader import SeekingReader
+from mcap.summary import Summary
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
-from soft_throw_ros.storage.mcap_file import CONVERSION, McapFile, UnfinishedError
+from soft_throw_ros.storage.mcap_stream import (
+    check_size,
+    CONVERSION,
+    MAGIC,
+    make_channel,
+    make_message,
+    McapStream,
+    open_mcap,
+    UnfinishedError,
+)
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
+
+MAX_UNINDEXED = 64 * 2**20
+"""Largest size of a file without an index, whose messages are kept in memory. [bytes]"""
+
+_END = struct.Struct('<BQQQI8s')
+"""End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
 
 Named = TypeVar('Named', mcap.Metadata, mcap.Attachment)
 
@@ -59,7 +78,8 @@ class BagFolder:
             raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {CONVERSION}')
         if str(information.get('compression_mode')).lower() in ('file', 'message'):
             raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {CONVERSION}')
-        present = sorted(self.path.glob('*.mcap'), key=_by_number)
+        # `bag_2` before `bag_10`
+        present = sorted(self.path.glob('*.mcap'), key=lambda path: (len(path.name), path.name))
         listed = [self.path / Path(n).name for n in information.get('relative_file_paths', ())]
         missing = [path for path in listed if path not in present]
         self.defects += [f'{path}: the file is missing' for path in missing]
@@ -71,19 +91,119 @@ class BagFolder:
         return [path for path in present if path not in empty] or present
 
 
+class _File:
+    """A finished MCAP file; one without a complete index is read as a whole."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stream = open_mcap(path)
+        self._messages: list[Message] | None = None  # by log time, if the file has no index
+        self.counts: dict[Channel, int] = {}
+        self.span: tuple[int, int] | None = None  # log times of the first and last message [ns]
+        try:
+            _check_end(self._stream)
+            self._stream.seek(0)
+            self._reader = SeekingReader(self._stream, validate_crcs=True)
+            summary = self._reader.get_summary()
+            if summary is not None and _is_complete(summary):
+                self._read_index(summary)
+            else:
+                self._read_all()
+        except UnfinishedError:
+            self.close()
+            raise
+        except BagError as error:
+            self.close()
+            raise BagError(f'{path}: {error}') from None
+        except Exception as error:  # damaged bytes may cause any error in the library
+            self.close()
+            raise UnfinishedError(path, f'the file has no sound end, {error!s:.150}') from error
+
+    def close(self) -> None:
+        self._stream.close()
+
+    def messages(
+        self, topics: Collection[str] | None, start: int, end: int, *, by_log_time: bool
+    ) -> Iterator[Message]:
+        """Yield messages; raise UnfinishedError where a chunk is damaged."""
+        if self._messages is not None or not by_log_time:
+            found = self._messages if by_log_time else McapStream(self.path).messages()
+            for message in found or ():
+                is_wanted = topics is None or message.channel.topic in topics
+                if is_wanted and start <= message.log_time < end:
+                    yield message
+            return
+        try:
+            for _, _, record in self._reader.iter_messages(
+                topics, starting_at=min(start, end), ending_before=end
+            ):
+                yield make_message(record, self._channels)
+        except Exception as error:  # damaged bytes may cause any error in the library
+            raise UnfinishedError(self.path, f'a chunk is damaged, {error!s:.150}') from error
+
+    def _read_index(self, summary: Summary) -> None:
+        statistics = summary.statistics
+        assert statistics is not None
+        for chunk in summary.chunk_indexes:
+            check_size(max(chunk.chunk_length, chunk.uncompressed_size))
+        self._channels = {
+            number: make_channel(channel, summary.schemas)
+            for number, channel in summary.channels.items() if channel.schema_id in summary.schemas
+        }
+        self.counts = dict.fromkeys(self._channels.values(), 0)
+        for number, count in statistics.channel_message_counts.items():
+            if number not in self._channels:
+                raise ValueError(f'nothing defines channel {number}')
+            self.counts[self._channels[number]] += count
+        if statistics.message_count:
+            self.span = statistics.message_start_time, statistics.message_end_time
+        self.metadata = list(self._reader.iter_metadata())
+
+    def _read_all(self) -> None:
+        size = self.path.stat().st_size
+        if size > MAX_UNINDEXED:
+            raise ValueError(f'it has no index, and {size} bytes are more than {MAX_UNINDEXED}')
+        stream = McapStream(self.path)
+        self._messages = sorted(stream.messages(), key=lambda message: message.log_time)
+        self.counts = dict.fromkeys(stream.channels.values(), 0)
+        self.counts.update(Counter(message.channel for message in self._messages))
+        if self._messages:
+            self.span = self._messages[0].log_time, self._messages[-1].log_time
+        self.metadata = stream.metadata
+
+
+def _check_end(stream: Any) -> None:
+    """Raise ValueError if a file has no complete end, or the checksum of its index is wrong."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(size - _END.size, 0))
+    end = stream.read(_END.size)
+    if len(end) < _END.size or not end.endswith(MAGIC):
+        raise ValueError('it was cut off or is being written')
+    _, _, begin, _, checksum, _ = _END.unpack(end)
+    if begin:
+        stream.seek(begin)
+        index = stream.read(size - begin - len(MAGIC) - 4)
+        if checksum not in (0, zlib.crc32(index)):
+            raise ValueError('the checksum of its index is wrong')
+
+
+def _is_complete(summary: Summary) -> bool:
+    """Return whether an index names all chunks and texts, and all messages are in chunks."""
+    statistics = summary.statistics
+    return statistics is not None and (
+        (statistics.chunk_count, statistics.metadata_count)
+        == (len(summary.chunk_indexes), len(summary.metadata_indexes))
+        and bool(summary.chunk_indexes or not statistics.message_count)
+        and len(summary.channels) == statistics.channel_count
+    )
+
+
 class BagReader:
     """
-    A finished bag opened for reading.
-
-    Parameters
-    ----------
-    path : path_like
-        A folder with MCAP files, or one such file.
+    A finished bag opened for reading: a folder with MCAP files, or one such file.
 
     Attributes
     ----------
-    path : Path
-        Path of the bag, as passed to the reader.
     channels : tuple of Channel
         The topics; all files share one object for each.
     counts : Counter of Channel
@@ -110,10 +230,10 @@ class BagReader:
         self.distribution = folder.distribution
         more = f'; and {len(folder.defects) - 1} more' if len(folder.defects) > 1 else ''
         self.damage = f'{folder.defects[0]}{more}' if folder.defects else ''
-        self._files: list[McapFile] = []
+        self._files: list[_File] = []
         try:
             for file_path in folder.files:
-                self._files.append(McapFile(file_path))
+                self._files.append(_File(file_path))
         except BagError as error:
             self.close()
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
@@ -123,9 +243,9 @@ class BagReader:
         for file in self._files:
             self.counts.update(file.counts)
         self.channels = tuple(self.counts)
-        parts = [file.statistics for file in self._files if file.statistics.message_count]
-        self.start_time = min((part.message_start_time for part in parts), default=0)
-        self.end_time = max((part.message_end_time for part in parts), default=0)
+        spans = [file.span for file in self._files if file.span is not None]
+        self.start_time = min((first for first, _ in spans), default=0)
+        self.end_time = max((last for _, last in spans), default=0)
 
     def __enter__(self) -> BagReader:
         return self
@@ -152,46 +272,20 @@ class BagReader:
         by_log_time: bool = True,
     ) -> Iterator[Message]:
         """
-        Yield messages by their log times, those of equal times as they were written.
+        Yield messages of topics, from `start` on and before `end` [ns].
 
-        Parameters
-        ----------
-        topics : collection of str, optional
-            Yield only messages of these topics.
-        start, end : int, optional
-            Yield only messages from `start` on and before `end`. [ns]
-        by_log_time : bool
-            Whether to sort the messages by log time; False keeps the order of writing.
-
-        Raises
-        ------
-        UnfinishedError
-            Where a chunk is damaged.
-
+        They come by log time, those of equal times as they were written, or all as they were
+        written. UnfinishedError is raised where a chunk is damaged.
         """
-        span = range(max(start or 0, 0), 2**64 if end is None else max(end, 0))
-        chunks = [
-            (number, file, chunk)
-            for number, file in enumerate(self._files)
-            for chunk in file.chunks_with(topics, span)
+        first, last = max(start or 0, 0), 2**64 if end is None else max(end, 0)
+        found = [
+            file.messages(topics, first, last, by_log_time=by_log_time) for file in self._files
         ]
-        if by_log_time:
-            chunks.sort(key=lambda item: item[2].message_start_time)
-        waiting: list[tuple[int, int, int, int, Message]] = []  # by time, and then as written
-        for number, file, chunk in chunks:
-            while waiting and waiting[0][0] < chunk.message_start_time:
-                yield heapq.heappop(waiting)[-1]
-            for index, message in enumerate(file.read_chunk(chunk)):
-                is_wanted = topics is None or message.channel.topic in topics
-                if not is_wanted or message.log_time not in span:
-                    continue
-                if by_log_time:
-                    key = message.log_time, number, chunk.chunk_start_offset, index
-                    heapq.heappush(waiting, (*key, message))
-                else:
-                    yield message
-        while waiting:
-            yield heapq.heappop(waiting)[-1]
+        spans = [file.span for file in self._files if file.span is not None]
+        is_in_order = all(one[1] <= other[0] for one, other in itertools.pairwise(spans))
+        if is_in_order or not by_log_time:  # a later file is not read before
+            return itertools.chain(*found)
+        return heapq.merge(*found, key=lambda message: message.log_time)
 
 
 def unrepeated(files: Iterable[Iterable[Named]]) -> list[Named]:
@@ -203,11 +297,3 @@ def unrepeated(files: Iterable[Iterable[Named]]) -> list[Named]:
             last[record.name] = record
             records.append(record)
     return records
-
-
-def _by_number(path: Path) -> list[tuple[int, str]]:
-    """Sort `bag_2` before `bag_10`."""
-    return [
-        (int(word), '') if word.isdecimal() else (0, word)
-        for word in re.split(r'(\d+)', path.name, flags=re.ASCII)
-    ]

@@ -15,20 +15,8 @@ def open_regular_file(path: str | Path, *, max_bytes: int) -> BinaryIO:
     """
     Open a regular file for reading.
 
-    FIFOs and devices, which may block or never end, are refused at once, also behind links.
-
-    Parameters
-    ----------
-    path : path_like
-        Name of the file.
-    max_bytes : int
-        Largest size. [byte]
-
-    Raises
-    ------
-    OSError
-        If the file cannot be opened, is not a regular one, or is larger.
-
+    OSError is raised if it cannot be opened, is larger than `max_bytes`, or is no regular file:
+    FIFOs and devices may block or never end; they are refused at once, also behind links.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     status = os.fstat(descriptor)

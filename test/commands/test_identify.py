@@ -18,13 +18,14 @@ from reference.method_of_steps import follow
 from soft_throw_ros.commands import identify, throw
 from soft_throw_ros.commands.identify_report import ejection_data, ejection_lines
 from soft_throw_ros.commands.options import UNCERTAINTY_PARAMETERS
-from soft_throw_ros.configuration import files, rig_of, TWIN
+from soft_throw_ros.configuration import files, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.systematics import FLOORS
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Message
 
@@ -64,11 +65,14 @@ def test_sample_gives_its_rig(sample_result):
     assert result['warnings'] == []
     assert result['assumed'] == []
     index = result['fit']['names'].index('layer.wave_speed')
-    covariance = np.array(result['fit']['covariance'])
-    assert np.sqrt(covariance[index, index]) == value(result, 'layer.wave_speed')[1]
+    statistical = math.sqrt(result['fit']['covariance'][index][index])
+    best, error = value(result, 'layer.wave_speed')
+    systematic = FLOORS['layer.wave_speed'].of(best)
+    assert error == pytest.approx(math.hypot(statistical, systematic))
+    assert result['systematic_errors'].keys() == FLOORS.keys()
     answer = result['answer']
     assert answer['effective_wave_speed']['error'] < 0.03 * 6.9
-    assert answer['rest_wave_speed']['error'] == value(result, 'layer.wave_speed')[1]
+    assert answer['rest_wave_speed']['error'] == pytest.approx(error, rel=1e-6)
     assert answer['limited_by'] == 'layer.stiffening'
     assert answer['is_good_enough']
     assert result['ejection']['alternatives'] == []
@@ -86,18 +90,12 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     path = tmp_path / 'my_rig.yaml'
     args = call.replace('\\\n', '').replace('my_rig.yaml', str(path)).split()
     answer, table, *_ = command.run(*args, '--figure', tmp_path / 'a.png').split('\n\n')
-    printed = table.splitlines()[:7]
     assert (tmp_path / 'a.png').read_bytes().startswith(b'\x89PNG')
-    shown = re.findall(r'^    ((?:engine|layer|projectile)\.\w+ +.* \+- .*)$', text, re.MULTILINE)
     titles = ('effective wave speed', 'wave speed at rest', 'energy transfer')
     for line, title in zip(answer.splitlines(), titles, strict=True):
         (line_of_page,) = re.findall(rf'^    ({title}  .*)$', text, re.MULTILINE)
         assert line.partition(' +- ')[0] == line_of_page.partition(' +- ')[0]
     assert 'good enough to choose a layer' in answer
-    # The last digits may depend on the processor
-    for line, other in zip(printed, shown, strict=True):
-        assert line.split()[0] == other.split()[0]
-        assert float(line.split()[1]) == pytest.approx(float(other.split()[1]), rel=1e-3)
     result, settings = sample_result, files.read(path)
     for name in result['found']:
         assert settings[name] == pytest.approx(value(result, name)[0], rel=1e-6)
@@ -109,7 +107,7 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
         assert settings[name] == pytest.approx(bound, rel=1e-2)
     # Parameters that do not describe the rig are left out of the file
     assert not re.search(r'^\s*rate', path.read_text(), re.MULTILINE)
-    for line in printed:  # with their standard errors
+    for line in table.splitlines()[:7]:  # with their standard errors
         assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
     predicted = throw.predict(settings)['throw']
     assert predicted['energy_transfer'] == pytest.approx(
@@ -174,30 +172,18 @@ def test_fit_of_a_rig_that_does_not_throw_is_shown_and_written(command, write, t
     assert not result['answer']['is_good_enough']
 
 
-def test_large_strain_is_printed_and_written(command, write, tmp_path):
-    engine = Engine(frequency=58.0, damping_ratio=0.05, amplitude=5e-3)
-    rig = Rig(engine=engine, layer=Layer(stress_strain_law='neo_hookean'))
-    # a longer flight would only cost time
-    path, output = write(csv_of(rig, np.arange(0.0, 0.042, 2e-4), 2e-5)), tmp_path / 'rig.yaml'
-    printed = command.run(path, '--output', output)
-    assert re.search(r'^layer.stress_strain_law +neo_hookean$', printed, re.MULTILINE)
-    assert rig_of(files.read(output)).layer.stress_strain_law == 'neo_hookean'
-
-
 def test_release_beyond_a_jump_is_an_alternative_of_the_report():
     one = Estimate(7.5e-3, 1e-4)
     other = AlternativeRelease(1, 0.2, Estimate(9e-3, 2e-4), one, Estimate(3.0, 0.1))
     ejection = Ejection(
         time=one, speed=one, peak_plate_speed=one, energy_transfer=one, alternatives=(other,),
-        time_budget={'tracks': 1e-5, 'projectile.sticking': 1e-4},
     )
     lines = list(ejection_lines(ejection))
-    assert 'or, with 20 %, one echo later: t_e 9.00 +- 0.20 ms' in lines[-2]
-    assert lines[-1].startswith('error of ejection time: 0.1 ms, by projectile.sticking 0.1')
+    assert 'or, with 20 %, one echo later: t_e 9.00 +- 0.20 ms' in lines[-1]
     assert ejection_data(ejection)['alternatives'] == (other,)
 
 
-def test_outliers_of_3_mm_are_listed_and_excluded(command, write, sample_result):
+def test_outliers_of_3_mm_are_listed_and_hardly_matter(command, write, sample_result):
     clean = sample_result
     lines = SAMPLE.read_text().splitlines()
     off = {}
@@ -217,21 +203,24 @@ def test_outliers_of_3_mm_are_listed_and_excluded(command, write, sample_result)
     assert result['warnings'] == []
     printed = command.run(path, *OF_SAMPLE[1:])
     for body, time in off.items():
-        assert f'left out as outliers of {body}: {time:g} s' in printed
+        assert f'outliers of {body}: {time:g} s' in printed
 
 
 def test_options_and_file_describe_the_same_fit(command, write):
-    path = write('parameters: {projectile.mass: 0.0012 +- 1 %}\nheights: own', 'fit.yaml')
+    path = write('prior: {projectile.mass: [0.0012, 1.2e-5]}\nheights: own', 'fit.yaml')
     args = (SAMPLE, '--unit', 'mm', *MEASURED[2:])
     by_file = command.json(*args, '--fit-file', path)
     for words in (('--mass', '0.0012+-1%'), ('-p', 'projectile.mass:=0.0012 +- 1 %')):
-        assert command.json(*args, *words) == by_file
+        by_option = command.json(*args, *words)
+        assert by_file['found'].keys() == by_option['found'].keys()
+        for name in by_file['found']:
+            assert value(by_file, name) == pytest.approx(value(by_option, name), rel=1e-6)
     assert by_file['assumed'] == []
     mass, error = value(by_file, 'projectile.mass')
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
     path.write_text('heights: [')
-    assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}:1: ')
+    assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}: ')
 
 
 def test_stated_noise_is_that_of_the_tracks(command, write):
@@ -369,7 +358,7 @@ def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
         ((SAMPLE, '-p', f'{THICKNESS}:=0.01+-x'), f'argument -p: {THICKNESS} must be'),
         ((SAMPLE, '--thickness', '7'), f'argument --thickness: {THICKNESS} must be a number from'),
         ((*OF_SAMPLE, '--from', '0.025'), f'{SAMPLE.name}: the plate does not move as a damped'),
-        ((*OF_SAMPLE, '--mass', '0.0012+-0%'), 'argument --mass: projectile.mass must have an'),
+        ((*OF_SAMPLE, '--mass', '0.0012+-0%'), 'argument --mass: projectile.mass must be'),
         ((*OF_SAMPLE, '--from', '1'), f'{SAMPLE.name}: only 0 samples from 1 s to inf s'),
         ((*OF_SAMPLE, '--output', 'none/rig.yaml'), 'argument --output: none/rig.yaml: '),
         ((*OF_SAMPLE, '--figure', 'a.gif'), 'argument --figure: must end with .png, .pdf, .svg'),

@@ -27,6 +27,7 @@ from soft_throw_ros.identification.fit_description import (
 )
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.systematics import FLOORS
 
 RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
 
@@ -43,6 +44,13 @@ def pulls_of(ejection, truth):
     return (values - truth) / errors
 
 
+def drawn_error(name, estimate):
+    """Return the error of a result without the systematic error."""
+    floor = FLOORS[f'ejection.{name}'].of(estimate.value)
+    assert estimate.error >= floor > 0.0
+    return np.sqrt(estimate.error**2 - floor**2)
+
+
 def test_errors_of_the_ejection_are_correct(make_throw):
     truth = truth_of(Rig())
     pulls = []
@@ -50,7 +58,7 @@ def test_errors_of_the_ejection_are_correct(make_throw):
         throw = make_throw(Rig(), rate=2000.0, duration=0.06, seed=seed)
         ejection = ejection_of(fit_rig([throw], Rig(), FitDescription(IDEAL_BENCH)))
         pulls.append(pulls_of(ejection, truth))
-        assert ejection.energy_transfer.error < 0.01
+        assert ejection.energy_transfer.error < 0.01 * ejection.energy_transfer.value
         assert ejection.alternatives == ()
     assert np.abs(np.mean(pulls, axis=0)).max() < 1.3
     assert np.sqrt(np.mean(np.square(pulls), axis=0)).max() < 1.8
@@ -91,7 +99,7 @@ def test_ejection_that_jumps_within_the_errors_is_reported(fitted):
     for found, step in ((early, -1e-3), (late, 1e-3)):
         truth = truth_of(Rig(layer=Layer(wave_speed=jump + step)))[0]
         assert found.value == pytest.approx(truth, rel=0.02)
-        assert found.error < 0.05 * (late.value - early.value)
+        assert drawn_error('time', found) < 0.05 * (late.value - early.value)
 
 
 @pytest.mark.slow
@@ -104,8 +112,7 @@ def test_error_of_the_ejection_follows_from_the_error_of_the_wave_speed(fitted, 
     higher, lower = (ejection_of(fitted(at(7.8 + d), error=1e-9)) for d in (0.01, -0.01))
     for name in ('time', 'speed', 'energy_transfer'):
         change = abs(getattr(higher, name).value - getattr(lower, name).value) / 2.0
-        assert getattr(ejection, name).error == pytest.approx(change, rel=0.15)
-    assert ejection.time_budget == {'tracks': pytest.approx(ejection.time.error, rel=0.15)}
+        assert drawn_error(name, getattr(ejection, name)) == pytest.approx(change, rel=0.15)
     assert ejection.peak_plate_speed.value == pytest.approx(
         Underdamped.of(Rig().engine).peak_velocity
     )
@@ -135,7 +142,8 @@ def test_wave_speed_at_the_amplitude_is_better_known_than_at_rest(fits):
     speed, at_rest = answer.effective_wave_speed, answer.rest_wave_speed
     assert answer.limited_by == 'layer.stiffening'
     assert speed.error < 0.5 * at_rest.error
-    assert at_rest.error == unknown.estimate('layer.wave_speed').error
+    error = unknown.estimate('layer.wave_speed').error
+    assert at_rest.error == pytest.approx(error, rel=1e-6)
     assert speed.value == pytest.approx(Rig().layer.wave_speed, abs=3.0 * speed.error)
     # A linear layer has the effective wave speed at all amplitudes
     assert speed.error == pytest.approx(linear.estimate('layer.wave_speed').error, rel=0.1)

@@ -10,8 +10,11 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     FitDescription,
     FIXED,
-    parse_treatments,
+    FREE,
+    LOSS,
+    parse_error,
     ThrowConditions,
+    Treatment,
 )
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 
@@ -19,29 +22,36 @@ RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
 
 
 @pytest.mark.parametrize(
-    ('text', 'known', 'value'),
+    ('treatment', 'known', 'value'),
     [
-        ('free', None, 0.02),
-        ('held', None, 0.02),
-        ('0.012', None, 0.012),
-        ('0.012 +- 1e-4', Estimate(0.012, 1e-4), 0.012),
-        ('12e-3+-2%', Estimate(0.012, pytest.approx(2.4e-4)), 0.012),
-        ('+- 1 % per throw', Estimate(0.02, pytest.approx(2e-4)), 0.02),
-        ('+- 1 % per throw if seen', Estimate(0.02, pytest.approx(2e-4)), 0.02),
+        (FREE, None, 0.02),
+        (FIXED, None, 0.02),
+        (Treatment(False, 0.012), None, 0.012),
+        (Treatment(True, 0.012, 1e-4), Estimate(0.012, 1e-4), 0.012),
+        (Treatment(True, None, 1e-4), Estimate(0.02, 1e-4), 0.02),
+        (parse_error('1e-4', '0.02'), Estimate(0.02, 1e-4), 0.02),
+        (parse_error(' 2 %', '0.02'), Estimate(0.02, pytest.approx(4e-4)), 0.02),
     ],
 )
-def test_parameter_is_free_or_held_or_known_with_an_error(text, known, value):
-    description = FitDescription(parse_treatments({'layer.thickness': text}))
-    treatment = description.treatment('layer.thickness')
+def test_parameter_is_free_or_fixed_or_known_with_an_error(treatment, known, value):
+    description = FitDescription({'layer.thickness': treatment})
     assert description.known('layer.thickness', RIG, 'a throw') == known
     assert description.prepare(RIG).layer.thickness == value
-    assert treatment.is_varied is ((text == 'free' or known is not None) and 'seen' not in text)
-    assert description.is_free('layer.thickness') is (text == 'free')
-    assert treatment.is_per_throw is ('per throw' in text)
-    assert description.activate('layer.thickness').treatment('layer.thickness').is_varied is (
-        treatment.is_varied or treatment.only_if_significant
-    )
+    assert description.is_free('layer.thickness') is (treatment == FREE)
     assert all(description.treatment(name).is_varied for name in DEFAULT_FREE)
+
+
+@pytest.mark.parametrize(('error', 'value'), [('0', '1'), ('-1', '1'), ('x', '1'), ('1%', '0')])
+def test_error_that_is_not_positive_is_refused(error, value):
+    with pytest.raises(ValueError, match=re.escape(f'{value}+-{error}')):
+        parse_error(error, value)
+
+
+def test_loss_is_searched_unless_something_is_said_about_it():
+    conditions = ThrowConditions({LOSS: FREE}, {})
+    assert FitDescription().searches(LOSS)
+    assert not FitDescription({LOSS: FIXED}).searches(LOSS)
+    assert not FitDescription(throws={'a': conditions}).searches(LOSS)
 
 
 def test_measured_quantities_have_the_errors_of_the_paper():
@@ -50,25 +60,28 @@ def test_measured_quantities_have_the_errors_of_the_paper():
     assert description.known('projectile.mass', RIG, '') == Estimate(1e-3, pytest.approx(1e-5))
 
 
+HEAVY, LIGHT = Treatment(False, 0.002), Treatment(False, 0.001)
+
+
 @pytest.mark.parametrize(
-    ('text', 'stated', 'by_throw', 'is_assumed'),
+    ('treatment', 'stated', 'by_throw', 'is_assumed'),
     [
         (None, (), {}, True),
-        ('held', (), {}, True),
-        ('+- 1 %', (), {}, True),
-        ('free', (), {}, False),
-        ('0.002 +- 1 %', (), {}, False),
+        (FIXED, (), {}, True),
+        (Treatment(True, error=1e-5), (), {}, True),
+        (FREE, (), {}, False),
+        (Treatment(True, 0.002, 2e-5), (), {}, False),
         (None, ('projectile.mass',), {}, False),
-        (None, (), {'heavy.csv': '0.002'}, True),
-        (None, (), {'heavy.csv': '0.002', 'light.csv': '0.001'}, False),
+        (None, (), {'heavy.csv': HEAVY}, True),
+        (None, (), {'heavy.csv': HEAVY, 'light.csv': LIGHT}, False),
     ],
 )
-def test_value_that_nobody_stated_is_assumed_and_held(text, stated, by_throw, is_assumed):
-    def treatments(text):
-        return parse_treatments({'projectile.mass': text} if text else {})
+def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, by_throw, is_assumed):
+    def treatments(item):
+        return {'projectile.mass': item} if item else {}
 
     throws = {name: ThrowConditions(treatments(item), {}) for name, item in by_throw.items()}
-    description = FitDescription(treatments(text), throws=throws)
+    description = FitDescription(treatments(treatment), throws=throws)
     result = description.assume(stated, ['heavy.csv', 'light.csv'])
     assert ('projectile.mass' in result.assumed) is is_assumed
     assert 'layer.loss_tangent' not in result.assumed
@@ -80,7 +93,7 @@ def test_value_that_nobody_stated_is_assumed_and_held(text, stated, by_throw, is
 def test_throws_share_equal_descriptions():
     description = FitDescription(
         throws={
-            'heavy_*': ThrowConditions(parse_treatments({'projectile.mass': '0.002 +- 1 %'}), {}),
+            'heavy_*': ThrowConditions({'projectile.mass': Treatment(True, 0.002, 2e-5)}, {}),
             'heavy_2.csv': ThrowConditions({}, {'layer': 'old'}),
         }
     )
@@ -129,35 +142,40 @@ def test_pattern_that_matches_no_throw_is_refused_with_the_names_of_all(throws):
 def test_file_agrees_with_the_python_description(tmp_path):
     path = tmp_path / 'fit.yaml'
     path.write_text(
-        'parameters:\n  projectile.mass: 0.0012 +- 1 %\n  engine.amplitude: free per throw\n'
+        'free: [layer.thickness]\nprior:\n  projectile.mass: [0.0012, 1.2e-5]\n'
+        'per_throw: [engine.frequency, projectile.mass]\n'
         'heights: common\nreference: centre\ntopic: /a\n'
-        'throws:\n  a.csv: {layer: soft, layer.thickness: 0.01}\n'
+        'throws:\n  a.csv: {layer: soft, fixed: {layer.thickness: 0.01}}\n'
     )
-    texts = {'projectile.mass': '0.0012 +- 1 %', 'engine.amplitude': 'free per throw'}
-    thickness = parse_treatments({'layer.thickness': '0.01'})
-    throws = {'a.csv': ThrowConditions(thickness, {'layer': 'soft'})}
-    expected = FitDescription(parse_treatments(texts), 'common', 'centre', throws, '/a')
+    treatments = {
+        'layer.thickness': FREE,
+        'projectile.mass': Treatment(True, 0.0012, 1.2e-5, is_per_throw=True),
+        'engine.frequency': FREE._replace(is_per_throw=True),
+    }
+    conditions = ThrowConditions({'layer.thickness': Treatment(False, 0.01)}, {'layer': 'soft'})
+    expected = FitDescription(treatments, 'common', 'centre', {'a.csv': conditions}, '/a')
     assert FitDescription.from_file(path) == expected
 
 
 @pytest.mark.parametrize(
     ('text', 'value'),
     [
-        ('parameters:\n  layer.colour: free', "'layer.colour'"),
-        ('parameters:\n  layer.thickness: often', "'often'"),
-        ('parameters:\n  layer.thickness: 1 +- 0', "'1 +- 0'"),
-        ('parameters:\n  layer.thickness: 1e400 +- 1 %', "'1e400 +- 1 %'"),
-        ('parameters:\n  layer.thickness: held per throw', "'held per throw'"),
-        ('parameters:\n  layer.thickness: held if seen', "'held if seen'"),
-        ('throws:\n  a.csv:\n    layer.thickness: often', "'often'"),
+        ('free: [layer.colour]', "'layer.colour'"),
+        ('free: layer.thickness', "'layer.thickness'"),
+        ('fixed:\n  layer.thickness: often', "'often'"),
+        ('fixed:\n  layer.colour: 1', "'layer.colour'"),
+        ('prior:\n  layer.thickness: [1, 0]', '[1, 0]'),
+        ('prior:\n  layer.thickness: 1', '1'),
+        ('prior:\n  layer.thickness: [1e400, 1]', '1e400'),
+        ('per_throw: [layer.density]', 'layer.density'),
+        ('throws:\n  a.csv:\n    fixed: {layer.thickness: often}', "'often'"),
+        ('throws:\n  a.csv:\n    heights: own', "'heights'"),
         ('throws:\n  a.csv: 1', '1'),
-        ('throws:\n  a.csv:\n    layer.loss_tangent: free if seen', "'free if seen'"),
-        ('throws:\n  a.csv:\n    plate.mode: held', "'held'"),
         ('heights: any', "'any'"),
         ('reference: top', "'top'"),
         ('depths: own', "'depths'"),
         ('- a', 'a mapping'),
-        ('parameters: [', 'expected'),
+        ('free: [', 'expected'),
     ],
 )
 def test_bad_file_is_refused_with_its_name_and_the_value(tmp_path, text, value):

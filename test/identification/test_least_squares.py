@@ -10,7 +10,6 @@ import pytest
 from scipy.optimize import curve_fit
 from soft_throw_ros.identification.fit_warnings import (
     Contradiction,
-    CorrelatedResiduals,
     fit_warnings,
     Mismatch,
     NotConverged,
@@ -35,19 +34,17 @@ def decay(time, size, rate):
 def model_of(function, *names):
     """Return a model made of an arbitrary function of time and values."""
     free = np.full(len(names), np.inf)
-    return FitModel.with_steps(
-        names, lambda values: function(TIME, *values), -free, free, np.full(len(names), 1e-6)
+    return FitModel(
+        names=names, predict=lambda values: function(TIME, *values), low=-free, high=free
     )
 
 
 MODEL = model_of(decay, 'size', 'rate')
 
 
-def track(seed=0, *, noise=0.01, known=None, correlated=0.0, extra=0.0):
+def track(seed=0, *, noise=0.01, known=None, extra=0.0):
     rng = np.random.default_rng(seed)
     scatter = rng.normal(size=TIME.size)
-    for index in range(1, TIME.size):
-        scatter[index] += correlated * scatter[index - 1]
     heights = decay(TIME, *TRUTH) + extra * np.sin(9.0 * TIME)
     return Track(time=TIME, position=heights + noise * scatter, known_noise=known)
 
@@ -62,11 +59,22 @@ def test_fit_agrees_with_curve_fit(known):
         data.position,
         p0=[1.0, 1.0],
         sigma=np.full(TIME.size, data.noise),
-        absolute_sigma=known is not None,
+        absolute_sigma=True,
     )
+    covariance *= max(1.0, fit.reduced_chi2)
     assert fit.values == pytest.approx(values, rel=1e-6)
     assert fit.covariance == pytest.approx(covariance, rel=1e-4)
     assert fit.dof == 198
+
+
+def test_a_slow_misfit_within_the_noise_enlarges_the_errors():
+    plain, slow = (
+        [fit_tracks(MODEL, TRUTH, [('decay', track(seed, extra=extra, known=0.01))])
+         for seed in range(20)]
+        for extra in (0.0, 0.007)
+    )
+    assert np.mean([fit.reduced_chi2 for fit in slow]) < 1.3
+    assert np.mean([fit.errors for fit in slow]) > 1.4 * np.mean([fit.errors for fit in plain])
 
 
 def test_fit_of_noise_alone_seldom_warns():
@@ -84,13 +92,6 @@ def test_residuals_above_the_noise_are_reported(data):
     assert mismatch.track == 'decay'
     assert mismatch.ratio == pytest.approx(2.0, rel=0.4)
     assert 0.0 <= mismatch.start < mismatch.end <= 2.0
-
-
-def test_correlated_residuals_are_reported():
-    *_, warning = fit_warnings(fit_tracks(MODEL, TRUTH, [('decay', track(correlated=0.7))]))
-    assert isinstance(warning, CorrelatedResiduals)
-    assert warning.autocorrelation == pytest.approx(0.7, abs=0.15)
-    assert warning.inflation > 2.0
 
 
 def test_inseparable_parameters_are_reported():
@@ -114,7 +115,7 @@ def test_parameter_without_effect_has_infinite_error():
 
 
 @pytest.mark.parametrize('indices', [[0], [1], [57, 58, 120], [199]])
-def test_outliers_are_excluded_by_name(indices):
+def test_outliers_are_listed_and_hardly_matter(indices):
     clean = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track())])
     position = track().position.copy()
     position[indices] += 0.5
@@ -122,13 +123,13 @@ def test_outliers_are_excluded_by_name(indices):
     outliers = fit.residuals[0].outliers
     assert [item.time for item in outliers] == TIME[indices].tolist()
     assert [item.deviation for item in outliers] == pytest.approx([0.5] * len(indices), abs=0.05)
-    assert np.abs((fit.values - clean.values) / clean.errors).max() < 1.0
+    assert np.abs((fit.values - clean.values) / clean.errors).max() < 1.5
     assert fit_warnings(fit) == []
 
 
 def test_model_that_does_not_fit_makes_no_outliers():
     (residual,) = fit_tracks(MODEL, TRUTH, [('decay', track(extra=0.5))]).residuals
-    assert residual.outliers == ()
+    assert residual.outliers == []
 
 
 def test_prior_counts_as_a_sample():

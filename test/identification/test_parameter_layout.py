@@ -7,7 +7,7 @@ from soft_throw_ros.identification.fit_description import (
     FitDescription,
     FREE,
     IDEAL_BENCH,
-    parse_treatments,
+    SEARCHED,
 )
 from soft_throw_ros.identification.parameter_layout import ParameterLayout
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
@@ -38,11 +38,6 @@ def test_shared_values_come_first_and_names_have_the_number_of_the_throw():
 
 def test_ringing_has_two_values_for_each_throw():
     throw = ThrowTracks(name='a', plate=TRACK)
-    ringing = parse_treatments({'plate.ringing': '+- 0.02 per throw'})
-    layout = ParameterLayout.of(
-        [throw], FitDescription({**IDEAL_BENCH, **ringing})
-    )
-    assert [layout.names[index] for index in layout.waves_of(0)] == [
-        'plate.ringing_cosine', 'plate.ringing_sine'
-    ]
+    layout = ParameterLayout.of([throw], FitDescription({**IDEAL_BENCH, **SEARCHED}))
+    assert {'plate.ringing_cosine', 'plate.ringing_sine'} < set(layout.names)
     assert 'layer.wave_speed' not in layout  # nothing is seen of the projectile

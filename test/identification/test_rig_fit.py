@@ -4,7 +4,6 @@
 
 from dataclasses import replace
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,10 +25,8 @@ from soft_throw_ros.identification.fit_description import (
 from soft_throw_ros.identification.fit_warnings import fit_warnings, InseparablePair
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.plate_waves import Mode, PlateWithWaves
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import Track
-from soft_throw_ros.identification.unseen import release_shift
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections, throw
 
 KNOWN = Rig(
@@ -71,7 +68,7 @@ def test_rig_fit_gives_the_reference_values(reference_throw):
     ).fit
     assert set(found.names) == set(REFERENCE)
     for name, (value, error) in REFERENCE.items():
-        assert found[name].value == pytest.approx(value, abs=1e-2 * error)
+        assert found[name].value == pytest.approx(value, abs=2e-2 * error)
         assert found[name].error == pytest.approx(error, rel=5e-3)
     assert found.chi2 == pytest.approx(1000.6256902061018, rel=1e-6)
     assert found.dof == 995
@@ -151,11 +148,6 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     known = replace(rig, layer=Layer(thickness=2.6e-3))
     found = fit_rig([seen], known, FitDescription({**IDEAL_BENCH, 'layer.thickness': FREE}))
     fit = found.fit
-    for name, truth in (('layer.wave_speed', 3.0), ('layer.thickness', 2e-3)):
-        low, high = found.intervals[name]
-        assert low < truth < high
-        # The valley of the cost is bent, so one side of the interval is longer
-        assert high - low == pytest.approx(2.0 * 1.96 * fit[name].error, rel=0.5)
     (pair,) = [item for item in fit_warnings(fit) if isinstance(item, InseparablePair)]
     assert pair.names == ('layer.wave_speed', 'layer.thickness')
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
@@ -206,66 +198,32 @@ def test_sensor_faults_are_within_the_errors(make_throw, see, fault):
     assert fit_warnings(found.fit) == []
 
 
-def test_stamp_errors_increase_noise_where_bodies_are_fast(make_throw, see):
-    seen = make_throw(Rig(), noise=1e-5)
-    time = seen.plate.time
-    wrong = time + 4e-5 * np.random.default_rng(2).uniform(-1.0, 1.0, time.size)
-    jittering = see(wrong, seen.plate.position, seen.projectile.position, noise=0.0)
-    found = fit_rig([jittering], Rig(layer=Layer(wave_speed=20.0)))
-    assert_true(found, Rig(), (*DEFAULT_FREE, 'start_time'), errors=3.5)
-    assert fit_warnings(found.fit) == []
-    noise = found.fit.residuals[1].noise
-    assert noise.min() == pytest.approx(1e-5, rel=0.2)
-    assert noise.max() == pytest.approx(1.4 * 4e-5 / 3**0.5, rel=0.25)
-
-
-def followed(see, rig, *, plate=None, duration=0.08, seed=0):
+def followed(see, rig, *, duration=0.08):
     """Tracks of a throw by the model that is fitted."""
     time = np.arange(0.0, duration, 2e-4)
     since = time - 0.0153
-    path = ThrowSimulator().follow(rig, since, motion=plate)
-    height = (plate or Underdamped.of(rig.engine)).position(since)
-    return see(time, height, path.position, seed=seed)
+    path = ThrowSimulator().follow(rig, since)
+    return see(time, Underdamped.of(rig.engine).position(since), path.position)
 
 
-HARD = Rig(
-    engine=Engine(frequency=72.5, damping_ratio=0.1, amplitude=1.1e-3),
-    layer=Layer(thickness=12.8e-3, wave_speed=8.85),
-    projectile=Projectile(mass=0.34e-3),
-)
-"""A rig whose layer amplifies a second mode that the plate alone hardly shows."""
+IMPERFECTIONS = {
+    'a second mode': Imperfections(second_mode=0.01),
+    'sticking': Imperfections(sticking=2e-4),
+    'stiffening': Imperfections(stiffening=0.8),
+}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('rig', [Rig(), HARD], ids=['usual', 'hardly to be seen'])
-def test_second_mode_of_a_plate_is_within_the_errors(see, rig):
-    mode = Mode(310.0, 0.02, sine=0.01)
-    plate = PlateWithWaves(Underdamped.of(rig.engine), mode=mode)
-    found = fit_rig([followed(see, rig, plate=plate, seed=3)], rig)
-    assert_true(found, rig, DEFAULT_FREE, errors=2.5)
-    held = {'plate.mode': FIXED}
-    exact = fit_rig([followed(see, rig, seed=3)], rig, FitDescription(held))
+@pytest.mark.parametrize('imperfections', IMPERFECTIONS.values(), ids=IMPERFECTIONS.keys())
+def test_effects_outside_the_model_are_within_the_errors(see, imperfections):
+    tracks, release = imperfect_throw(see, Rig(), imperfections)
+    found = fit_rig([tracks], Rig())
+    truth = values_of(Rig(), DEFAULT_FREE)
     for name in DEFAULT_FREE:
-        assert exact.estimate(name).error < found.estimate(name).error
-
-
-def test_release_of_a_plate_with_waves_is_the_throwing_one():
-    rig = Rig(
-        engine=Engine(frequency=84.1, damping_ratio=0.14, amplitude=2.38e-3),
-        layer=Layer(thickness=9.77e-3, wave_speed=7.22, diameter=0.0122),
-        projectile=Projectile(mass=1.675e-3),
-    )
-    step = Underdamped.of(rig.engine)
-    plate = PlateWithWaves(step, mode=Mode(764.0, 0.0106, sine=-0.0091))
-    simulator = ThrowSimulator()
-    events = simulator.follow(rig, np.linspace(0.0, 0.03, 9), motion=plate).events
-    assert events[0].time < 1.5e-3  # it is let go when the first wave has come, and falls back
-    model = SimpleNamespace(
-        motion=lambda _values, _throw: (rig, plate), simulator=simulator, by_cells=False
-    )
-    time, speed = release_shift(model, np.empty(0))
-    assert abs(time) < 5e-4
-    assert abs(speed) < 0.05
+        estimate = found.estimate(name)
+        assert estimate.value == pytest.approx(truth[name], abs=2.5 * estimate.error), name
+    ejection = ejection_of(found)
+    for estimate, value in ((ejection.time, release.time), (ejection.speed, release.velocity)):
+        assert estimate.value == pytest.approx(value, abs=2.5 * estimate.error)
 
 
 def imperfect_throw(see, rig, imperfections):
@@ -274,18 +232,6 @@ def imperfect_throw(see, rig, imperfections):
     time = np.arange(0.0, 0.08, 2e-4)
     since = time - 0.0153
     return see(time, thrown.plate(since), thrown.projectile(since)), thrown.changes[0]
-
-
-def test_sticking_is_within_the_error_of_the_ejection_time(see):
-    tracks, release = imperfect_throw(see, Rig(), Imperfections(sticking=2e-4))
-    fit = fit_rig([tracks], Rig())
-    assert fit_warnings(fit.fit) == []  # the tracks are consistent with no sticking
-    found = ejection_of(fit)
-    for estimate, truth in ((found.time, release.time), (found.speed, release.velocity)):
-        assert estimate.value == pytest.approx(truth, abs=2.5 * estimate.error)
-    held = ejection_of(fit_rig([tracks], Rig(), EXACT))
-    assert held.time.error < found.time.error < 4e-4
-    assert abs(held.time.value - release.time) > 5.0 * held.time.error  # it does matter
 
 
 @pytest.mark.slow
@@ -297,7 +243,7 @@ def test_ringing_before_the_throw_leads_to_no_other_minimum(see, phase):
     tracks, release = imperfect_throw(see, rig, ringing)
     assert release.time > 0.0
     found = fit_rig([tracks], replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0)))
-    assert found.added_terms[0].name == 'plate.ringing'
+    assert 'plate.ringing_sine' in found.fit
     assert fit_warnings(found.fit) == []
     assert_true(found, rig, DEFAULT_FREE, errors=3.5)
     ejection = ejection_of(found)
@@ -320,28 +266,17 @@ def test_unknown_loss_is_found_beside_bench_effects(see):
     assert_true(found, rig, errors=3.5)
     assert found.fit['layer.loss_tangent'].error < 0.02
     assert fit_warnings(found.fit) == []
-    best, second, *_ = found.layers
-    assert (best.name, best.criterion) == ('with loss', 0.0)
-    assert second.criterion > 12.0
 
 
-def test_layer_of_large_strain_is_distinguished_from_linear_layers(see):
+@pytest.mark.slow
+def test_layer_of_large_strain_is_fitted_if_stated(see):
     rig = Rig(engine=Engine(amplitude=5e-3), layer=Layer(stress_strain_law='neo_hookean'))
-    found = fit_rig([followed(see, rig)], KNOWN)
-    assert found.rig.layer.stress_strain_law == 'neo_hookean'
+    known = replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0))
+    found = fit_rig([followed(see, rig)], known)
     assert_true(found, rig, ENGINE, errors=3.5)
-    speed = found.estimates()['layer.wave_speed']
-    assert speed.value == pytest.approx(7.8, abs=3.5 * speed.error)
-    assert fit_warnings(found.fit) == []
-    best, second = found.layers
-    assert (best.name, best.chi2 / best.dof) == ('of large strain', pytest.approx(1.0, abs=0.1))
-    assert second.criterion > 12.0
-
-
-def test_layer_that_is_linear_stays_so(make_throw):
-    found = fit_rig([make_throw(Rig(engine=Engine(amplitude=5e-3)))], KNOWN)
-    assert found.rig.layer.stress_strain_law == 'linear'
-    assert found.layers[0].name == 'without loss'
+    speed = found.estimate('layer.wave_speed')
+    assert speed.value == pytest.approx(rig.layer.wave_speed, abs=3.5 * speed.error)
+    assert not found.fit.is_mismatch
 
 
 def test_value_held_for_one_of_two_layers_is_kept(make_throw):

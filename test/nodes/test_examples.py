@@ -39,8 +39,8 @@ def test_results_of_fed_samples_are_read(start: Any, start_node: Any) -> None:
     reader = start(*command('read_results.py'))
     start(*command('feed_samples.py'))
     reader.wait_for('thickness 0.04')  # the recommendation comes after some throws
-    speed = float(re.search(r'([\d.]+) m/s', reader.lines[-1]).group(1))  # type: ignore[union-attr]
-    assert speed == pytest.approx(1.375, rel=0.02)
+    (speed,) = re.findall(r'([\d.]+) m/s', reader.lines[-1])
+    assert float(speed) == pytest.approx(1.375, rel=0.02)
 
 
 @pytest.mark.slow

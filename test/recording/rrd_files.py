@@ -13,9 +13,14 @@ import warnings
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from soft_throw_ros.recording.rerun_output import new_stream, save_recording
 from soft_throw_ros.recording.rerun_view import Scene
-from soft_throw_ros.recording.rerun_viewer import NoGraphicsError, Viewer
+from soft_throw_ros.recording.rerun_viewer import (
+    finish,
+    new_stream,
+    NoGraphicsError,
+    save_to,
+    Viewer,
+)
 
 
 @contextlib.contextmanager
@@ -82,16 +87,15 @@ class RrdFile:
         return {name for batch in self.entities[entity] for name in batch.schema.names}
 
 
-def record(path: Path, scene: Scene, messages: Sequence[Any], batch: int = 1000) -> RrdFile:
-    """Write a scene, including its earlier state, to a file and return the recording."""
-    stream = new_stream()
-
-    def draw() -> None:
-        scene.connect(stream)
-        for begin in range(0, len(messages), batch):
-            scene.show(messages[begin:begin + batch])
-        scene.arrange()
-
-    save_recording(stream, path, draw)
-    scene.connect(None)
-    return RrdFile(path)
+def record(
+    path: Path, messages: Sequence[Any], batch: int = 1000, **options: Any
+) -> tuple[RrdFile, Scene]:
+    """Write a scene to a file; return the recording and the scene."""
+    stream = new_stream('test')
+    save_to(stream, path, is_live=False)
+    scene = Scene(stream, **options)
+    for begin in range(0, len(messages), batch):
+        scene.show(messages[begin:begin + batch])
+    scene.arrange()
+    finish(stream, path)
+    return RrdFile(path), scene

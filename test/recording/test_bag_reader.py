@@ -22,10 +22,9 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import parse_qos
 from soft_throw_ros.commands.recover import main as recover_bag
-from soft_throw_ros.recording import recovery
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
-from soft_throw_ros.storage import mcap_file
+from soft_throw_ros.storage import bag_reader, mcap_stream
 from soft_throw_ros.storage.bag_metadata import MAX_FILE_SIZE
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, Message
@@ -122,7 +121,7 @@ def test_bag_of_rosbags_is_read(recording, tmp_path, version, mode):
 @pytest.mark.parametrize('chunked', [True, False])
 @pytest.mark.parametrize('index_types', [IndexType.ALL, IndexType.NONE, IndexType.CHUNK])
 @pytest.mark.parametrize('has_statistics', [True, False])
-def test_mcap_with_any_index_is_read_or_recovered(tmp_path, chunked, index_types, has_statistics):
+def test_mcap_with_any_index_or_none_is_read(tmp_path, chunked, index_types, has_statistics):
     times = [3, 1, 2, 2, 5, 4, 0, 9, 8, 7] * 40
     with (tmp_path / 'theirs.mcap').open('wb') as file:
         writer = Writer(
@@ -146,17 +145,14 @@ def test_mcap_with_any_index_is_read_or_recovered(tmp_path, chunked, index_types
                 writer.add_metadata('name', {'key': 'value'})
         writer.add_attachment(0, 0, 'file', 'text/plain', b'content')
         writer.finish()
-    path = tmp_path / 'theirs.mcap'
-    if not (chunked and has_statistics and index_types is IndexType.ALL):
-        with pytest.raises(UnfinishedError, match=r'theirs\.mcap: .*soft-throw recover'):
-            BagReader(path)
-        path = recover(path, tmp_path / 'recovered').target
-    bag = read(path)
-    assert [(message.log_time, message.sequence) for message in bag.messages] == sorted(
-        (time, number) for number, time in enumerate(times)
-    )
-    assert bag.span == (0, 9)
-    assert bag.metadata == [Metadata(name='name', metadata={'key': 'value'})]
+    recover(tmp_path / 'theirs.mcap', tmp_path / 'recovered')
+    for name in ('theirs.mcap', 'recovered'):
+        bag = read(tmp_path / name)
+        assert [(message.log_time, message.sequence) for message in bag.messages] == sorted(
+            (time, number) for number, time in enumerate(times)
+        )
+        assert bag.span == (0, 9)
+        assert bag.metadata == [Metadata(name='name', metadata={'key': 'value'})]
     assert bag.attachments == {'file': b'content'}
 
 
@@ -259,28 +255,83 @@ def test_damaged_index_is_refused(recording):
         BagReader(path)
 
 
+def test_bag_is_read_up_to_the_first_damaged_chunk(recording):
+    recording.write(900, max_duration=0.3)
+    path = recording.files[1]
+    data = bytearray(path.read_bytes())
+    data[data.index(b'zstd') + 100] ^= 1
+    path.write_bytes(data)
+    messages = []
+    with BagReader(recording.folder) as bag, pytest.raises(UnfinishedError, match='chunk'):
+        for message in bag.messages():
+            messages.append(message)  # noqa: PERF402  until the error
+    assert recording.content(messages) == recording.content(recording.messages[:len(messages)])
+    assert len(messages) == 303
+
+
 # Large claims
 
 
-@pytest.mark.parametrize('compression', ['none', 'zstd'])
-def test_too_large_chunk_is_refused_before_it_is_read(tmp_path, monkeypatch, compression):
-    messages = [plain(0), plain(1, size=200_000)]
-    path = write(tmp_path / 'bag', messages, chunk=1, compression=compression)
-    for module in (mcap_file, recovery):
-        monkeypatch.setattr(module, 'MAX_RECORD', 100_000)
-    with pytest.raises(UnfinishedError, match=r'chunk of .* more than 100000'):
-        BagReader(path)
-    recovered = recover(path, tmp_path / 'new')
-    assert '100000' in recovered.omitted[0]
-    assert [message.sequence for message in read(recovered.target).messages] == [0]
+def claiming(folder, kind):
+    """Write a bag with one message, and a record or chunk that claims far more than there is."""
+    path = folder / f'{kind}.mcap'
+    with path.open('wb') as file:
+        writer = Writer(file, use_chunking=kind != 'message', compression=CompressionType.NONE)
+        writer.start('ros2')
+        schema = writer.register_schema('t/msg/T', 'ros2msg', b'int8 x')
+        channel = writer.register_channel('/a', 'cdr', schema)
+        writer.add_message(channel, 1, b'', 1)
+        writer.flush()
+        begin = file.tell()
+        writer.add_message(channel, 2, b'abc', 2)
+        writer.flush()
+        writer.finish()
+    with path.open('r+b') as file:
+        file.seek(begin + {'message': 1, 'chunk': 1, 'unpacked': 9 + 16, 'data': 9 + 32}[kind])
+        file.write((10**12).to_bytes(8, 'little'))
+    return path
 
 
-def test_too_large_index_is_refused_and_not_needed_to_recover(tmp_path, monkeypatch):
-    path = write(tmp_path / 'bag', map(plain, range(50)), chunk=1)
-    monkeypatch.setattr(mcap_file, 'MAX_RECORD', 3_000)
-    with pytest.raises(UnfinishedError, match='index'):
+@pytest.mark.parametrize('kind', ['message', 'chunk', 'unpacked', 'data'])
+def test_record_that_claims_more_than_there_is_is_refused_in_little_memory(tmp_path, kind):
+    path = claiming(tmp_path, kind)
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(BagError), BagReader(path) as reader:
+            messages = list(reader.messages())
+            assert kind in ('chunk', 'unpacked')  # the index has the right sizes
+            assert [message.data for message in messages] == [b'', b'abc']
+        recovered = recover(path, tmp_path / 'new')
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 10**7
+    assert len(recovered.omitted) == 1
+    assert [message.data for message in read(recovered.target).messages] == [b'']
+
+
+def test_chunk_and_index_beyond_the_limit_are_refused(tmp_path, monkeypatch):
+    for name, size, limit in (('chunk', 200_000, 100_000), ('index', 100, 3_000)):
+        messages = [plain(number, size=size) for number in range(50)]
+        path = write(tmp_path / name, messages, chunk=1, compression='none')
+        monkeypatch.setattr(mcap_stream, 'MAX_RECORD', limit)
+        with pytest.raises(UnfinishedError, match=f'more than {limit}'):
+            BagReader(path)
+        monkeypatch.undo()
+
+
+def test_large_file_without_an_index_is_refused_and_recovered(tmp_path, monkeypatch):
+    path = tmp_path / 'plain.mcap'
+    with path.open('wb') as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        schema = writer.register_schema('t/msg/T', 'ros2msg', b'int8 x')
+        writer.add_message(writer.register_channel('/a', 'cdr', schema), 1, bytes(1000), 1)
+        writer.finish()
+    monkeypatch.setattr(bag_reader, 'MAX_UNINDEXED', 1000)
+    with pytest.raises(UnfinishedError, match=r'no index.*soft-throw recover'):
         BagReader(path)
-    assert recover(path, tmp_path / 'new').message_count == 50
+    assert recover(path, tmp_path / 'new').message_count == 1
 
 
 @pytest.fixture(scope='module')

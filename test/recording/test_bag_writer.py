@@ -214,7 +214,7 @@ def test_disk_full_at_the_end_is_named_by_close_and_keeps_flushed_messages(tmp_p
     assert (writer.counts, writer.lost) == (Counter({PLAIN: 3}), Counter({PLAIN: 1}))
     recovery = recover(tmp_path / 'bag', tmp_path / 'recovered')
     assert numbers(read(recovery.target).messages) == [0, 1, 2]
-    assert recovery.omitted == ()  # it ends after a whole record
+    assert len(recovery.omitted) == 1  # a part of a record
     for call in (writer.flush, writer.split, lambda: writer.write(plain(1))):
         with pytest.raises(BagError, match='bag is closed'):
             call()
@@ -264,12 +264,11 @@ def test_messages_of_every_size_time_and_number_are_kept(tmp_path):
 
 
 def test_bag_without_messages_is_valid(tmp_path):
-    with BagWriter(tmp_path / 'bag', distribution='kilted') as writer:
-        writer.add_channel(PLAIN)
+    BagWriter(tmp_path / 'bag', distribution='kilted').close()
     bag = read(tmp_path / 'bag')
-    assert (bag.messages, bag.counts, bag.span) == ([], [0], (0, 0))
+    assert (bag.messages, bag.counts, bag.span) == ([], [], (0, 0))
     with RosbagsReader(tmp_path / 'bag') as theirs:
-        assert (theirs.message_count, theirs.duration) == (0, 0)
+        assert theirs.message_count == 0
 
 
 def test_equal_channels_are_merged_when_read(tmp_path):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Charts, by the artists of Matplotlib and by pixels."""
+"""Charts, by the artists of Matplotlib and by pixels, and the map of all layers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,15 @@ import pytest
 
 figures = pytest.importorskip('matplotlib.figure')
 
-from soft_throw_ros.recording import charts  # noqa: E402, I100
-from soft_throw_ros.recording.charts import MapAxis  # noqa: E402
+from soft_throw_ros.configuration import TWIN  # noqa: E402, I100
+from soft_throw_ros.core.closed_form import first_release  # noqa: E402
+from soft_throw_ros.core.rig import Layer, Projectile, Rig  # noqa: E402
+from soft_throw_ros.recording import charts  # noqa: E402
+from soft_throw_ros.recording.charts import (  # noqa: E402
+    draw_energy_map,
+    energy_transfer,
+    MapAxis,
+)
 
 X = MapAxis('x (mm)', np.linspace(10.0, 30.0, 5))
 Y = MapAxis('y', np.geomspace(1.0, 100.0, 3))
@@ -65,3 +72,56 @@ def test_colours_distinguish_signs_and_are_grey_without_a_value() -> None:
     (red, _, blue), grey = colours[1]
     assert blue > red
     assert grey.tolist() == [0xB0] * 3
+
+
+# the map of all layers, against the model
+
+BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
+
+
+def test_energy_transfer_of_other_layers_agrees_with_the_model() -> None:
+    rig = Rig(layer=Layer(density=900.0), gravity=5.0)
+    thickness, wave_speed = np.array([[5e-3, 20e-3]]), np.array([[4.0], [10.0], [30.0]])
+    computed = energy_transfer(rig, thickness, wave_speed)
+    for row, column in np.ndindex(3, 2):
+        layer = Layer(thickness=thickness[0, column], wave_speed=wave_speed[row, 0], density=900.0)
+        other = Rig(layer=layer, gravity=5.0)
+        release = first_release(
+            mass_ratio=other.mass_ratio,
+            speed_ratio=other.speed_ratio,
+            damping_ratio=other.engine.damping_ratio,
+            gravity_ratio=other.gravity_ratio,
+        )
+        assert computed[row, column] == pytest.approx(release.energy_transfer, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('values', 'expected'),
+    [
+        ({}, ['now: α 3.637']),
+        (BEST, ['now: α 3.637', 'recommended: α 4.143']),
+        ({'thickness': 0.0169, 'wave_speed': 7.8}, ['now, as recommended: α 3.637']),
+        ({'now.energy_transfer': 3.5, **BEST}, ['now: α 3.500', 'recommended: α 4.143']),
+    ],
+)
+def test_marks_are_the_layer_of_the_rig_and_the_recommended_one(values, expected) -> None:
+    figure = draw_energy_map(Rig(), TWIN.defaults(), values)
+    assert [line.get_label() for line in figure.axes[0].lines] == expected
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == expected
+
+
+def test_map_extends_beyond_the_considered_layers() -> None:
+    panel = draw_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {}).axes[0]
+    assert panel.get_xlim() == pytest.approx((1.0, 80.0))
+    assert np.nanmax(panel.collections[0].get_array()) > 4.0
+
+
+def test_map_without_a_release_has_a_note() -> None:
+    """Proving that a layer never throws takes milliseconds, so the map is coarse."""
+    rig = Rig(projectile=Projectile(mass=1.0))
+    panel = draw_energy_map(rig, TWIN.defaults(), {}).axes[0]
+    assert [line.get_label() for line in panel.lines] == ['now: no release']
+    values = np.ma.filled(panel.collections[0].get_array(), np.nan)
+    assert np.isnan(values).any()
+    assert values.size < 160 * 100

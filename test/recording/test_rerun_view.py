@@ -23,9 +23,7 @@ rr = pytest.importorskip('rerun')
 
 from test.recording.rrd_files import record, RrdFile  # noqa: E402, I100
 
-from soft_throw_ros.recording import charts, panels  # noqa: E402
-from soft_throw_ros.recording.energy_map import draw_energy_map  # noqa: E402
-from soft_throw_ros.recording.rerun_view import Scene  # noqa: E402
+from soft_throw_ros.recording import charts  # noqa: E402
 
 
 @pytest.fixture(autouse=True, scope='module')
@@ -45,9 +43,8 @@ def twin() -> Any:
 @pytest.fixture(scope='module')
 def path(twin, tmp_path_factory) -> Path:
     journal = [item for item in twin.messages if item.channel.topic == '/twin/journal']
-    scene = Scene('test', throw=find_throws(journal)['/twin'][-1])
     path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
-    record(path, scene, twin.messages)
+    _, scene = record(path, twin.messages, throw=find_throws(journal)['/twin'][-1])
     assert scene.span == (twin.schedule.deadline(0), twin.schedule.deadline(1199))
     return path
 
@@ -143,17 +140,18 @@ def table_of(text: str) -> list[list[str]]:
 def maps(monkeypatch) -> list[Any]:
     """Return a list that gets the figures of all maps that are drawn."""
     figures: list[Any] = []
+    draw_map = charts.draw_energy_map
 
     def draw(*arguments: Any) -> Any:
-        figures.append(draw_energy_map(*arguments))
+        figures.append(draw_map(*arguments))
         return figures[-1]
 
-    monkeypatch.setattr(panels, 'draw_energy_map', draw)
+    monkeypatch.setattr(charts, 'draw_energy_map', draw)
     return figures
 
 
 def test_map_marks_the_layers_of_the_table_where_it_is_brightest(twin, maps, tmp_path) -> None:
-    recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
+    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
     text = recording.last('/twin/recommendation', 'TextDocument:text')[0]
     heads, thickness, wave_speed, _, alpha, *_ = table_of(text)
     assert heads[1:] == ['now', 'other thickness', 'other wave speed', 'both']
@@ -189,7 +187,7 @@ def test_map_and_table_are_of_the_recommended_rig_or_empty(
             topic = '/twin/recommendation'
             last = [item for item in twin.messages if item.channel.topic == topic][-1]
             twin.messages.remove(last)
-        recording = record(tmp_path / f'{number}.rrd', Scene('test'), twin.messages)
+        recording, _ = record(tmp_path / f'{number}.rrd', twin.messages)
         table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
         alphas = [line.get_label().split('α ')[1] for line in maps[-1].axes[0].lines]
         if number < 2:
@@ -231,7 +229,7 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
     messages = [message for twin in twins for message in twin.go(150).messages]
     kept = [item for item in messages if item.channel.topic != '/rig1/twin/journal']
     kept.sort(key=lambda message: message.log_time)
-    recording = record(tmp_path / 'scene.rrd', Scene('test'), kept)
+    recording, _ = record(tmp_path / 'scene.rrd', kept)
     for root in ('/rig1/twin', r'/rig\ 2/twin'):
         assert len(recording.scalars(f'{root}/position')[0]) == 150
     assert '/rig1/twin/landscape' not in recording.entities
@@ -239,26 +237,12 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
     assert recording.views.count('Position z (mm)') == 2
 
 
-def test_late_viewer_gets_the_present_state_only(twin, tmp_path) -> None:
-    scene = Scene('test', is_live=True)
-    before = record(tmp_path / 'first.rrd', scene, twin.messages, batch=100)
-    after = record(tmp_path / 'second.rrd', scene, [])
-    for entity, component in (
-        ('/twin/phase', 'StateChange:state'),
-        ('/twin/throw_result', 'TextDocument:text'),
-        ('/twin/recommendation', 'TextDocument:text'),
-        ('/twin/strain/picture', 'Image:buffer'),
-        ('/twin/landscape', 'EncodedImage:blob'),
-        ('/twin/side/plate/body', 'Image:buffer'),
-    ):
-        assert after.series(entity, component)[0].size == 1
-        assert after.last(entity, component) == before.last(entity, component)
-    assert set(after.views) == set(before.views)
-    for entity in ('/twin/position', '/twin/phase', '/twin/side/layer'):
-        assert any(
-            name.split(':')[-1] in ('colors', 'format') for name in after.components(entity)
-        )
-    assert 'Scalars:scalars' not in after.components('/twin/position')
+def test_live_view_keeps_the_rig_for_late_viewers(twin, tmp_path) -> None:
+    recording, _ = record(tmp_path / 'live.rrd', twin.messages, batch=100, is_live=True)
+    for entity in ('/twin/side/plate/body', '/twin/recommendation', '/twin/landscape'):
+        assert recording.entities[entity]
+        assert entity not in recording.rows  # no time
+    assert recording.rows['/twin/throw_result'] >= 2
 
 
 def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
@@ -269,7 +253,7 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
     onset = twin.schedule.time_ns + 50_000_000
     outlier = twin.encode_positions(onset + 5_000_000, (0.0, 0.1))
     twin.messages.append(Message(twin.channels['residual'], outlier, twin.now, twin.now, 0))
-    recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
+    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
     stamps, values = recording.scalars('/twin/position/predicted')
     assert stamps.tolist() == [item.stamp_ns for item in predictions]
@@ -296,7 +280,7 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
         ('/other/calibrator', 'identification', {'warning 1': 'another'}),
     ):
         twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
-    recording = record(tmp_path / 'scene.rrd', Scene('test'), twin.messages)
+    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
     results = [result for outputs in twin.outputs for result in outputs.results]
     (accuracy,) = [item.accuracy for item in results if item.stage == 'release']
     text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
@@ -329,8 +313,7 @@ def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> 
         data=bytes(damaged[:cut]),
         publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
     )
-    scene = Scene('test')
-    recording = record(path.with_name('damaged.rrd'), scene, messages)
+    recording, scene = record(path.with_name('damaged.rrd'), messages)
     states = sum(item.channel.topic == '/twin/joint_states' for item in messages)
     assert recording.rows['/twin/position'] >= states - 1
     assert scene.damaged <= 2
@@ -340,8 +323,7 @@ def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> 
 @pytest.mark.parametrize('name', ['joint_states', 'measured_joint_states', 'residual'])
 def test_joint_states_of_other_machines_are_ignored(twin, tmp_path, name) -> None:
     arm = JointStateEncoder('base', ('shoulder', 'elbow')).encode(1, [0.0] * 6)
-    scene = Scene('test')
-    record(tmp_path / 'a.rrd', scene, [Message(twin.channels[name], arm, 1, 1)])
+    _, scene = record(tmp_path / 'a.rrd', [Message(twin.channels[name], arm, 1, 1)])
     assert (scene.damaged, scene.is_empty) == (0, True)
 
 
@@ -352,7 +334,7 @@ def test_log_lines_are_at_their_step_in_simulated_time(tmp_path) -> None:
         item._replace(publish_time=item.publish_time + ahead, log_time=item.log_time + ahead)
         for item in twin.messages
     ]
-    recording = record(tmp_path / 'a.rrd', Scene('test'), messages)
+    recording, _ = record(tmp_path / 'a.rrd', messages)
     steps = [twin.schedule.deadline(outputs.step) for outputs in twin.outputs if outputs.results]
     times, lines = recording.series('/log', 'TextLog:text')
     assert times.tolist() == steps

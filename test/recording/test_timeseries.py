@@ -178,3 +178,11 @@ def test_measured_throw_starts_with_the_plate_and_the_journal_replaces_a_lost_re
     assert field.stamps[0] == pytest.approx(measured.schedule.time_ns + 50_000_000, abs=5000)
     assert field.times[-1] == pytest.approx(1.5 * field.throw.ejection_time)
     assert field.throw.ejection_time == pytest.approx(whole.throw.ejection_time, rel=1e-12)
+
+
+def test_a_throw_is_over_when_its_end_is_reported() -> None:
+    twin = TwinMessages(throw__period=0.3).go(620)  # the second throw has been released
+    journals = [item for item in twin.messages if item.channel.topic == '/twin/journal']
+    first, second = find_throws(journals)['/twin'][-2:]
+    assert first.ejection_time == second.ejection_time
+    assert (first.is_over, second.is_over) == (True, False)

@@ -107,20 +107,16 @@ def is_writing() -> bool:
     return any(item.name == 'bag' for item in threading.enumerate())
 
 
-def test_hanging_disk_delays_the_end_for_a_bounded_time_and_is_reported(
+def test_hanging_disk_delays_the_end_for_a_bounded_time(
     tmp_path: Path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(writer_thread, 'STALL_NOTICE', 0.1)
     monkeypatch.setattr(writer_thread, 'STALL_TIMEOUT', 0.3)
     writer = thread(tmp_path / 'bag', HungBag)
     assert writer.bag is not None
     writer.put([plain(0)])
     wait_until(lambda: writer.waiting == 0)
     writer.put([plain(number) for number in range(1, 8)])
-    reports: list[str] = []
-    writer.close(reports.append)
-    assert len(reports) == 1
-    assert '7 messages' in reports[0]
+    writer.close()
     assert is_writing()
     assert '0.3 s' in writer.error
     assert (writer.lost(), writer.waiting) == ({PLAIN: 7}, 0)

@@ -9,14 +9,7 @@ import math
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.storage.cdr import (
-    decode,
-    JointStateEncoder,
-    JointStateReader,
-    MAX_SCHEMA,
-    MessageError,
-)
-from soft_throw_ros.storage.message import Channel, Message
+from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader, MessageError
 from soft_throw_ros.twin.results import State
 
 STATE = State(1e-3, 0.0168, -0.25, 1.25, -math.pi, math.pi)
@@ -89,14 +82,3 @@ def test_message_after_a_damaged_one_is_read() -> None:
     with pytest.raises(MessageError, match='not little-endian'):
         reader.read(b'\x00\x00\x00\x00')
     assert reader.read(message).names == ('plate', 'projectile')
-
-
-@pytest.mark.parametrize('schema', [
-    f'Nothing[] many\n{"=" * 80}\nMSG: a/Nothing\nuint8 X=1\n',
-    f'Nothing[400000000] many\n{"=" * 80}\nMSG: a/Nothing\nuint8[0] nothing\n',
-    'uint8 data\n' * MAX_SCHEMA,
-])
-def test_definition_of_unbounded_size_is_refused(schema) -> None:
-    topic = Channel(topic='/a', type='a/msg/Many', schema=schema)
-    with pytest.raises(MessageError, match='the definition of a/msg/Many'):
-        decode(Message(topic, b'\0\1\0\0\xff\xff\xff\xff', 0, 0))
