@@ -263,24 +263,29 @@ def write_predictions(
     """
     Yield the lines of a table of throws, and a warning of strains beyond the linear range.
 
-    A number `max_strain` of a column takes the place of the common limit `max_strain` [-].
+    The limit `max_strain` is that of the linear range [-].
     """
     yield from write_columns(columns)
-    beyond = [
-        head.replace('_', ' ')
-        for head, numbers in columns.items()
-        if numbers and numbers['peak_strain'] > numbers.get('max_strain', max_strain)
-    ]
+    yield from strain_warnings(max_strain, {
+        head.replace('_', ' '): numbers['peak_strain'] for head, numbers in columns.items()
+        if numbers
+    })
+
+
+def strain_warnings(max_strain: float, peaks: Mapping[str, float]) -> Iterator[str]:
+    """Yield the warnings of peak strains that exceed a range, or all that a layer can do [-]."""
+    impossible = [source for source, peak in peaks.items() if peak >= 1.0]
+    beyond = [source for source, peak in peaks.items() if max_strain < peak < 1.0]
     if beyond:
-        yield strain_warning(max_strain, ', '.join(beyond))
-
-
-def strain_warning(max_strain: float, source: str) -> str:
-    """Return the warning that the strain exceeds the linear range of a layer [-]."""
-    return (
-        f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range ({source}): a real layer '
-        'will deviate from this prediction.'
-    )
+        yield (
+            f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range '
+            f'({", ".join(beyond)}): a real layer will deviate from this prediction.'
+        )
+    if impossible:
+        yield (
+            f'Strain of 100 % or more is impossible ({", ".join(impossible)}): a layer cannot be '
+            'compressed by its whole thickness.'
+        )
 
 
 def _line(title: str, unit: str, cells: Iterable[str]) -> str:

@@ -23,7 +23,7 @@ from soft_throw_ros.commands.output import (
     print_result,
     run_command,
     slow_notice,
-    strain_warning,
+    strain_warnings,
     write_columns,
 )
 from soft_throw_ros.configuration import rig_of, Settings, Value
@@ -50,7 +50,7 @@ class Prediction(TypedDict):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the command; return exit code 0."""
+    """Run the command; return exit code 0, or 1 without a throw."""
     return run_command(_parser(), _run, args)
 
 
@@ -69,7 +69,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with slow_notice('throw'):
         prediction = predict(settings)
     print_result(prediction, _table(prediction), as_json=arguments.json)
-    return 0
+    return 0 if prediction['throw'] else 1
 
 
 def predict(settings: Settings) -> Prediction:
@@ -195,5 +195,6 @@ def _table(prediction: Prediction) -> Iterator[str]:
     yield ''
     for name, note in prediction['notes'].items():
         yield f'{name}: {note}'
-    if prediction['leaves_linear_range']:
-        yield strain_warning(rig_of(prediction['parameters']).layer.linear_range, 'throw')
+    if prediction['throw']:
+        limit = rig_of(prediction['parameters']).layer.linear_range
+        yield from strain_warnings(limit, {'throw': prediction['throw']['peak_strain']})

@@ -5,15 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 import math
-from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.plate import require_samples, SampledMotion
-
-if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a record is fitted
-    from scipy.interpolate import BSpline
 
 Floats = NDArray[np.float64]
 
@@ -23,20 +20,11 @@ MIN_SAMPLES = 8
 MAX_END_SPEED = 0.25
 """Largest speed of a plate at the end of a record, over its peak speed. [-]"""
 
-_CLEAN_NOISE = 1e-5
-"""Noise over the range of heights, below which the spline goes through the samples. [-]"""
-
 _MOTION_SIGMAS = 6.0
 """Standard deviations of the noise, from which on a plate moves. [-]"""
 
 _CERTAIN_MOTION = 0.3
 """Height over the largest one, at which a plate has certainly started. [-]"""
-
-_COEFFICIENT_WEIGHT = 1.4
-"""Weight of a coefficient in the cross-validation, which smooths too little with 1. [-]"""
-
-_KNOT_STRIDES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
-"""Samples from knot to knot that are tried. [-]"""
 
 
 def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
@@ -56,12 +44,10 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
 
     Notes
     -----
-    A cubic spline goes through the samples if they are clean, to fourth order in the spacing:
-    its second derivative, the acceleration, is continuous, as a real plate's is. Otherwise
-    fewer knots are fitted by least squares; generalised cross-validation [1]_ chooses their
-    number, and needs to know neither the noise nor the motion. A smoothing filter would also
-    round off the start, where the acceleration jumps. So the spline begins at the start, which is
-    fitted too, with height and velocity 0.
+    Fits SciPy's smoothing spline, whose smoothness is chosen by generalised cross-validation [1]_
+    and needs to know neither the noise nor the motion. It would also round off the start, where
+    the acceleration jumps; so it is fitted to the samples since the start and to their mirror
+    image before it, which together are smooth, and begins at rest by symmetry.
 
     References
     ----------
@@ -81,17 +67,27 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     times, heights = require_samples(times, heights, 'heights')
     if times.size < MIN_SAMPLES:
         raise ValueError(f'heights must be at least {MIN_SAMPLES}, got {times.size}')
+    from scipy.interpolate import make_smoothing_spline
+
     start, rest_height = _find_start(times, heights)
-    spline = _fit_record(times - start, heights - rest_height)
-    knots = np.unique(spline.t)
-    states = np.stack([spline(knots, nu=order) for order in range(3)], axis=1)
-    motion = SampledMotion(knots, states)
-    last = float(np.abs(np.diff(heights[-4:]) / np.diff(times[-4:])).min())
+    since = times - start
+    moving = since > 1e-3 * float(np.median(np.diff(times)))
+    if (after := int(moving.sum())) < MIN_SAMPLES:
+        raise ValueError(f'heights after the start must be at least {MIN_SAMPLES}, got {after}')
+    since, rise = since[moving], heights[moving] - rest_height
+    unit = float(np.median(np.diff(since)))  # the spline takes neither small nor large numbers
+    both = np.concatenate([-since[::-1], [0.0], since]) / unit
+    spline = make_smoothing_spline(both, np.concatenate([rise[::-1], [0.0], rise]))
+    knots = np.append(0.0, since)
+    states = np.stack([spline(knots / unit, nu=n) / unit**n for n in range(3)], axis=1)
+    states[:, 0] -= states[0, 0]
+    states[0, 1] = 0.0
+    last = abs(float(states[-1, 1]))
     if last > MAX_END_SPEED * np.abs(states[:, 1]).max():
         raise ValueError(
             f'the plate must come to rest, got {last:g} m/s at the last sample; record longer'
         )
-    return motion
+    return SampledMotion(knots, states)
 
 
 def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
@@ -113,13 +109,22 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
     rest_height = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
     t, z = times[: far + 1], heights[: far + 1] - rest_height
 
-    def residual(start: float) -> float:
+    def criterion(start: float, terms: int) -> float:
+        """Weigh the misfit of a polynomial from rest against its terms, twice as much as BIC."""
         s = np.maximum(t - start, 0.0) / (t[-1] - t[0])
-        basis = np.stack([s**2, s**3, s**4, s**5], axis=1)
-        return float(np.sum((z - basis @ np.linalg.lstsq(basis, z, rcond=None)[0]) ** 2))
+        basis = s[:, None] ** np.arange(2.0, 2.0 + terms)
+        coefficients = np.linalg.lstsq(basis, z, rcond=None)[0]
+        if coefficients[0] * z[-1] <= 0.0:  # a start the other way explains nothing
+            coefficients[:] = 0.0
+        misfit = np.sum((z - basis @ coefficients) ** 2) + (1e-12 * z[-1]) ** 2
+        return float(t.size * np.log(misfit) + 2.0 * terms * np.log(t.size))
 
     earliest = float(times[max(2 * first - far - 2, 0)])
-    return _lowest(residual, earliest, float(times[first])), rest_height
+    starts = [
+        (terms, _lowest(partial(criterion, terms=terms), earliest, float(times[first])))
+        for terms in (2, 3, 4)
+    ]
+    return min(starts, key=lambda item: criterion(item[1], item[0]))[1], rest_height
 
 
 def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
@@ -136,59 +141,3 @@ def _lowest(function: Callable[[float], float], low: float, high: float) -> floa
 def _noise(heights: Floats) -> float:
     """Estimate the standard deviation of white noise from sixth differences."""
     return float(np.median(np.abs(np.diff(heights, 6)))) / (0.6745 * math.sqrt(924.0))
-
-
-class _Fit(NamedTuple):
-    """A cubic spline from rest, its sum of squares, and samples less coefficients."""
-
-    spline: BSpline
-    misfit: float
-    spare: float
-
-
-def _fit_record(times: Floats, heights: Floats) -> BSpline:
-    """Fit a spline to heights of a plate that starts near time 0, see `motion_from_record`."""
-
-    def fit(stride: int, start: float = 0.0) -> _Fit:
-        moving = times > start + 1e-3 * step
-        return _fit_spline(times[moving] - start, heights[moving], stride)
-
-    step = float(np.median(np.diff(times)))
-    after = int((times > 0.0).sum())
-    if after < MIN_SAMPLES:
-        raise ValueError(f'heights after the start must be at least {MIN_SAMPLES}, got {after}')
-    if _noise(heights[-after:]) < _CLEAN_NOISE * np.ptp(heights):
-        return fit(1).spline
-    strides = [stride for stride in _KNOT_STRIDES if stride <= after // 4]
-    fits = {stride: fit(stride) for stride in strides}
-    stride = min(fits, key=lambda stride: fits[stride].misfit / fits[stride].spare ** 2)
-    best = fits[stride]
-    if times[0] < 0.0:
-        reach = 0.5 * stride * step
-
-        def misfit(start: float) -> float:
-            return fit(stride, start).misfit + float(np.sum(heights[times <= start] ** 2))
-
-        best = fit(stride, _lowest(misfit, max(-reach, float(times[0])), reach))
-    return best.spline
-
-
-def _fit_spline(times: Floats, heights: Floats, stride: int) -> _Fit:
-    """Fit by least squares from rest at time 0, with a knot at every so many samples, or all."""
-    from scipy.interpolate import BSpline
-    from scipy.sparse.linalg import spsolve
-
-    inner = times[:-2] if stride == 1 else times[:-1][stride - 1:: stride]
-    knots = np.concatenate([[0.0] * 4, inner, [times[-1]] * 4])
-    basis = BSpline.design_matrix(times, knots, 3).tocsc()
-    direction = heights[(np.abs(heights) > _CERTAIN_MOTION * np.abs(heights).max()).argmax()]
-    # Height and velocity at the start are 0. Noise must not make it a jump the other way, which
-    # would throw the projectile off at once.
-    for zeros in (2, 3, 4):
-        free = basis[:, zeros:]
-        coefficients = np.append(np.zeros(zeros), spsolve(free.T @ free, free.T @ heights))
-        if coefficients[zeros] * direction >= 0.0 or stride == 1:
-            break
-    spline = BSpline(knots, coefficients, 3)
-    misfit = float(np.sum((spline(times) - heights) ** 2))
-    return _Fit(spline, misfit, heights.size - _COEFFICIENT_WEIGHT * free.shape[1])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Many throws at once: their ratios, checked and broadcast, and threads that share them."""
+"""Many throws at once: their ratios, checked and broadcast, threads and cancellation."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from soft_throw_ros.core.processors import usable_processors
 
 Floats = NDArray[np.float64]
 
+Cancelled = Callable[[], bool]
+"""Called several times in a second of computing, by any thread; returns whether to give up."""
+
 _RANGES = {
     'mass_ratio': 'positive', 'speed_ratio': 'positive', 'damping_ratio': 'in_unit_interval',
 }
@@ -25,6 +28,16 @@ _MAX_PERIODS = 16.0
 
 _MAX_CROSSINGS = 4096.0
 """Longest wait of steppers for a release, in crossings of the wave. [-]"""
+
+
+class SearchCancelledError(RuntimeError):
+    """The caller no longer needs the result."""
+
+
+def check_cancelled(cancelled: Cancelled | None) -> None:
+    """Raise SearchCancelledError if the search is cancelled."""
+    if cancelled is not None and cancelled():
+        raise SearchCancelledError('the search was cancelled')
 
 
 class ThrowUnresolvedError(ValueError):

@@ -13,7 +13,13 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
+from soft_throw_ros.core.batch import (
+    broadcast_ratios,
+    Cancelled,
+    check_cancelled,
+    in_threads,
+    longest_wait,
+)
 from soft_throw_ros.core.cell_grid import (
     count_cells,
     crossing_time,
@@ -75,6 +81,9 @@ _MIN_STEPS_PER_PERIOD = 80.0
 _MAX_BATCH_CELLS = 1024
 """Most cells that `throw_batch` chooses. [-]"""
 
+_SLICE = 0.1
+"""Time of a processor between two looks at a flag. [s]"""
+
 _THROWS_PER_THREAD = 16
 """Fewest throws that are worth a thread. [-]"""
 
@@ -125,6 +134,7 @@ def throw_batch(
     *,
     cells: int | None = None,
     threads: int | None = None,
+    cancelled: Cancelled | None = None,
 ) -> Floats:
     r"""
     Compute first releases and loads for `throws.throw_many`.
@@ -138,7 +148,7 @@ def throw_batch(
     cells : int, optional
         Number of cells of the layer, from 8 to `MAX_CELLS`; by default chosen for each throw, at
         least 64, for errors of 1e-4. Errors are of second order, but of first order in shocks.
-    threads : int, optional
+    threads, cancelled
         As for `throws.throw_many`.
 
     Returns
@@ -175,8 +185,12 @@ def throw_batch(
             prepare_ratios(core, nodes, path, bodies[n], ratios_of_throw, steps[n])
             numbers[:2] = numbers[2]
             reset(core, nodes)
-            advance(core, nodes, path, no_events, latest[n])
             grid = core[0]
+            updates = nodes.shape[1] * latest[n] / steps[n]
+            for time in np.linspace(0.0, latest[n], 2 + int(UPDATE_COST * updates / _SLICE))[1:]:
+                check_cancelled(cancelled)
+                if advance(core, nodes, path, no_events, time):
+                    break
             if grid['events']:
                 omega = 2.0 * math.pi / kappa[n]
                 strain = max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max())

@@ -46,6 +46,7 @@ def require_in_unit_interval(name: str, value: object) -> float:
 
 
 _RANGES: Mapping[str, tuple[str, Callable[[Floats], NDArray[np.bool_]]]] = {
+    'finite': ('finite', lambda array: array > -math.inf),
     'positive': ('above 0 and finite', lambda array: array > 0.0),
     'not_negative': ('at least 0 and finite', lambda array: array >= 0.0),
     'in_unit_interval': ('at least 0 and below 1', lambda array: (array >= 0.0) & (array < 1.0)),

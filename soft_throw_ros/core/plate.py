@@ -4,9 +4,9 @@
 Motions of the plate.
 
 Every motion is at rest at height 0 before time 0 (a sampled one: before its first sample), and
-has a position and a velocity at any time. The closed form takes `Underdamped`; measured motions
-and those from files are `SampledMotion`. `soft_throw_ros.core.plate_kernels` evaluates both inside
-compiled steppers.
+has a position and a velocity at any time. An engine's motion starts at time 0. The closed form
+takes `Underdamped`; measured motions and those from files are `SampledMotion`.
+`soft_throw_ros.core.plate_kernels` evaluates both inside compiled steppers.
 """
 
 from __future__ import annotations
@@ -106,11 +106,6 @@ class Underdamped:
     def peak_velocity_time(self) -> float:
         """:math:`t_v`, when the plate is fastest (D3) [s]."""
         return math.acos(self.damping_ratio) / self.exponent.imag
-
-    @property
-    def start_time(self) -> float:
-        """Time at which the plate starts [s]."""
-        return 0.0
 
     def position(self, time: ArrayLike) -> Floats:
         """Height of the plate, Eq. (D2) [m]."""
@@ -219,6 +214,11 @@ class SampledMotion:
         """Return the motion with scaled times and scaled heights."""
         states = self.states * height / time ** np.arange(3.0)
         return SampledMotion(self.times * time, states)
+
+    def from_start(self) -> SampledMotion:
+        """Return the motion with times since its first state."""
+        start = self.start_time
+        return self if start == 0.0 else SampledMotion(self.times - start, self.states)
 
     @property
     def start_time(self) -> float:

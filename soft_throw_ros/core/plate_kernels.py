@@ -72,11 +72,6 @@ def write_motion(
     record['last'][0] = -math.inf
     if plate is None:
         return np.zeros((_ROWS, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
-    if plate.start_time < 0.0:
-        raise ValueError(
-            'a sampled motion must begin at time 0 or later, got a first sample at '
-            f'{plate.start_time:g} s'
-        )
     path = np.zeros((_ROWS, plate.times.size + 1))
     pieces = append_states(record['last'], 1, path, plate.times, plate.states)
     path[:2, -1] = plate.end_time, plate.states[-1, 0]  # there it stays

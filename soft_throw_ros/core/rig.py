@@ -45,7 +45,8 @@ _CHOICES = {'stress_strain_law': STRESS_STRAIN_LAWS, 'loss': LOSSES}
 def check_fields(instance: object, **kinds: str) -> None:
     """Check numbers and choices of a frozen dataclass; positive unless `kinds` names another."""
     for item in fields(instance):  # type: ignore[arg-type]
-        name = f'{type(instance).__name__.lower()}.{item.name}'
+        kind = type(instance).__name__.lower()
+        name = item.name if kind == 'rig' else f'{kind}.{item.name}'
         value = getattr(instance, item.name)
         if item.type == 'float':
             check = getattr(checks, f'require_{kinds.get(item.name, "positive")}')
@@ -69,7 +70,8 @@ class Engine:
     damping_ratio : float
         Damping ratio :math:`\zeta`, 0 for the harmonic motion of Eq. (1). [-]
     motion : SampledMotion, optional
-        Recorded motion of the plate, which replaces the oscillation. Frequency and amplitude are
+        Recorded motion of the plate, which replaces the oscillation; its times count from its
+        first state, the start of the throw. Frequency and amplitude are
         then only units of time and length; the loss tangent of a layer still refers to the
         frequency.
 
@@ -87,6 +89,8 @@ class Engine:
 
     def __post_init__(self) -> None:
         check_fields(self, damping_ratio='in_unit_interval')
+        if self.motion is not None:
+            object.__setattr__(self, 'motion', self.motion.from_start())
 
     @property
     def angular_frequency(self) -> float:
@@ -358,7 +362,7 @@ class Rig:
     Raises
     ------
     ValueError
-        If `gravity` is negative or not finite.
+        If `gravity` is negative or not finite, or a component is of another type.
 
     References
     ----------
@@ -379,6 +383,9 @@ class Rig:
 
     def __post_init__(self) -> None:
         check_fields(self, gravity='not_negative')
+        for name, kind in (('engine', Engine), ('layer', Layer), ('projectile', Projectile)):
+            if not isinstance(value := getattr(self, name), kind):
+                raise ValueError(f'{name} must be of type {kind.__name__}, got {value!r}')
 
     @property
     def mass_ratio(self) -> float:

@@ -16,6 +16,7 @@ from typing import ClassVar, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core.batch import Cancelled, check_cancelled
 from soft_throw_ros.core.kernels import Record, subroutine
 from soft_throw_ros.core.plate import require_series
 from soft_throw_ros.core.plate_kernels import (
@@ -208,7 +209,9 @@ class Stepper(ABC):
             raise self._refusal(count, float(time))
         return count
 
-    def advance_to_release(self, *, latest: float, step: float) -> Event | None:
+    def advance_to_release(
+        self, *, latest: float, step: float, cancelled: Cancelled | None = None
+    ) -> Event | None:
         """
         Go forward from the start in steps until the first release, and return it.
 
@@ -218,10 +221,13 @@ class Stepper(ABC):
             Time after which to give up and return None. [s]
         step : float
             Time of each step. [s]
+        cancelled : callable, optional
+            See `batch.Cancelled`; SearchCancelledError if it returns True.
 
         """
         steps = 0
         while not self.advance_to(min(steps * step, latest)):
+            check_cancelled(cancelled)
             if steps * step >= latest:
                 return None
             steps += 1

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.batch import Cancelled, check_cancelled
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import motion_of, PlateMotion
 from soft_throw_ros.core.rig import Rig
@@ -132,7 +133,7 @@ class Throw:
     """
     Result of one throw. Made by `simulate`.
 
-    Times count from the start of the plate's clock, heights from the plate's rest position; loads
+    Times count from the start of the plate's motion, heights from the plate's rest position; loads
     and energies are those up to the first release.
     """
 
@@ -184,8 +185,8 @@ class Throw:
 
     @property
     def ejection_time(self) -> float:
-        """:math:`t_e` of the first release, since the plate began to move [s]."""
-        return self.first_release.time - self.motion.start_time
+        """:math:`t_e` of the first release [s]."""
+        return self.first_release.time
 
     @property
     def ejection_speed(self) -> float:
@@ -269,6 +270,7 @@ def simulate(
     cells: int | None = None,
     until: float | None = None,
     max_events: int | None = None,
+    cancelled: Cancelled | None = None,
 ) -> Throw:
     """
     Simulate a throw to its end, by travelling waves or, if the layer needs them, by cells.
@@ -287,6 +289,8 @@ def simulate(
         simulation until then would take more than about half a second, stop when the projectile
         is far above every height that the free top reached in eight crossings and two periods of
         the plate.
+    cancelled : callable, optional
+        See `batch.Cancelled`.
 
     Returns
     -------
@@ -299,6 +303,8 @@ def simulate(
     ThrowUnfinishedError
         If the projectile is not released by `until`, or within 100 crossings and 50 periods of
         the plate.
+    SearchCancelledError
+        If `cancelled` returns True.
 
     Notes
     -----
@@ -325,10 +331,16 @@ def simulate(
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
     stepper = make_stepper(rig, cells=cells)
-    _run(stepper, until=until, max_events=max_events)
+    _run(stepper, until, max_events, cancelled)
     events = tuple(stepper.events()[:max_events])
     end_time = float(stepper.state[TIME])
     if not events:
+        largest = rig.engine.speed_scale * rig.engine.angular_frequency
+        if rig.engine.motion is None and largest < rig.gravity:
+            raise ThrowUnfinishedError(
+                f"the plate's acceleration, at most {largest:.3g} m/s2, is below gravity, "
+                f'{rig.gravity:g} m/s2, and the projectile stays on the layer'
+            )
         raise ThrowUnfinishedError(
             f'the projectile is not released by {end_time:g} s; follow it for longer'
         )
@@ -352,7 +364,9 @@ def _energies(stepper: Stepper) -> Energies:
     return Energies(work, stored, 0.0 if is_lossless else max(0.0, work - stored))
 
 
-def _run(stepper: Stepper, *, until: float | None, max_events: int | None) -> None:
+def _run(
+    stepper: Stepper, until: float | None, max_events: int | None, cancelled: Cancelled | None
+) -> None:
     """Go to the end of a throw as `simulate` defines it."""
     rig, motion = stepper.rig, motion_of(stepper.rig.engine)
     latest = MAX_DURATION if until is None else until
@@ -364,6 +378,7 @@ def _run(stepper: Stepper, *, until: float | None, max_events: int | None) -> No
     low = high = stepper.rest_position
     time, ticks, event_count = 0.0, 0, 0
     while time < latest and (max_events is None or event_count < max_events):
+        check_cancelled(cancelled)
         ticks += 1
         time = min(ticks * tick, latest)
         count = stepper.advance_to(time)
@@ -375,7 +390,7 @@ def _run(stepper: Stepper, *, until: float | None, max_events: int | None) -> No
                 return
         if until is not None:
             continue
-        if time > affordable or (not event_count and time > motion.start_time + wait):
+        if time > affordable or (not event_count and time > wait):
             return
         low, high = min(low, stepper.surface_position), max(high, stepper.surface_position)
         if event_count and not stepper.in_contact and time - last.time > quiet:

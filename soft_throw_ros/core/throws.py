@@ -3,22 +3,27 @@
 """
 First releases and loads of many throws, in SI units, by a suitable method for each throw.
 
-Without loss and strong gravity the closed form is exact and fast; steppers compute others. The
-method of a release is the same with and without loads; otherwise the release of a layer near a
-discontinuity could jump when its loads are computed.
+Without loss the closed form is exact; steppers compute throws with loss or strong gravity, and
+loads. The method of a release is the same with and without loads; otherwise the release of a layer
+near a discontinuity could jump when its loads are computed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 import math
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import cell_stepper, closed_form, wave_stepper
-from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
+from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
+from soft_throw_ros.core.batch import (
+    Cancelled,
+    check_cancelled,
+    in_threads,
+    ThrowUnresolvedError,
+)
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import (
     Engine,
@@ -35,17 +40,29 @@ from soft_throw_ros.core.throw import make_stepper, simulate, ThrowUnfinishedErr
 
 Floats = NDArray[np.float64]
 
-Cancelled = Callable[[], bool]
-"""Called between batches of throws; returns whether to give up."""
-
 Changes: TypeAlias = Mapping[str, Floats | float]
 """Other values of a rig by name: of engine and layer, `mass` of the projectile, `gravity` [SI]."""
+
+_KINDS = {
+    **dict.fromkeys(('frequency', 'amplitude', 'density', 'diameter'), 'positive'),
+    **dict.fromkeys(('loss_tangent', 'gravity'), 'not_negative'),
+    **dict.fromkeys(('thickness', 'wave_speed', 'mass'), 'finite'),  # no layer, no throw: NaN
+    'damping_ratio': 'in_unit_interval',
+}
+"""Names of `Changes`, and their ranges for `checks.require_all`."""
 
 SEARCH_CELLS = 16
 """Cells of a layer with loss in a search: a sixth of the time of the default, and 1e-3 exact."""
 
 STRONG_GRAVITY = 0.2
 """Gravity over the plate's acceleration beyond which the closed form slows down. [-]"""
+
+_LIGHT = 1.0 / 64.0
+"""
+Projectile over layer mass below which strong gravity does not exclude the closed form. [-]
+
+It may leave and be caught again between two of the 512 steps that waves cross a layer in.
+"""
 
 _HOLDING_GRAVITY = 4.0
 r"""
@@ -55,21 +72,11 @@ On a spring the acceleration is :math:`2 q^2 / (q^2 - 1)` times the plate's at m
 frequencies :math:`q \ge 2` times the plate's. Waves increase it; 3.1 is the largest seen.
 """
 
-_CLOSED_FORM_BATCH, _STEPPER_BATCH, _SAMPLED_BATCH = 1 << 16, 1 << 10, 1 << 8
-"""Throws per batch: some tenths of a second, so that a cancelled search ends soon."""
+_CLOSED_FORM_BATCH, _LIGHT_BATCH, _STEPPER_BATCH = 1 << 16, 1 << 5, 1 << 10
+"""Throws per batch: some tenths of a second of the closed form, with weak and strong gravity."""
 
 _WAIT = 8.0
 """Longest wait for a release after a sampled motion, in periods of plate and projectile. [-]"""
-
-
-class SearchCancelledError(RuntimeError):
-    """The caller no longer needs the result."""
-
-
-def check_cancelled(cancelled: Cancelled | None) -> None:
-    """Raise SearchCancelledError if the search is cancelled."""
-    if cancelled is not None and cancelled():
-        raise SearchCancelledError('the search was cancelled')
 
 
 class Throws(NamedTuple):
@@ -117,7 +124,7 @@ def throw_many(
     threads : int, optional
         Largest number of threads, all cores if not given. The number does not change the results.
     cancelled : callable, optional
-        Called between batches of some tenths of a second; returns whether to give up.
+        See `batch.Cancelled`.
 
     Returns
     -------
@@ -128,12 +135,13 @@ def throw_many(
     Raises
     ------
     ValueError
-        If there is no rig, or rigs differ in more than the values of `Changes`.
+        If there is no rig, rigs differ in more than the values of `Changes`, or a change has an
+        unknown name or is out of range.
     SearchCancelledError
         If `cancelled` returns True.
 
     """
-    changes = changes or {}
+    changes = _checked(changes or {})
     if any(single.engine.motion for single in ([rig] if isinstance(rig, Rig) else rig)):
         return _throw_sampled(rig, changes, cells, threads, cancelled)
     if not isinstance(rig, Rig):
@@ -153,15 +161,30 @@ def throw_many(
     rows = results.reshape(len(results), *shape)
     ratios = Ratios(*(np.broadcast_to(ratio, shape).ravel() for ratio in ratios_of(rig, values)))
     for name, chosen in _methods(rig, ratios).items():
-        is_fast = name == 'closed_form' and not loads
-        size = _CLOSED_FORM_BATCH if is_fast else _STEPPER_BATCH
+        size = {'closed_form': _CLOSED_FORM_BATCH, 'light': _LIGHT_BATCH}.get(name, _STEPPER_BATCH)
         for batch in _batches(chosen, size, cancelled):
             selected = Ratios(*(row[batch] for row in ratios))
-            results[:, batch] = _throw_by(name, rig, selected, loads, cells, threads)
+            if name == 'cells':
+                results[:, batch] = cell_stepper.throw_batch(
+                    selected, rig.layer, cells=cells, threads=threads, cancelled=cancelled
+                )
+            elif name == 'waves':
+                results[:, batch] = wave_stepper.throw_batch(
+                    selected, threads=threads, cancelled=cancelled
+                )
+            else:
+                results[:, batch] = _throw_by_closed_form(selected, loads, threads, cancelled)
     results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
     for n, unit in enumerate(units_of(values)):
         rows[n] *= unit
     return Throws(*rows)
+
+
+def _checked(changes: Changes) -> dict[str, Floats]:
+    """Return changes as arrays, or raise ValueError."""
+    for name in changes.keys() - _KINDS.keys():
+        raise ValueError(f'changes must be of {", ".join(_KINDS)}, got {name!r}')
+    return {name: checks.require_all(name, item, _KINDS[name]) for name, item in changes.items()}
 
 
 def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
@@ -256,23 +279,30 @@ def _methods(rig: Rig, ratios: Ratios) -> dict[str, NDArray[np.bool_]]:
     needs_cells = is_lossy | (not rig.layer.is_uniform or rig.layer.stress_strain_law != 'linear')
     return {
         'closed_form': exist & ~needs_cells & ~is_strong,
-        'waves': exist & ~needs_cells & is_strong,
+        'light': exist & ~needs_cells & is_strong & (mu < _LIGHT),
+        'waves': exist & ~needs_cells & is_strong & (mu >= _LIGHT),
         'cells': exist & needs_cells,
     }
 
 
-def _throw_by(
-    name: str, rig: Rig, ratios: Ratios, loads: bool, cells: int | None, threads: int | None
+def _throw_by_closed_form(
+    ratios: Ratios, loads: bool, threads: int | None, cancelled: Cancelled | None
 ) -> Floats:
-    """Compute rows as of `cell_stepper.throw_batch` by a method of `_methods`."""
-    if name == 'cells':
-        return cell_stepper.throw_batch(ratios, rig.layer, cells=cells, threads=threads)
-    if name == 'waves' or loads:
-        results = wave_stepper.throw_batch(ratios, threads=threads)
-    else:
-        results = np.full((len(Throws._fields), ratios.mass_ratio.size), math.nan)
-    if name == 'closed_form':
-        results[:3] = closed_form.first_releases(**ratios.lossless, threads=threads)
+    """
+    Compute rows as of `cell_stepper.throw_batch` by the closed form, and loads by waves.
+
+    Under strong gravity waves also find the releases that the closed form gives up on.
+    """
+    results = np.full((len(Throws._fields), ratios.mass_ratio.size), math.nan)
+    results[:3] = closed_form.first_releases(**ratios.lossless, threads=threads)
+    unresolved = np.isnan(results[0]) & (ratios.gravity_ratio > STRONG_GRAVITY)
+    chosen = unresolved | (loads and ~np.isnan(results[0]))
+    selected = Ratios(*(row[chosen] for row in ratios))
+    waves = wave_stepper.throw_batch(
+        selected, until=results[0, chosen], threads=threads, cancelled=cancelled
+    )
+    results[3:, chosen] = waves[3:]
+    results[:, unresolved] = waves[:, unresolved[chosen]]
     return results
 
 
@@ -289,14 +319,14 @@ def _throw_sampled(
     numbers = np.broadcast_to(numbers, shape).ravel()
     columns = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
     results = np.full((len(Throws._fields), numbers.size), math.nan)
-    for batch in _batches(np.ones(numbers.size, np.bool_), _SAMPLED_BATCH, cancelled):
+    for batch in _batches(np.ones(numbers.size, np.bool_), _STEPPER_BATCH, cancelled):
 
         def run(first: int, stride: int, batch: NDArray[np.int64] = batch) -> None:
             for n in batch[first::stride].tolist():
                 values = {name: column[n].item() for name, column in columns.items()}
                 try:
                     other = rig_with(rigs[numbers[n]], values)
-                    results[:, n] = _throw_with_stepper(other, cells)
+                    results[:, n] = _throw_with_stepper(other, cells, cancelled)
                 except (ValueError, EventLimitError):  # this throw cannot be followed
                     continue
 
@@ -304,14 +334,17 @@ def _throw_sampled(
     return Throws(*results.reshape(len(results), *shape))
 
 
-def _throw_with_stepper(rig: Rig, cells: int | None) -> tuple[float, ...]:
+def _throw_with_stepper(
+    rig: Rig, cells: int | None, cancelled: Cancelled | None
+) -> tuple[float, ...]:
     """Follow one throw to its first release; without one it is NaN."""
     motion = motion_of(rig.engine)
     cells = cells if rig.layer.needs_cells else None
     stepper = make_stepper(rig, cells=cells, field_points=2)
     own_period = 1.0 / rig.natural_frequency + rig.crossing_time
     release = stepper.advance_to_release(
-        latest=getattr(motion, 'end_time', 0.0) + _WAIT * own_period, step=0.25 * own_period
+        latest=getattr(motion, 'end_time', 0.0) + _WAIT * own_period, step=0.25 * own_period,
+        cancelled=cancelled,
     )
     if release is None:
         return (math.nan,) * len(Throws._fields)
@@ -326,26 +359,28 @@ class LastRelease(NamedTuple):
     """Time and speed at which a projectile leaves for good, and its flight."""
 
     time: float
-    """From the start of the throw. [s]"""
+    """Since the start of the plate's motion. [s]"""
     speed: float
     """[m/s]"""
     height: float
     """Of its apex above where it rested on the layer; infinite without gravity. [m]"""
 
 
-def last_release(rig: Rig) -> LastRelease:
+def last_release(rig: Rig, *, cancelled: Cancelled | None = None) -> LastRelease:
     """
     Follow one throw until the projectile has left for good.
 
     Parameters
     ----------
-    rig : Rig
-        The rig.
+    rig, cancelled
+        The rig, and a callback as for `throw_many`.
 
     Raises
     ------
     ThrowUnresolvedError
         If the projectile does not leave, or cannot be followed.
+    SearchCancelledError
+        If `cancelled` returns True.
 
     Examples
     --------
@@ -355,7 +390,7 @@ def last_release(rig: Rig) -> LastRelease:
 
     """
     try:
-        throw = simulate(rig)
+        throw = simulate(rig, cancelled=cancelled)
     except (ValueError, EventLimitError, ThrowUnfinishedError) as error:
         raise ThrowUnresolvedError(f'the last release is unknown: {error}') from error
     last = throw.last_release

@@ -13,7 +13,13 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.batch import broadcast_ratios, in_threads, longest_wait
+from soft_throw_ros.core.batch import (
+    broadcast_ratios,
+    Cancelled,
+    check_cancelled,
+    in_threads,
+    longest_wait,
+)
 from soft_throw_ros.core.plate import peak_velocity_ratios
 from soft_throw_ros.core.plate_kernels import BLOCK
 from soft_throw_ros.core.rig import Ratios, Rig
@@ -209,9 +215,23 @@ class WaveStepper(Stepper):
         return self.plate_work
 
 
-def throw_batch(ratios: Ratios, *, threads: int | None = None) -> Floats:
+def throw_batch(
+    ratios: Ratios,
+    *,
+    until: Floats | float = math.nan,
+    threads: int | None = None,
+    cancelled: Cancelled | None = None,
+) -> Floats:
     r"""
     Compute first releases and loads for `throws.throw_many`, without loss.
+
+    Parameters
+    ----------
+    ratios, threads, cancelled
+        As for `cell_stepper.throw_batch`.
+    until : ndarray or float
+        Phases of the first releases where they are known, otherwise NaN. A light projectile may
+        leave and be caught again within a step. [-]
 
     Returns
     -------
@@ -229,7 +249,9 @@ def throw_batch(ratios: Ratios, *, threads: int | None = None) -> Floats:
     mu, kappa, damping_ratio = rows[:3]
     steps = np.maximum(_STEPS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
     steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    latest, peak_speed = longest_wait(mu, kappa) / kappa, peak_velocity_ratios(damping_ratio)
+    is_known = np.isfinite(np.broadcast_to(until, mu.shape))
+    latest = np.where(is_known, until + 1.0 / (kappa * steps), longest_wait(mu, kappa) / kappa)
+    peak_speed = peak_velocity_ratios(damping_ratio)
     results = np.full((7, mu.size), math.nan)
 
     def run(first: int, stride: int) -> None:
@@ -237,13 +259,15 @@ def throw_batch(ratios: Ratios, *, threads: int | None = None) -> Floats:
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
         for n in range(first, mu.size, stride):
+            check_cancelled(cancelled)
             waves = make_waves(int(steps[n]))
             numbers[:] = 0.0
             prepare_underdamped(core, path, steps[n], *rows[:, n])
             numbers[:2] = numbers[2]
             advance(core, waves, path, no_events, latest[n])
-            if core[0]['events']:
-                results[:, n] = _first_throw(core[0], peak_speed[n])
+            if core[0]['events'] or is_known[n]:
+                update_loads(core, waves)
+                results[:, n] = _first_throw(core[1], peak_speed[n])
 
     in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
     return results
@@ -254,7 +278,7 @@ def _first_throw(s: np.void, peak_speed: float) -> tuple[float, ...]:
     time, speed = (s['launch_cell'] + s['launch_offset']) * s['step'], s['launch_velocity']
     contact_force, omega = s['peak_contact_force'], 2.0 * math.pi
     strain = max(s['peak_strain'], s['peak_plate_stress'], contact_force + s['gravity_offset'])
-    work = s['first_work'] * s['step'] / s['relaxation']
+    work = (s['first_work'] if s['events'] else s['work']) * s['step'] / s['relaxation']
     acceleration = contact_force / (omega * s['relaxation'])
     transfer = (speed / peak_speed) ** 2
     return time, speed, transfer, strain, acceleration, s['peak_plate_stress'], work

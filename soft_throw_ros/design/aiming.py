@@ -14,10 +14,10 @@ import math
 import scipy  # its parts are imported where they are first used, which takes 0.3 s
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import Cancelled, check_cancelled, last_release, rig_with
+from soft_throw_ros.core.throws import last_release, rig_with
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 
@@ -71,7 +71,7 @@ def aim(
     limits : Limits, optional
         Largest strain and acceleration; `core.material.LARGEST_STRAIN` is never exceeded.
     cancelled : callable, optional
-        Called before each throw; returns whether to give up.
+        As for `throw_many`.
 
     Raises
     ------
@@ -110,15 +110,16 @@ def aim(
 
     def excess(logarithm: float) -> float:
         """Compute the logarithm of reached over target."""
-        check_cancelled(cancelled)
         try:
-            last = last_release(rig_with(rig, {'amplitude': math.exp(logarithm)}))
+            last = last_release(
+                rig_with(rig, {'amplitude': math.exp(logarithm)}), cancelled=cancelled
+            )
         except ThrowUnresolvedError:
             return _UNRELEASED
         reached = last.speed if height is None else last.height
         return math.log(reached / target) if reached > 0.0 else _UNRELEASED
 
-    free = last_release(replace(rig, gravity=0.0)).speed
+    free = last_release(replace(rig, gravity=0.0), cancelled=cancelled).speed
     low = math.log(rig.engine.amplitude * needed / free)
     while excess(low) >= 0.0:
         low -= _BRACKET_STEP

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
+from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import Cancelled, throw_many
+from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.design.uncertainty import Uncertainties, Variants
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,9 @@ the plate, and wherever a limit is met, and they have several maxima. So the sea
 derivative. It computes a grid of equal steps in the logarithms. From the highest local maxima it
 starts a pattern search: a patch of points moves to its best point, and shrinks when that point is
 inside. In a patch the wave speed grows with the thickness, because ridges and cliffs run along
-lines of equal :math:`\kappa = c_s / (L_s f)`.
+lines of equal :math:`\kappa = c_s / (L_s f)`. Ridges between two throws that count run at some
+angle to these lines, and rise slowly; so a patch has far points as well, in two narrow fans whose
+angle shrinks with the patch.
 
 The search may miss maxima that are narrower than a step of the grid. Such maxima exist where no
 layer reaches :math:`\alpha = 0.02`, with heavy projectiles on slow layers, and where gravity
@@ -50,6 +52,9 @@ _MAX_ROUNDS = 40
 
 _PATCH = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Points of a patch along an axis, in half widths."""
+
+_FAN = tuple(itertools.product((-1.0, 1.0), np.linspace(-1.0, 1.0, 9).tolist()))
+"""Far points: along a ridge in roots of half widths, and across it in half widths."""
 
 _EQUAL = 1e-9
 """Relative difference of scores that count as equal; then the thinner layer is chosen. [-]"""
@@ -160,16 +165,20 @@ def _pattern_search(
     """Move patches to their best points and shrink them; return the best point and its score."""
     is_free = spacing > 0.0
     axes = [_PATCH if free else (0.0,) for free in is_free]
-    offsets = np.array([offset for offset in itertools.product(*axes) if any(offset)])
-    is_edge = np.abs(offsets).max(axis=1) == 1.0
-    moves = offsets * spacing
-    if is_free.all():
-        moves[:, 1] += moves[:, 0]  # along a line of equal kappa
+    near = np.array([offset for offset in itertools.product(*axes) if any(offset)])
+    far = np.array(_FAN if is_free.all() else []).reshape(-1, 2)
+    is_edge = np.abs(np.concatenate([near, far])).max(axis=1) == 1.0
     widths = np.ones(len(points))
     for _ in range(_MAX_ROUNDS):
         if widths.max() * spacing.max() < tolerance:
             break
-        patches = np.clip(points[:, None] + widths[:, None, None] * moves, *box)
+        scale = widths[:, None, None]
+        moves = np.concatenate(
+            [scale * near, np.concatenate([scale**0.5, scale], axis=2) * far], axis=1
+        ) * spacing
+        if is_free.all():
+            moves[..., 1] += moves[..., 0]  # along a line of equal kappa
+        patches = np.clip(points[:, None] + moves, *box)
         scores = at(patches)
         best = scores.argmax(axis=1)
         rows = np.arange(len(points))

@@ -18,9 +18,10 @@ from typing import get_args, Literal, NamedTuple, TypeAlias
 import numpy as np
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
+from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throws import Cancelled, SEARCH_CELLS
+from soft_throw_ros.core.throws import SEARCH_CELLS
 from soft_throw_ros.design.objective import LayerScore, Limits, Objective, peak
 from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
 from soft_throw_ros.design.prediction import predict, PredictedThrow

@@ -10,13 +10,14 @@ from typing import TypeAlias
 
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import Cancelled
 from soft_throw_ros.design.aiming import Aim, aim
 from soft_throw_ros.design.motion_design import design_motion, MotionDesign
 from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
+from soft_throw_ros.design.uncertainty import Uncertainties
 
 RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
 
@@ -56,7 +57,10 @@ def solve_request(
             )
         now = vars(PlateLimits.of(rig.engine))
         plate = PlateLimits(**{name: request.get(f'plate_{name}') or now[name] for name in now})
-        return design_motion(rig, plate, limits=limits, cancelled=cancelled)
+        uncertainties = Uncertainties.from_settings(settings)
+        return design_motion(
+            rig, plate, limits=limits, uncertainties=uncertainties, cancelled=cancelled
+        )
     is_from_library = request['vary'] == 'library'
     return recommend(
         rig,

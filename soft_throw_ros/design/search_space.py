@@ -32,8 +32,8 @@ class SearchSpace(NamedTuple):
         Return the step of the initial grid of a search, in logarithms [-].
 
         Grids with a stepper, which takes thirty times as long as the closed form, are coarser,
-        most of all with several throws per layer, and grids along one axis are finer. Where
-        gravity exceeds the plate's acceleration, the maxima are too narrow for a coarser grid.
+        most of all with several throws per layer, and grids along one axis are finer. Under
+        strong gravity the maxima are too narrow for a coarser grid, with limits of loads or not.
 
         Parameters
         ----------
@@ -44,10 +44,10 @@ class SearchSpace(NamedTuple):
 
         """
         gravity, step = self.rig.gravity_ratio, 0.06
-        if gravity < 1.0 and (self.rig.layer.needs_cells or loads):
-            step = 0.18 if throws > 1 else 0.12
-        elif STRONG_GRAVITY < gravity < 1.0:
+        if STRONG_GRAVITY < gravity < 1.0 and not self.rig.layer.needs_cells:
             step = 0.09
+        elif gravity < 1.0 and (self.rig.layer.needs_cells or loads):
+            step = 0.18 if throws > 1 else 0.12
         has_one_axis = any(low == high for low, high in self.layers)
         return 0.3 * step if has_one_axis else step
 

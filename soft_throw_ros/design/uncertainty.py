@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import Cancelled, SEARCH_CELLS, throw_many
+from soft_throw_ros.core.throws import SEARCH_CELLS, throw_many
 
 Floats = NDArray[np.float64]
 

@@ -269,4 +269,6 @@ def msg_to_motion(message: JointTrajectory, joint: str) -> SampledMotion:
     times = [
         1e-9 * Duration.from_msg(point.time_from_start).nanoseconds for point in message.points
     ]
+    if times and times[0] > 0.0:  # a motion counts from its first state
+        times, states = [0.0, *times], [[states[0][0], 0.0, 0.0], *states]
     return SampledMotion(np.array(times), np.array(states).reshape(-1, _STATE))

@@ -101,6 +101,20 @@ def test_refused_arguments_are_quoted(command, args, message):
     assert re.search(message, command.refused(*args))
 
 
+def test_plate_that_gravity_holds_is_explained_with_exit_code_1(command):
+    printed = command.json('--amplitude', 1e-5, code=1)
+    assert printed['throw'] is None
+    assert re.search('acceleration.* below gravity', printed['notes']['throw'])
+
+
+@pytest.mark.parametrize(
+    ('amplitude', 'texts'), [(2e-3, []), (5e-3, ['linear range']), (0.03, ['impossible'])]
+)
+def test_strain_that_no_layer_can_bear_is_called_impossible(command, amplitude, texts):
+    printed = command.run('--amplitude', amplitude)
+    assert re.findall('linear range|impossible', printed) == texts
+
+
 def test_bad_value_is_named_with_its_file(command, write):
     path = write('twin:\n  ros__parameters:\n    gravity: -1\n', 'bad.yaml')
     assert command.refused('--config', path).startswith(f'{path}: gravity must be')

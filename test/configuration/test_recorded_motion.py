@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration.recorded_motion import motion_from_record
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.core.throws import throw_many
 
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 TIMES = np.linspace(0.0, 0.05, 251)
@@ -44,6 +46,27 @@ def test_noise_of_a_record_is_smoothed(noise, error, seed):
     inside = np.linspace(0.0, 0.02, 501)
     misfit = motion.velocity(inside) - PLATE.velocity(inside)
     assert np.sqrt(np.mean(misfit**2)) < error * PLATE.peak_velocity
+
+
+@pytest.mark.parametrize(
+    ('rate', 'noise', 'error'),
+    [
+        (5e3, 1e-8, 1e-3), (5e3, 1e-7, 1e-3), (2e3, 5e-6, 0.02), (1e3, 5e-6, 0.02),
+        (5e3, 5e-5, 0.05),
+    ],
+)
+def test_record_throws_as_the_plate_that_it_samples(rate, noise, error):
+    """A wrong acceleration at the start would throw the projectile off at once."""
+    random = np.random.default_rng(6)
+    expected = throw_many(Rig()).ejection_speed
+    times = np.arange(0.0, 0.15, 1.0 / rate)
+    speeds = []
+    for _ in range(12):
+        heights = PLATE.position(times - 0.02 - random.uniform(0.0, 1.0 / rate))
+        heights += noise * random.standard_normal(times.size)
+        motion = motion_from_record(times, heights)
+        speeds.append(throw_many(Rig(engine=Engine(motion=motion))).ejection_speed)
+    assert speeds == pytest.approx(np.full(12, expected), rel=error)
 
 
 def test_record_takes_times_that_are_not_even():

@@ -2,9 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Functions that compute many throws, compared with single throws."""
 
+import itertools
+import math
+
 import numpy as np
 import pytest
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import SearchCancelledError
+from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.throw import simulate
@@ -43,6 +47,18 @@ def test_release_and_loads_agree_with_a_simulated_throw(rig):
     assert throw_many(rig)[:2] == throws[:2]
 
 
+@pytest.mark.parametrize('start', [0.5, 10.0, -1.0])
+@pytest.mark.parametrize('layer', [Layer(), Layer(wave_speed=60.0, loss_tangent=0.1)])
+def test_times_count_from_the_start_of_the_motion(start, layer):
+    now, later = (
+        Rig(engine=Engine(motion=SampledMotion(MOTION.times + offset, MOTION.states)), layer=layer)
+        for offset in (0.0, start)
+    )
+    expected = pytest.approx(simulate(now).ejection_time, rel=1e-9)
+    assert simulate(later).ejection_time == last_release(later).time == expected
+    assert float(throw_many(later).ejection_time) == pytest.approx(expected.expected, rel=1e-3)
+
+
 def test_throw_does_not_depend_on_others_in_its_batch():
     """Rigs with loss, with strong gravity and with neither need different methods."""
     rig = Rig(engine=Engine(damping_ratio=0.0))
@@ -57,6 +73,50 @@ def test_throw_does_not_depend_on_others_in_its_batch():
             expected = pytest.approx(together[i, j], nan_ok=True, rel=1e-13)
             assert float(alone.ejection_speed) == expected
     assert np.isnan(together).all(axis=0).tolist() == [False, False, True, False]
+
+
+def test_light_projectiles_under_strong_gravity_agree_with_the_closed_form():
+    """They may leave and be caught again between two steps of the waves."""
+    random = np.random.default_rng(4)
+    mu, kappa = np.exp(random.uniform(np.log([[4e-4], [20.0]]), np.log([[2e-3], [80.0]]), (2, 60)))
+    gravity = random.uniform(0.3, 1.5, 60)
+    exact = first_releases(mass_ratio=mu, speed_ratio=kappa, gravity_ratio=gravity)
+    engine = Engine(frequency=1.0, amplitude=0.25 / math.pi**2, damping_ratio=0.0)
+    throws = throw_many(
+        Rig(engine=engine), {
+            'thickness': 1.0 / kappa, 'wave_speed': 1.0, 'gravity': gravity,
+            'mass': mu * Layer(thickness=1.0).mass / kappa,
+        }, loads=True,
+    )
+    is_released = ~np.isnan(exact.ejection_phase)
+    assert is_released.sum() > 30
+    assert throws.ejection_time[is_released] == pytest.approx(exact.ejection_phase[is_released])
+    assert np.isfinite(throws.plate_work[is_released]).all()
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('colour', 1.0), ('loss_tangent', np.nan), ('loss_tangent', -0.1), ('diameter', -0.012),
+        ('thickness', np.nan), ('frequency', 0.0), ('damping_ratio', 1.0), ('mass', np.inf),
+    ],
+)
+@pytest.mark.parametrize('rig', [Rig(), Rig(engine=Engine(motion=MOTION))], ids=['step', 'file'])
+def test_bad_changes_are_refused_by_name(rig, name, value):
+    with pytest.raises(ValueError, match=name):
+        throw_many(rig, {name: np.array([value])})
+
+
+@pytest.mark.parametrize(
+    ('compute', 'loss'), [(throw_many, 1e-3), (last_release, 1e-3), (last_release, 0.0)]
+)
+def test_single_throw_looks_at_the_flag_several_times(compute, loss):
+    """A stiff layer takes many cells or steps."""
+    layer = Layer(wave_speed=100.0, loss_tangent=loss)
+    rig = Rig(engine=Engine(frequency=3.0), layer=layer, gravity=0.0)
+    calls = itertools.count()
+    with pytest.raises(SearchCancelledError):
+        compute(rig, cancelled=lambda: next(calls) > 0)
 
 
 def test_layer_with_zero_thickness_throws_nothing():

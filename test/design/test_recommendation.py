@@ -5,6 +5,7 @@
 import dataclasses
 from dataclasses import replace
 from functools import partial
+import itertools
 import math
 
 import numpy as np
@@ -217,6 +218,41 @@ def test_tolerances_end_at_the_tolerated_loss_of_energy(loss_tangent):
         ends = getattr(best, name) + tolerance * np.array([-1.0, 1.0, -1.02, 1.02])
         scores = throw_many(best.rig, {name: ends}).energy_transfer
         assert scores[:2].min() > least * (1.0 - 1e-3) > scores[2:].min() * (1.0 - 2e-3)
+
+
+def test_search_follows_a_ridge_between_two_throws():
+    rig = Rig(
+        engine=Engine(frequency=77.47, amplitude=1.4936e-3, damping_ratio=0.16538),
+        layer=Layer(density=1085.97, diameter=13.654e-3),
+        projectile=Projectile(mass=2.08736e-3),
+        gravity=0.0,
+    )
+    limits = Limits(
+        thickness_min=2.419e-3, thickness_max=24.29e-3, wave_speed_min=1.603, wave_speed_max=32.19
+    )
+    for gravity, mass in itertools.product((0.0, 9.81), (1.5e-3, 2.08736e-3, 3e-3)):
+        rig = replace(rig, gravity=gravity)
+        objective = partial(
+            versatile, masses=[mass], frequencies=(52.222, 67.143, 122.727)
+        )
+        best = recommend(rig, objective=objective, limits=limits)
+        # layers all along a line of nearly equal kappa
+        thickness = np.geomspace(0.7 * best.thickness, limits.thickness_max, 60)
+        kappa = best.wave_speed / best.thickness * np.linspace(0.93, 1.07, 281)[:, None]
+        inside = (thickness * kappa <= limits.wave_speed_max).ravel()
+        layers = np.broadcast_arrays(thickness, thickness * kappa)
+        along = LayerScore(rig, objective)(*(item.ravel()[inside] for item in layers))
+        assert best.score >= (1.0 - LOST) * along.max()
+
+
+@pytest.mark.parametrize('gravity_ratio', [0.4, 0.7, 0.95])
+@pytest.mark.parametrize('seed', range(2))
+def test_limit_that_is_not_active_does_not_change_the_answer(gravity_ratio, seed):
+    rig = random_rig(np.random.default_rng(seed))
+    acceleration = rig.engine.speed_scale * rig.engine.angular_frequency
+    rig = replace(rig, gravity=gravity_ratio * acceleration)
+    limited = recommend(rig, limits=Limits(max_strain=10.0))
+    assert limited.score == pytest.approx(recommend(rig).score, rel=1e-6)
 
 
 def test_limit_that_is_not_active_costs_nothing():

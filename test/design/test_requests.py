@@ -7,8 +7,8 @@ import math
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.twin import OBJECTIVES
+from soft_throw_ros.core.batch import SearchCancelledError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import SearchCancelledError
 from soft_throw_ros.design import objective
 from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.recommendation import recommend
