@@ -149,7 +149,7 @@ def subscriber(states: str = STATES) -> Iterator[Heard]:
     heard = Heard(node, wait, [], [])
 
     def on_diagnostics(message: DiagnosticArray) -> None:
-        heard.statuses += [{p.key: p.value for p in item.values} for item in message.status]
+        heard.statuses.extend({p.key: p.value for p in item.values} for item in message.status)
 
     def on_states(data: bytes) -> None:
         heard.stamps.append(stamp_of(data))

@@ -86,7 +86,9 @@ def _run(name: str, arguments: list[str]) -> int | None:
         if handler != signal.SIG_IGN:
             signal.signal(number, lambda number, _: os._exit(0 if is_node else 128 + number))
     try:
-        importlib.import_module('soft_throw_ros.kernel_cache').use_kernel_cache()
+        from soft_throw_ros.kernel_cache import use_kernel_cache
+
+        use_kernel_cache()
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         remedy = '; it is a ROS 2 node: source the setup file of ROS 2, or run make' * is_node

@@ -83,8 +83,10 @@ def _temporary_cache() -> Path:
 def _is_damaged(path: Path) -> bool:
     """Return whether a pickle is cut off: one that is complete ends with a stop."""
     try:
-        return path.read_bytes()[-1:] != b'.'
-    except OSError:
+        with path.open('rb') as file:
+            file.seek(-1, os.SEEK_END)
+            return file.read() != b'.'
+    except OSError:  # it is empty, or cannot be read
         return True
 
 

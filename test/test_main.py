@@ -71,6 +71,11 @@ def test_early_signal_ends_the_executable_without_a_traceback(
     assert capsys.readouterr() == ('', '')
 
 
+def test_recovery_starts_without_numba():
+    code = 'import sys, soft_throw_ros.commands.recover; sys.exit("numba" in sys.modules)'
+    subprocess.run([sys.executable, '-c', code], check=True)
+
+
 def test_umbrella_imports_little_before_it_handles_signals():
     importing = (
         'import sys; import _collections_abc, importlib, os, signal; '

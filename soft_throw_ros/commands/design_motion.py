@@ -69,12 +69,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _cases(design: MotionDesign) -> Iterator[tuple[str, Rig, PredictedThrow]]:
-    """Yield the name, the rig and the throw of the present motion, of the best, and its worst."""
+    """Yield the name, the rig and the throw of the present motion and of the best one."""
     if design.now is not None:
         yield 'now', design.present, design.now
     yield 'best_motion', design.rig, design
-    if design.worst is not None:
-        yield 'worst_case', design.rig, design.worst
 
 
 def _lines(design: MotionDesign) -> Iterator[str]:
@@ -116,8 +114,7 @@ def draw(design: MotionDesign, path: Path) -> None:
     figure = Figure(figsize=(9.6, 4.2), layout='constrained')
     above, below = figure.subplots(1, 2, sharex=True)
     times = np.linspace(0.0, max(design.motion.end_time, 1.2 * design.ejection_time), 1001)
-    cases = [case for case in _cases(design) if case[2] is not design.worst]
-    for (name, rig, throw), width in zip(cases, (1.2, 2.4), strict=False):
+    for (name, rig, throw), width in zip(_cases(design), (1.2, 2.4), strict=False):
         motion = motion_of(rig.engine)
         label = f'{name.replace("_", " ")}: {throw.ejection_speed:.3g} m/s'
         above.plot(1e3 * times, 1e3 * motion.position(times), label=label, lw=width)

@@ -67,7 +67,7 @@ RESULT_KEYS = (
         'ejection time of the model minus that of the measurement', 's'),
     Key('residual.ejection_speed_error',
         'ejection speed of the model minus that of the measurement', 'm/s'),
-    Key('measurement.clock_offset_ns', 'what was added to the stamps of the samples', 'ns'),
+    Key('measurement.clock_offset_ns', 'correction added to the stamps of the samples', 'ns'),
     Key('measurement.samples_missing', 'samples that were lost or came too late'),
     Key('measurement.time_skipped', 'time of skipped ticks', 's'),
 )

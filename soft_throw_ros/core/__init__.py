@@ -4,14 +4,18 @@
 The physics of one throw: rigs, the closed form, the steppers, and batches of throws.
 
 Numbers in SI units go in, numbers come out; there is no clock, no file and no ROS. This package
-imports the standard library, numpy, numba and SciPy only. The names below are for other code.
+imports the standard library, numpy, numba and SciPy only. The names below are for other code;
+they are imported at their first use, because numba takes half a second.
 
 """
 
-from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
-from soft_throw_ros.core.throw import simulate, Throw, ThrowUnfinishedError
-from soft_throw_ros.core.throws import throw_many, Throws
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from soft_throw_ros.core.plate import SampledMotion
+    from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+    from soft_throw_ros.core.throw import simulate, Throw, ThrowUnfinishedError
+    from soft_throw_ros.core.throws import throw_many, Throws
 
 __all__ = [
     'Engine',
@@ -26,3 +30,12 @@ __all__ = [
     'simulate',
     'throw_many',
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import one of the names of this package from its module."""
+    if name in __all__:
+        from soft_throw_ros.core import plate, rig, throw, throws
+
+        return next(vars(m)[name] for m in (plate, rig, throw, throws) if name in vars(m))
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

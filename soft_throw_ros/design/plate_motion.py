@@ -9,10 +9,10 @@ While the projectile lies on the layer, the rig is linear in the plate's motion 
 time. A motion is a sum of short pulses of the plate's velocity. The stepper computes the
 velocities, forces and strains of one pulse; those of all pulses add up. The largest speed of the
 projectile at a release time T is therefore a linear programme in the heights of the pulses, whose
-optimum is global [1]_. Its constraints are a pushing contact force until T, also on other rigs
-that the real one may be, and limits of the plate's speed, acceleration, jerk and travel, of the
-layer's strain, and of the projectile's acceleration. The speed grows with T, since the plate may
-wait before it starts; the shortest T with nearly the speed of the longest is used.
+optimum is global [1]_. Its constraints are a pushing contact force until T, and limits of the
+plate's speed, acceleration, jerk and travel, of the layer's strain, and of the projectile's
+acceleration. The speed grows with T, since the plate may wait before it starts; the shortest T
+with nearly the speed of the longest is used.
 
 The strain is limited at several heights of the layer at all times. Most limits never become
 active, so the programme begins without limits of the strain, and adds the limits that its solution
@@ -43,7 +43,7 @@ References
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple, TypeAlias
@@ -95,7 +95,7 @@ _SCALINGS = 5
 _LOAD_TOLERANCE = 1e-6
 """Relative excess of a load that is tolerated. [-]"""
 
-_MIN_CONTACT_FORCE = 0.05
+_MIN_CONTACT_FORCE = 0.2
 """Smallest force on the projectile in a programme, over the projectile's weight. [-]"""
 
 _MIN_WAVE_FORCE = 1e-3
@@ -246,7 +246,6 @@ def find_best_motion(
     limits: PlateLimits,
     *,
     loads: Limits | None = None,
-    others: Sequence[Rig] = (),
     cancelled: Cancelled | None = None,
 ) -> Throw:
     """
@@ -260,8 +259,6 @@ def find_best_motion(
         Limits of the plate.
     loads : Limits, optional
         Limits of the loads; only strain and acceleration apply.
-    others : sequence of Rig, optional
-        Other rigs, whose projectiles have to stay on their layers as long.
     cancelled : callable, optional
         See `batch.Cancelled`; also called between programmes, some tenths of a second each.
 
@@ -284,7 +281,7 @@ def find_best_motion(
 
     """
     loads = loads or Limits()
-    problem = _Problem(rig, limits, loads, others, cancelled, set())
+    problem = _Problem(rig, limits, loads, cancelled, set())
     time, promised = _shortest_time(problem)
     is_exact = rig.layer.stress_strain_law == 'linear'
     best: Throw | None = None
@@ -364,7 +361,6 @@ class _Problem(NamedTuple):
     rig: Rig
     limits: PlateLimits
     loads: Limits
-    others: Sequence[Rig]
     cancelled: Cancelled | None
     critical: Critical
 
@@ -389,41 +385,29 @@ class _Programme:
     """The linear programmes of a problem, up to a largest time of release."""
 
     def __init__(self, problem: _Problem, longest: float, *, is_fine: bool) -> None:
-        self._rig, self._limits, self._loads, _, _, self._critical = problem
+        self._rig, self._limits, self._loads, _, self._critical = problem
         self._is_fine = is_fine
         rig, (per_crossing, max_pulses) = problem.rig, _FINE if is_fine else _COARSE
         step = max(rig.crossing_time / per_crossing, longest / max_pulses)
         self._step = _whole_ns(step)
         self._count = math.ceil(longest / self._step) + 1
-        states, strains = self._responses(rig)
-        self._velocity = states[::_FINER, PROJECTILE_VELOCITY]
-        self._forces = [(rig, states[:, PROJECTILE_FORCE])]
-        self._forces += [
-            (other, self._responses(other)[0][:, PROJECTILE_FORCE]) for other in problem.others
-        ]
-        self._strains = (strains[::_FINER] - strains[0]).T
-        self._static_strains = strains[0] * (rig.gravity / self._gravity)
-
-    @property
-    def _gravity(self) -> float:
-        """A gravity that keeps the projectile on the layer and changes nothing else [m/s2]."""
-        return 1e3 / self._step
-
-    def _responses(self, rig: Rig) -> tuple[Floats, Floats]:
-        """Return states and strains after a pulse of 1 m/s; the forces are without weight."""
+        # A heavy weight keeps the projectile on the layer and changes nothing else. The responses
+        # are to a pulse of 1 m/s.
         pulse = replace(rig.engine, motion=Pulses(self._step, np.ones(1)).motion())
-        layer = _linear_layer(rig.layer)
-        heavy = replace(rig, engine=pulse, layer=layer, gravity=self._gravity)
-        cells = SEARCH_CELLS if layer.needs_cells and not self._is_fine else None
+        gravity = 1e3 / self._step
+        heavy = replace(rig, engine=pulse, layer=_linear_layer(rig.layer), gravity=gravity)
+        cells = SEARCH_CELLS if heavy.layer.needs_cells and not is_fine else None
         stepper = make_stepper(heavy, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
-        strains, field = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
+        strains, layer = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
         for n, time in enumerate((self._step / _FINER * np.arange(len(states))).tolist()):
             stepper.advance_to(time)
-            stepper.read_layer(field)
-            states[n], strains[n] = stepper.state, field[3]
-        states[:, PROJECTILE_FORCE] -= rig.projectile.mass * heavy.gravity
-        return states, strains
+            stepper.read_layer(layer)
+            states[n], strains[n] = stepper.state, layer[3]
+        self._velocity = states[::_FINER, PROJECTILE_VELOCITY]
+        self._force = states[:, PROJECTILE_FORCE] - rig.projectile.mass * heavy.gravity
+        self._strains = (strains[::_FINER] - strains[0]).T
+        self._static_strains = strains[0] * (rig.gravity / heavy.gravity)
 
     def solve(self, time: float) -> tuple[Pulses | None, float]:
         """Find the pulses with the largest speed at a time; return the pulses and the speed."""
@@ -438,8 +422,7 @@ class _Programme:
         # Differences of pulses bound acceleration and jerk.
         rise = np.diff(np.eye(size + 1), axis=0)
         steps, bends = (np.diff(np.pad(rise, ((n, n), (0, 0))), n, axis=0) for n in (1, 2))
-        pushes = [self._pushing(*item, release, size) for item in self._forces]
-        force, min_force = map(np.concatenate, zip(*pushes, strict=True))
+        force, min_force = self._pushing(release, size)
         max_force = self._loads.max_acceleration * rig.projectile.mass
         max_force /= limits.speed * rig.layer.impedance
         min_speed = np.where(np.arange(size) < count, -1.0, 0.0)
@@ -543,14 +526,12 @@ class _Programme:
             bounds[row] = self._loads.max_strain - sign * self._static_strains[height]
         return rows, bounds
 
-    def _pushing(
-        self, rig: Rig, force: Floats, release: int, size: int
-    ) -> tuple[Floats, Floats]:
-        """Return the force on a projectile over time, and its lower bound, against rest."""
-        step = self._step / _FINER
+    def _pushing(self, release: int, size: int) -> tuple[Floats, Floats]:
+        """Return the force on the projectile over time, and its lower bound, against rest."""
+        rig, step = self._rig, self._step / _FINER
         scale = self._limits.speed * rig.layer.impedance
         index = np.arange(1, _FINER * release + 1)[:, None] - _FINER * np.arange(size)
-        rows = np.where(index > 0, force[np.maximum(index, 0)], 0.0) / rig.layer.impedance
+        rows = np.where(index > 0, self._force[np.maximum(index, 0)], 0.0) / rig.layer.impedance
         rows[np.abs(rows) < 1e-9 * np.abs(rows).max()] = 0.0
         weight = rig.projectile.mass * rig.gravity / scale
         bound = np.full(len(rows), (_MIN_CONTACT_FORCE - 1.0) * weight)
@@ -558,9 +539,4 @@ class _Programme:
         crossing = rig.crossing_time
         inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
         bound[inside] += _MIN_WAVE_FORCE
-        kept = math.ceil(len(rows) * self._share(rig))
-        return rows[:kept], bound[:kept]
-
-    def _share(self, rig: Rig) -> float:
-        """Return how long a projectile has to stay, against the nominal one; never longer [-]."""
-        return min(1.0, (rig.crossing_time / self._rig.crossing_time) ** 2)
+        return rows, bound

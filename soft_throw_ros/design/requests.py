@@ -17,7 +17,6 @@ from soft_throw_ros.design.motion_design import design_motion, MotionDesign
 from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
-from soft_throw_ros.design.uncertainty import Uncertainties
 
 RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
 
@@ -57,10 +56,7 @@ def solve_request(
             )
         now = vars(PlateLimits.of(rig.engine))
         plate = PlateLimits(**{name: request.get(f'plate_{name}') or now[name] for name in now})
-        uncertainties = Uncertainties.from_settings(settings)
-        return design_motion(
-            rig, plate, limits=limits, uncertainties=uncertainties, cancelled=cancelled
-        )
+        return design_motion(rig, plate, limits=limits, cancelled=cancelled)
     is_from_library = request['vary'] == 'library'
     return recommend(
         rig,

@@ -19,10 +19,7 @@ from typing import Any
 
 from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
-from soft_throw_ros.configuration.interface import (
-    TWIN_SERVICES,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
@@ -213,11 +210,8 @@ class Twin(RealTimeNode):
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first
         if result.stage == 'release' or (result.stage == 'final' and first is None):
-            for topic in (
-                TWIN_TOPICS.ejection_time, TWIN_TOPICS.ejection_speed, TWIN_TOPICS.energy_transfer
-            ):
-                name = topic.name.rpartition('/')[2]
-                send(topic, math.nan if first is None else getattr(first, name))
+            for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
+                send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
         if result.stage != 'predicted' or last is None or last.throw != result.throw:
             self._log_result(result, due)
 

@@ -51,15 +51,16 @@ class Canvas:
     The start of `throw` is the origin of `THROW_TIME`; without it, there is only `STAMP`.
     """
 
-    def __init__(self, throw: ThrowStart | None, *, is_live: bool) -> None:
+    def __init__(
+        self, stream: rr.RecordingStream, throw: ThrowStart | None, *, is_live: bool
+    ) -> None:
+        self.stream = stream
         self.throw = throw
         self.is_live = is_live
-        self.stream: rr.RecordingStream | None = None
 
     def style(self, path: str, style: rr.AsComponents) -> None:
         """Set the style of an entity, for all times."""
-        if self.stream is not None:
-            self.stream.log(path, style, static=True)
+        self.stream.log(path, style, static=True)
 
     def draw(self, path: str, stamp: int, *content: rr.AsComponents, stays: bool = False) -> None:
         """
@@ -67,8 +68,6 @@ class Canvas:
 
         In a live view, content that `stays` is kept for viewers that connect much later.
         """
-        if self.stream is None:
-            return
         self.stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
         if self.throw is not None:
             self.stream.set_time(layout.THROW_TIME, duration=self.throw.seconds_to(stamp))
@@ -76,7 +75,7 @@ class Canvas:
 
     def columns(self, path: str, stamps: Stamps, columns: Iterable[rr.ComponentColumn]) -> None:
         """Draw rows of a quantity that changes with every step."""
-        if self.stream is None or not stamps.size:
+        if not stamps.size:
             return
         indexes = [rr.TimeColumn(layout.STAMP, timestamp=stamps.astype('datetime64[ns]'))]
         if self.throw is not None:
@@ -113,8 +112,7 @@ class Scene:
         self.damaged = 0  # number of messages that could not be read
         self.damage = ''  # the error of the first of them
         self._is_picture = is_picture
-        self._canvas = Canvas(throw, is_live=is_live)
-        self._canvas.stream = stream
+        self._canvas = Canvas(stream, throw, is_live=is_live)
         self._twins: dict[str, _TwinView] = {}
         self._has_log = False
         self._arranged: object = None
@@ -197,7 +195,7 @@ class Scene:
         """Send the layout if it has changed, as every call of `show` does in a live view."""
         drawn = [twin for twin in self._twins.values() if twin.is_drawn]
         twins = [twin.layout_state(has_log=self._has_log) for twin in drawn]
-        if not twins or twins == self._arranged or self._canvas.stream is None:
+        if not twins or twins == self._arranged:
             return
         self._arranged = twins
         is_live, throw = self._canvas.is_live, self._canvas.throw

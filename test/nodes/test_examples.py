@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from typing import Any
 
 import pytest
@@ -53,10 +52,12 @@ def test_a_layer_is_chosen(start: Any, start_node: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_bag_is_plotted(start: Any, start_node: Any, record: Any, tmp_path: Path) -> None:
+def test_a_bag_is_plotted(
+    ros: Any, start: Any, start_node: Any, record: Any, tmp_path: Path
+) -> None:
     start_node('twin', 'throw.period:=0.3').wait_for('throw 1')
-    recorder = record('bag')
-    time.sleep(1.0)  # three throws
+    recorder, file = record('bag'), tmp_path / 'bag/bag_0.mcap'
+    ros.spin_until(lambda: file.stat().st_size > 400_000, 'a second of states in the bag')
     recorder.end_well()
     picture = tmp_path / 'heights.png'
     plotter = start(*command('read_bag.py', str(tmp_path / 'bag'), str(picture)))

@@ -263,8 +263,7 @@ def test_bag_is_read_up_to_the_first_damaged_chunk(recording):
     path.write_bytes(data)
     messages = []
     with BagReader(recording.folder) as bag, pytest.raises(UnfinishedError, match='chunk'):
-        for message in bag.messages():
-            messages.append(message)  # noqa: PERF402  until the error
+        messages.extend(bag.messages())  # up to the error
     assert recording.content(messages) == recording.content(recording.messages[:len(messages)])
     assert len(messages) == 303
 
