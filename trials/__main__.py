@@ -20,7 +20,7 @@ from pathlib import Path
 import sys
 
 from soft_throw_ros.commands.options import add_executor_options, open_executor
-from soft_throw_ros.core.processors import usable_processors
+from soft_throw_ros.core.batch import usable_processors
 from trials import table
 from trials.judge import judge, Verdict
 from trials.rows import Row, ROWS

@@ -39,9 +39,6 @@ _SLOWEST = 0.5
 _LATEST = 1.2
 """Latest release. [plate periods]"""
 
-_QUICK_CELLS = 32
-"""Number of cells of the coarse simulation that selects rigs. [-]"""
-
 _DRAWS = 1000
 """Largest number of rigs that are drawn for one throw. [-]"""
 
@@ -98,10 +95,8 @@ class Bench:
     faults: SensorFaults = field(default_factory=SensorFaults)
     noise: float | None = None
     """Standard deviation of heights; drawn from `NOISES` if None [m]."""
-    stiffening: float = 0.0
-    """Relative change of the stress at the largest strain of the throw, by a quadratic law [-]."""
-    cubic: float = 0.0
-    """The same by a cubic law [-]."""
+    is_neo_hookean: bool = False
+    """Whether the layer is neo-Hookean, and stiffens by its strain."""
     has_modes: bool = False
     """Whether the frequency of a second mode is drawn from `MODES`."""
     drift: float = 0.0
@@ -119,7 +114,9 @@ class Bench:
         """Simulate random rigs until a throw is good and accepted; return this throw."""
         for _ in range(_DRAWS):
             rig = self.rigs.draw(random)
-            quick = throw(rig, until=_LATEST / rig.engine.frequency, cells=_QUICK_CELLS)
+            if self.is_neo_hookean:
+                rig = replace(rig, layer=replace(rig.layer, stress_strain_law='neo_hookean'))
+            quick = throw(rig, until=_LATEST / rig.engine.frequency)
             if is_good(quick) and self.accept(quick):
                 thrown = self.throw(rig, random)
                 if is_good(thrown) and self.accept(thrown):
@@ -136,13 +133,6 @@ class Bench:
         if self.has_modes:
             frequency = random.uniform(*MODES) * rig.engine.frequency
             imperfections = replace(imperfections, second_mode_frequency=frequency)
-        if self.stiffening or self.cubic:
-            strain = throw(rig, until=0.02, cells=64).peak_strain
-            imperfections = replace(
-                imperfections,
-                stiffening=self.stiffening / strain,
-                cubic_stiffening=self.cubic / strain**2,
-            )
         return throw(rig, imperfections, until=until, start=start)
 
     def measure(self, thrown: ImperfectThrow, random: np.random.Generator) -> Floats:
@@ -169,9 +159,9 @@ class Bench:
 
 def is_good(thrown: ImperfectThrow) -> bool:
     """Return whether the projectile is at rest until the throw, and released soon and fast."""
-    if not thrown.changes:
+    if not thrown.events:
         return False
-    release = thrown.changes[0]
+    release = thrown.events[0]
     engine = thrown.rig.engine
     fast = _SLOWEST * Underdamped.of(engine).peak_velocity
     return 0.0 < release.time < _LATEST / engine.frequency and release.velocity > fast
@@ -179,13 +169,13 @@ def is_good(thrown: ImperfectThrow) -> bool:
 
 def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
     """Return the true parameters of rig and sensors, and the true first release."""
-    rig, release = thrown.rig, thrown.changes[0]
+    rig, release = thrown.rig, thrown.events[0]
     peak = Underdamped.of(rig.engine).peak_velocity
     return {
         **values_of(rig, PARAMETERS),
         'projectile.scale': faults.projectile_scale,
         'projectile.delay': faults.projectile_delay,
-        'projectile.sticking': thrown.imperfections.sticking,
+        'projectile.sticking': 0.0,
         'ejection.time': release.time,
         'ejection.speed': release.velocity,
         'ejection.peak_plate_speed': peak,

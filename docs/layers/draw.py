@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from soft_throw_ros.core.models import LOSSES as LOSS_MODELS
-from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.design.recommendation import recommend
@@ -57,7 +57,7 @@ _CELLS = 256
 class Best(NamedTuple):
     """The best layer, and the energy transfer and peak strain of its throw."""
 
-    layer: Stack
+    layer: Layer
     energy_transfer: float
     strain: float
 
@@ -81,9 +81,9 @@ def find_best(sheets: int, max_strain: float) -> Best:
 
     """
 
-    def stack(logs: Floats) -> Stack:
-        return Stack(
-            sheets=tuple(
+    def stack(logs: Floats) -> Layer:
+        return Layer.of_sheets(
+            tuple(
                 Layer(thickness=thickness, wave_speed=speed, density=density)
                 for thickness, speed, density in np.exp(logs).reshape(-1, 3).tolist()
             )
@@ -133,7 +133,7 @@ def stack_table(stacks: Sequence[tuple[int, float, Best]]) -> Iterator[tuple[str
             replace(sheet, stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.05)
             for sheet in best.layer.sheets
         ]
-        alpha, _ = thrown(Stack(sheets=tuple(real)))
+        alpha, _ = thrown(Layer.of_sheets(tuple(real)))
         yield (
             str(count),
             'any' if math.isinf(max_strain) else f'{1e2 * max_strain:g} %',

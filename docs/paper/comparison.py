@@ -28,7 +28,7 @@ from scipy.optimize import bisect, minimize_scalar
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Ratios, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Engine, Layer, Rig, STANDARD_GRAVITY, values_of
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import throw_batch
 from soft_throw_ros.design.prediction import predict
@@ -360,8 +360,12 @@ def _alpha_at_axes() -> float:
     x = np.array([0.2, 0.5, 0.8, 1e-5, 1e-5])
     c = np.array([0.01, 0.01, 0.01, 3.0, 10.0])
     # Travelling waves, because the closed form loses digits so close to the axes
-    _, _, energy_transfer, *_ = throw_batch(Ratios((1.0 - x) / x, c / x))
-    return float(np.max(energy_transfer))
+    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
+    values = {key: np.full(x.size, value) for key, value in values_of(rig).items()}
+    values['thickness'] = x / c * rig.layer.wave_speed / rig.engine.frequency
+    values['mass'] = (1.0 - x) / c * rig.layer.impedance / rig.engine.frequency
+    speed = throw_batch(values)[1]
+    return float(np.max(speed / rig.engine.speed_scale)) ** 2
 
 
 def _change_by_damping(series: Series) -> Floats:

@@ -22,7 +22,6 @@ from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.design.requests import solve_request
-from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.twin import outlier_filter, plate_observer
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 
@@ -31,7 +30,7 @@ Say = Callable[[str], object]
 _INTERVAL = 2.0  # from one line of progress to the next [s]
 _SOURCES = (  # of kernels
     *Path(smoothing.__file__).parent.glob('*.py'),
-    *(Path(str(module.__file__)) for module in (imperfect_rig, outlier_filter, plate_observer)),
+    *(Path(str(module.__file__)) for module in (outlier_filter, plate_observer)),
 )
 
 
@@ -53,7 +52,6 @@ PARTS: dict[str, Callable[[], object]] = {
     'design': lambda: solve_request(TWIN.defaults()),
     'measured': _measure,
     'cells': lambda: _prepare(cell_stepper, loss_tangent=0.1),
-    'imperfect_rig': imperfect_rig.warm_up,
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration.table import number_of, ParameterError, quote
 from soft_throw_ros.configuration.yaml_file import read_yaml
-from soft_throw_ros.core.rig import Layer, Stack
+from soft_throw_ros.core.rig import Layer
 
 CUSTOM = 'custom'
 """Name of a layer that is in no library."""
@@ -252,7 +252,7 @@ def whole(sheets: Sequence[Layer]) -> dict[str, float]:
         If the stack is too thin or too thick.
 
     """
-    stack = Stack(sheets=tuple(sheets))
+    stack = Layer.of_sheets(sheets)
     _, low, high = BOUNDS['thickness']
     if not low <= stack.thickness <= high:
         raise ParameterError(

@@ -31,7 +31,7 @@ from soft_throw_ros.configuration.table import (
     Table,
 )
 from soft_throw_ros.core.material import LOSSES, STRESS_STRAIN_LAWS
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 _INSTALLED = library()
 
@@ -57,14 +57,15 @@ def _bounds(name: str) -> dict[str, Any]:
 
 
 def _values_of(kind: type, settings: Settings) -> dict[str, Any]:
-    """Return the arguments of a part of the rig, but for a motion of the plate."""
+    """Return the arguments of a part of the rig, but for a motion of the plate and sheets."""
     return {name.partition('.')[2]: settings[name] for name in _names_of(kind)}
 
 
 def _names_of(kind: type) -> list[str]:
     """Return the names of the parameters of a part of the rig."""
     group = kind.__name__.lower()
-    return [f'{group}.{item.name}' for item in fields(kind) if item.name != 'motion']
+    names = (item.name for item in fields(kind))
+    return [f'{group}.{name}' for name in names if name not in ('motion', 'parts')]
 
 
 def _engine(settings: Settings, _motion_of: motions.MotionSource) -> Engine:
@@ -373,10 +374,10 @@ def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -
     True
 
     """
-    layer: Layer | Stack = Layer(**_values_of(Layer, settings))
+    layer = Layer(**_values_of(Layer, settings))
     if settings['layer.stack']:
         shared = {name: getattr(layer, name) for name in ('diameter', 'stress_strain_law', 'loss')}
-        layer = Stack(sheets=tuple(replace(sheet, **shared) for sheet in _sheets(settings)))
+        layer = replace(Layer.of_sheets(_sheets(settings)), **shared)
     return Rig(
         engine=MOTIONS[settings['engine.motion']](settings, motion_of),
         layer=layer,
@@ -391,7 +392,7 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 
     Examples
     --------
-    >>> values = rig_values(Rig(layer=Stack(sheets=(Layer(), Layer(thickness=0.01)))))
+    >>> values = rig_values(Rig(layer=Layer.of_sheets((Layer(), Layer(thickness=0.01)))))
     >>> values['layer.stack']
     '0.0168 7.8 1000.0 0.0, 0.01 7.8 1000.0 0.0'
 
@@ -403,7 +404,7 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
         )
         for name in _names_of(kind)
     }
-    stack = write_stack(rig.layer.sheets) if isinstance(rig.layer, Stack) else ''
+    stack = write_stack(rig.layer.parts) if rig.layer.parts else ''
     return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
 
 

@@ -13,7 +13,7 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
-    from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+    from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
     from soft_throw_ros.core.throw import simulate, Throw, ThrowUnfinishedError
     from soft_throw_ros.core.throws import throw_many, Throws
 
@@ -23,7 +23,6 @@ __all__ = [
     'Projectile',
     'Rig',
     'SampledMotion',
-    'Stack',
     'Throw',
     'ThrowUnfinishedError',
     'Throws',

@@ -1,33 +1,33 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Many throws at once: their ratios, checked and broadcast, threads and cancellation."""
+"""Many throws at once: threads, processors, cancellation, and the longest wait for a release."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+import contextlib
+from contextvars import ContextVar
 import math
+import os
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import checks
-from soft_throw_ros.core.processors import usable_processors
+from numpy.typing import NDArray
+from soft_throw_ros.core.rig import Scales
 
 Floats = NDArray[np.float64]
 
 Cancelled = Callable[[], bool]
 """Called several times in a second of computing, by any thread; returns whether to give up."""
 
-_RANGES = {
-    'mass_ratio': 'positive', 'speed_ratio': 'positive', 'damping_ratio': 'in_unit_interval',
-}
-"""Ranges of ratios for `checks.require_all`; all others are not negative."""
-
 _MAX_PERIODS = 16.0
 """Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
 
 _MAX_CROSSINGS = 4096.0
 """Longest wait of steppers for a release, in crossings of the wave. [-]"""
+
+
+_reserved: ContextVar[int] = ContextVar('_reserved', default=0)
 
 
 class SearchCancelledError(RuntimeError):
@@ -44,28 +44,12 @@ class ThrowUnresolvedError(ValueError):
     """No release within the simulated time, or none with the promised accuracy."""
 
 
-def broadcast_ratios(**ratios: ArrayLike) -> tuple[Floats, tuple[int, ...]]:
-    """
-    Check fields of `rig.Ratios`; return a row for each, and their common shape.
-
-    Raises
-    ------
-    ValueError
-        If a ratio is out of range, or the shapes do not fit.
-
-    """
-    arrays = [
-        checks.require_all(name, ratio, _RANGES.get(name, 'not_negative'))
-        for name, ratio in ratios.items()
-    ]
-    rows = np.stack(np.broadcast_arrays(*arrays))
-    return rows.reshape(len(arrays), -1), rows.shape[1:]
-
-
-def longest_wait(mass_ratio: Floats, speed_ratio: Floats) -> Floats:
-    """Return the time until which steppers follow throws without a release [crossings]."""
-    longest = np.maximum(speed_ratio, 2.0 * math.pi * np.sqrt(mass_ratio))
-    return np.minimum(1.0 + _MAX_PERIODS * longest, _MAX_CROSSINGS)
+def longest_wait(scales: Scales) -> Floats:
+    """Return the time until which steppers follow throws without a release [s]."""
+    crossing, relaxation = scales.crossing_time, scales.relaxation_time
+    own_period = 2.0 * math.pi * np.sqrt(crossing * relaxation)
+    longest = np.maximum(2.0 * math.pi / scales.angular_frequency, own_period)
+    return np.minimum(crossing + _MAX_PERIODS * longest, _MAX_CROSSINGS * crossing)
 
 
 def in_threads(
@@ -99,3 +83,34 @@ def in_threads(
         others = pool.map(lambda first: run(first, stride), range(1, stride))
         run(0, stride)
         list(others)  # raises the exceptions of the threads
+
+
+def usable_processors() -> int:
+    """
+    Count the processors that the calling thread may use for threads of its own.
+
+    Returns
+    -------
+    int
+        The processors of the thread's affinity, less those of `leave_processors`; at least 1.
+
+    """
+    return max(1, len(os.sched_getaffinity(0)) - _reserved.get())
+
+
+@contextlib.contextmanager
+def leave_processors(count: int) -> Iterator[None]:
+    """
+    Leave processors to other threads of the process; also a decorator.
+
+    Parameters
+    ----------
+    count : int
+        Processors that `usable_processors` does not count in this context.
+
+    """
+    token = _reserved.set(count)
+    try:
+        yield
+    finally:
+        _reserved.reset(token)

@@ -11,13 +11,13 @@ or too stiff for one cell and an explicit step gets one that is implicit.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.material import LARGEST_STRAIN, relaxation
-from soft_throw_ros.core.rig import Layer, Ratios, ratios_of, Rig, values_of
+from soft_throw_ros.core.rig import Layer, Rig, scales_of, section_of, values_of
 
 Floats = NDArray[np.float64]
 
@@ -95,62 +95,55 @@ def _fastest_waves(bodies: NDArray[np.void]) -> Floats:
     return np.asarray(np.sqrt(tangent) * np.where(bound > 0.0, _SHOCK_SPEED, 1.0))
 
 
-def make_bodies(ratios: Ratios, layer: Layer) -> tuple[NDArray[np.void], Floats]:
+def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.void], Floats]:
     """
-    Make the sheets of layers in units of layer mass, crossing time and amplitude.
+    Make the sheets of layers.
 
     Parameters
     ----------
-    ratios : Ratios
-        Arrays of shape (n,).
+    values : mapping of str to ndarray, shape (n,)
+        Values of the layers, as of `rig.values_of`.
     layer : Layer
         Layer whose sheets have the proportions of all layers.
 
     Returns
     -------
     bodies : ndarray of `BODY`, shape (n, sheets)
-        Sheets without numbers of cells; the thickness is such that strains are true ones if the
-        layer is not linear, and otherwise a share of the whole.
+        Sheets without numbers of cells.
     crossings : ndarray, shape (n, sheets)
-        Crossing times of the fastest wave. [-]
+        Crossing times of the fastest wave. [s]
 
     """
-    values = np.array([
-        (sheet.thickness, sheet.mass, sheet.crossing_time, sheet.loss_tangent)
+    shares = np.array([
+        (
+            sheet.thickness / layer.thickness, sheet.mass / layer.mass,
+            sheet.crossing_time / layer.crossing_time,
+            sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0,
+        )
         for sheet in layer.sheets
-    ])
-    sums = layer.thickness, layer.mass, layer.crossing_time, layer.loss_tangent or 1.0
-    thickness, mass, crossing, loss_share = (values / sums).T
-    if layer.loss_tangent == 0.0:
-        loss_share = np.ones(len(values))
-    losses = ratios.loss_tangent[:, None] * loss_share
-    omega, strain = 2.0 * math.pi / ratios.speed_ratio[:, None], ratios.strain_ratio[:, None]
-    is_curved = strain > 0.0
-    bodies = np.zeros(losses.shape, BODY)
-    scale = np.where(is_curved, omega / np.where(is_curved, strain, 1.0), 1.0)
-    bodies['thickness'] = thickness * scale
-    bodies['mass'], bodies['stiffness'] = mass, mass / crossing**2
-    bodies['lag'] = np.where(ratios.constant_loss[:, None] > 0.0, 0.0, losses / omega)
-    bodies['max_compression'] = np.where(is_curved, LARGEST_STRAIN, 0.0)
+    ]).T
+    scales, thickness = scales_of(values), values['thickness']
+    mass = values['density'] * section_of(values['diameter']) * thickness
+    wholes = np.stack([thickness, mass, scales.crossing_time, values['loss_tangent']])
+    bodies = np.zeros((thickness.size, len(layer.sheets)), BODY)
+    bodies['thickness'], bodies['mass'], crossing, losses = wholes[:, :, None] * shares[:, None]
+    bodies['stiffness'] = bodies['mass'] / crossing**2
     bodies['relaxed'] = 1.0
-    for throw in np.flatnonzero(ratios.constant_loss):
-        fits = [relaxation(tangent) for tangent in losses[throw].tolist()]
-        bodies['relaxed'][throw] = [fit.relaxed for fit in fits]
-        bodies['maxwell'][throw] = [fit.strengths for fit in fits]
+    if layer.stress_strain_law == 'neo_hookean':
+        bodies['max_compression'] = LARGEST_STRAIN
+    if layer.loss == 'constant':
+        for body, loss in zip(bodies.ravel(), losses.ravel().tolist(), strict=True):
+            body['relaxed'], body['maxwell'] = relaxation(loss)
+    else:
+        bodies['lag'] = losses / scales.angular_frequency[:, None]
     return bodies, crossing / _fastest_waves(bodies)
 
 
 def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
     """Return a `BODY` for each sheet, and the crossing times of its fastest wave [s]."""
-    layer, time = rig.layer, rig.crossing_time
-    ratios = Ratios(*(np.array([ratio]) for ratio in ratios_of(rig, values_of(rig))))
-    bodies, crossings = make_bodies(ratios, layer)
-    sheets = bodies[0]
-    sheets['thickness'] = [sheet.thickness for sheet in layer.sheets]
-    sheets['mass'] *= layer.mass
-    sheets['stiffness'] *= layer.mass / time**2
-    sheets['lag'] *= time
-    return sheets, crossings[0] * time
+    values = {name: np.array([value]) for name, value in values_of(rig).items()}
+    bodies, crossings = make_bodies(values, rig.layer)
+    return bodies[0], crossings[0]
 
 
 def count_cells(crossings: Floats, step: Floats | float) -> NDArray[np.int64]:

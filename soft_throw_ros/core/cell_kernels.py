@@ -53,14 +53,7 @@ from soft_throw_ros.core import stepper
 from soft_throw_ros.core.cell_grid import POINT, ROUNDING
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
-from soft_throw_ros.core.plate_kernels import (
-    BLOCK,
-    DAMPED,
-    motion_at,
-    PLATE,
-    start_block,
-    write_underdamped,
-)
+from soft_throw_ros.core.plate_kernels import motion_at, PLATE
 
 _FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed [-]."""
@@ -150,7 +143,6 @@ RECORD = np.dtype(
         ('last_stiff', 'i8'),
         # the plate
         *PLATE,
-        ('slope', 'f8'),  # growth over turn [-]
         ('plate_acceleration', 'f8'),  # [m/s2]
         # the state of the grid
         ('time', 'f8'),  # [s]
@@ -381,7 +373,6 @@ def prepare(
             s.edge_cells[end, 1] = edge + (1 - 2 * end)
             s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
-    s.slope = s.growth / s.turn if s.plate_kind == DAMPED else 0.0
     cut(s, nodes, bodies)
     _prepare_links(s, nodes, omega)
     _prepare_contact(s, nodes)
@@ -451,18 +442,6 @@ def _link_tension(nodes, j, parity, case, rate):
 
 
 @inlined
-def _underdamped_motion(s, path):
-    """Rotate the phasor of an underdamped plate, evaluated anew for every block."""
-    k = s.index & (BLOCK - 1)
-    if k == 0:
-        start_block(s, s.index)
-    real = s.cosine * path[0, k] - s.sine * path[1, k]
-    imaginary = s.cosine * path[1, k] + s.sine * path[0, k]
-    height = s.amplitude * (1.0 - real + s.slope * imaginary)  # Eq. (D2)
-    return height, s.factor * imaginary, s.factor * (s.turn * real + s.growth * imaginary)
-
-
-@inlined
 def _move_first_node(s, nodes, height, speed, acceleration):
     """Move the lowest node, which is the plate."""
     s.plate_acceleration = acceleration
@@ -507,6 +486,18 @@ def _first_root(a, b, c, d):
 
 
 @subroutine
+def _compare_last_loads(s, nodes, fraction):
+    """Update the maxima of strain and plate force at the first release, within the last step."""
+    back, force = (1.0 - fraction) * s.step, s.on_plate_before
+    for j in range(s.cells):
+        stretch = _across(nodes, ROW.displacement, j) - back * _across(nodes, ROW.velocity, j)
+        strain = abs(stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j])
+        nodes[ROW.peak_strain, j] = max(nodes[ROW.peak_strain, j], strain)
+    force += fraction * (s.on_plate_now - force)
+    s.plate_force = max(s.plate_force, abs(force))
+
+
+@subroutine
 def _handle_release(s, nodes, events):
     """Release the projectile at the root of the force, which is below zero now."""
     after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
@@ -522,6 +513,8 @@ def _handle_release(s, nodes, events):
     impulse += second * (t**3 - 0.125) / 3.0 + third * (t**4 - 0.0625) / 4.0
     impulse -= (after - before) / 24.0
     velocity = nodes[ROW.velocity, s.cells + 1] + s.step * impulse / s.mass
+    if s.events == 0:
+        _compare_last_loads(s, nodes, t)
     s.contact = False
     height, _ = _motion(s, nodes, s.cells + 1, t)
     _record_event(s, events, stepper.RELEASE, t, height, velocity)
@@ -569,10 +562,7 @@ def _march(s, nodes, path, events, goal):
         s.event_time = math.inf
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
         s.work_before = s.work
-        if s.plate_kind == DAMPED:
-            height, speed, acceleration = _underdamped_motion(s, path)
-        else:
-            height, speed, acceleration = motion_at(s, path, s.index * step)
+        height, speed, acceleration = motion_at(s, path, s.index * step)
         _move_first_node(s, nodes, height, speed, acceleration)
         gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
         lands = not s.contact and gap < 0.0
@@ -764,7 +754,6 @@ def reset(core: Any, nodes: Any) -> None:
     s = core[0]
     nodes[:STATE_ROWS] = 0.0
     nodes[ROW.peak_strain] = nodes[ROW.static_strain]
-    s.cosine = 1.0
     weight = s.mass * s.gravity
     s.force = s.on_projectile_now = weight
     s.known_forces = 1
@@ -772,18 +761,6 @@ def reset(core: Any, nodes: Any) -> None:
     s.on_plate_before = s.on_plate_until = s.on_plate_now
     s.on_projectile_before = s.on_projectile_until = weight
     core[1] = core[0]
-
-
-@kernel
-def prepare_ratios(
-    core: Any, nodes: Any, path: Any, bodies: Any, ratios: Any, step: float
-) -> None:
-    """Prepare the third record in units of layer mass, crossing time and amplitude."""
-    mu, kappa, zeta, gravity = ratios
-    omega = 2.0 * math.pi / kappa
-    write_underdamped(core[2], path, omega, omega, zeta, step)
-    weight = gravity * omega * omega
-    prepare(core, nodes, bodies, step, mu, weight, omega, omega)
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]

@@ -8,28 +8,17 @@ Throws by cells of finite size: layers with loss, large strain or several sheets
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import partial
 import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.batch import (
-    broadcast_ratios,
-    Cancelled,
-    check_cancelled,
-    in_threads,
-    longest_wait,
-)
-from soft_throw_ros.core.cell_grid import (
-    count_cells,
-    crossing_time,
-    make_bodies,
-    make_grid,
-)
+from soft_throw_ros.core.batch import Cancelled, check_cancelled, in_threads, longest_wait
+from soft_throw_ros.core.cell_grid import count_cells, crossing_time, make_bodies, make_grid
 from soft_throw_ros.core.cell_kernels import (
     advance_compiled,
     prepare,
-    prepare_ratios,
     read_layer_compiled,
     RECORD,
     reset,
@@ -37,12 +26,12 @@ from soft_throw_ros.core.cell_kernels import (
     ROWS,
     stored_energy,
 )
-from soft_throw_ros.core.plate import peak_velocity_ratios
-from soft_throw_ros.core.plate_kernels import BLOCK
-from soft_throw_ros.core.rig import Layer, Ratios, Rig
+from soft_throw_ros.core.plate_kernels import make_damped_path, write_damped
+from soft_throw_ros.core.rig import Layer, Rig, Scales, scales_of, values_of
 from soft_throw_ros.core.stepper import (
     load_kernels,
     Loads,
+    RateError,
     require_count,
     require_rate,
     require_steps_per_period,
@@ -78,8 +67,14 @@ _STEPS_PER_PERIOD = 120.0
 _MIN_STEPS_PER_PERIOD = 80.0
 """Steps per period of the plate below which a rig is refused in real time. [-]"""
 
-_MAX_BATCH_CELLS = 1024
+_MAX_BATCH_CELLS = 2048
 """Most cells that `throw_batch` chooses. [-]"""
+
+_LOSSLESS_CELLS = 256
+"""Cells of lossless sheets from which the step is halved; fewer miss short releases. [-]"""
+
+_HALVING = 1e-4
+"""Largest relative change of time and speed at which halving the step ends. [-]"""
 
 _SLICE = 0.1
 """Time of a processor between two looks at a flag. [s]"""
@@ -117,7 +112,7 @@ def cells_per_layer(rig: Rig) -> int:
     for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
     if for_mass > limit:
         min_mass = rig.projectile.mass * for_mass / limit
-        raise ValueError(
+        raise RateError(
             f'projectile.mass {rig.projectile.mass:g} kg on a layer of {layer.mass:.4g} kg needs '
             f'{for_mass} cells, the limit is {limit}; '
             f'feasible: projectile.mass of {1.001 * min_mass:.4g} kg or more'
@@ -129,7 +124,7 @@ def cells_per_layer(rig: Rig) -> int:
 
 
 def throw_batch(
-    ratios: Ratios,
+    values: Mapping[str, Floats],
     layer: Layer,
     *,
     cells: int | None = None,
@@ -137,12 +132,12 @@ def throw_batch(
     cancelled: Cancelled | None = None,
 ) -> Floats:
     r"""
-    Compute first releases and loads for `throws.throw_many`.
+    Compute first releases and loads for `throws.throw_many`, unchecked but for `cells`.
 
     Parameters
     ----------
-    ratios : Ratios
-        Ratios of the throws.
+    values : mapping of str to ndarray, shape (n,)
+        Values of the rigs, as of `rig.values_of`.
     layer : Layer
         Layer whose sheets have the proportions of all layers.
     cells : int, optional
@@ -153,66 +148,104 @@ def throw_batch(
 
     Returns
     -------
-    ndarray, shape (7, n)
-        Rows of `throws.Throws`, divided by `throws.units_of`; NaN without a release by
+    ndarray, shape (6, n)
+        Rows of `throws.Throws` without the energy transfer; NaN without a release by
         `batch.longest_wait`.
-
-    Raises
-    ------
-    ValueError
-        If a ratio or `cells` is out of range.
 
     """
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
-    rows, _ = broadcast_ratios(**ratios._asdict())
-    ratios = Ratios(*rows)
-    mu, kappa = ratios.mass_ratio, ratios.speed_ratio
-    results = np.full((7, mu.size), math.nan)
-    bodies, crossings = make_bodies(ratios, layer)
-    steps = crossings.sum(axis=1) / (_choose_cells(ratios) if cells is None else cells)
-    bodies['count'] = count_cells(crossings, steps[:, None])
-    latest, peak_speed = longest_wait(mu, kappa), peak_velocity_ratios(ratios.damping_ratio)
+    scales = scales_of(values)
+    bodies, crossings = make_bodies(values, layer)
+    counts = _choose_cells(scales, layer) if cells is None else np.full(len(bodies), cells)
+    is_settled = (values['loss_tangent'] > 0.0) | (cells is not None or not layer.parts)
+    latest = longest_wait(scales)
+    names = 'amplitude', 'damping_ratio', 'mass', 'gravity'
+    amplitude, zeta, mass, gravity = (values[name] for name in names)
+    omega = scales.angular_frequency
+    results = np.full((6, mass.size), math.nan)
 
     def run(first: int, stride: int) -> None:
-        core, path, no_events = np.zeros(3, RECORD), np.empty((2, BLOCK)), np.empty((0, 4))
+        core, path, no_events = np.zeros(3, RECORD), make_damped_path(), np.empty((0, 4))
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
-        for n in range(first, mu.size, stride):
-            nodes = np.zeros((ROWS, bodies[n]['count'].sum() + 2))
+
+        def throw(n: int, count: int) -> tuple[float, ...]:
+            step, body = crossings[n].sum() / count, bodies[n]
+            body['count'] = count_cells(crossings[n], step)
+            nodes = np.zeros((ROWS, body['count'].sum() + 2))
             numbers[:] = 0.0
-            ratios_of_throw = tuple(rows[:4, n].tolist())
-            prepare_ratios(core, nodes, path, bodies[n], ratios_of_throw, steps[n])
+            write_damped(core, path, amplitude[n], omega[n], zeta[n])
+            peak_force = amplitude[n] * omega[n] * scales.impedance[n]
+            prepare(core, nodes, body, step, mass[n], gravity[n], omega[n], peak_force)
             numbers[:2] = numbers[2]
             reset(core, nodes)
-            grid = core[0]
-            updates = nodes.shape[1] * latest[n] / steps[n]
-            for time in np.linspace(0.0, latest[n], 2 + int(UPDATE_COST * updates / _SLICE))[1:]:
+            slices = 2 + int(UPDATE_COST * nodes.shape[1] * latest[n] / step / _SLICE)
+            for time in np.linspace(0.0, latest[n], slices)[1:]:
                 check_cancelled(cancelled)
                 if advance(core, nodes, path, no_events, time):
                     break
-            if grid['events']:
-                omega = 2.0 * math.pi / kappa[n]
-                strain = max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max())
-                if ratios.strain_ratio[n] > 0.0:
-                    strain *= omega / ratios.strain_ratio[n]
-                speed = grid['event_velocity'] / omega
-                results[:, n] = (
-                    grid['event_time'] / kappa[n], speed, (speed / peak_speed[n]) ** 2,
-                    strain / omega, grid['acceleration'] / omega**2,
-                    grid['plate_force'] / omega, grid['work'] / (mu[n] * omega**2),
-                )
+            grid = core[0]
+            if not grid['events']:
+                return (math.nan,) * 6
+            return (
+                grid['event_time'], grid['event_velocity'],
+                max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max()),
+                grid['acceleration'], grid['plate_force'], grid['work'],
+            )
 
-    in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
+        for n in range(first, mass.size, stride):
+            if is_settled[n]:
+                results[:, n] = throw(n, int(counts[n]))
+            else:
+                _, results[:, n] = _halve_steps(partial(throw, n))
+
+    in_threads(run, count=mass.size, per_thread=_THROWS_PER_THREAD, threads=threads)
     return results
 
 
-def _choose_cells(ratios: Ratios) -> NDArray[np.int64]:
+def _halve_steps(throw: Callable[[int], tuple[float, ...]]) -> tuple[int, tuple[float, ...]]:
+    """Halve the step until time and speed of the release settle; return cells and results."""
+    cells, results = _LOSSLESS_CELLS, throw(_LOSSLESS_CELLS)
+    while cells < _MAX_BATCH_CELLS:
+        cells, coarse, results = 2 * cells, results, throw(2 * cells)
+        if np.allclose(results[:2], coarse[:2], rtol=_HALVING, atol=0.0, equal_nan=True):
+            break
+    return cells, results
+
+
+def settled_cells(rig: Rig, *, latest: float, cancelled: Cancelled | None = None) -> int | None:
+    """
+    Return the number of cells for 1e-4 offline, None for that of `cells_per_layer`.
+
+    Nothing smooths the waves in sheets without loss, whose boundaries are between two steps.
+
+    Parameters
+    ----------
+    rig, cancelled
+        As for `throw.simulate`.
+    latest : float
+        Longest wait for the first release. [s]
+
+    """
+    if not rig.layer.parts or rig.layer.loss_tangent > 0.0:
+        return None
+
+    def throw(cells: int) -> tuple[float, ...]:
+        stepper = CellStepper(rig, cells=cells, field_points=2)
+        event = stepper.advance_to_release(latest=latest, step=latest / 256, cancelled=cancelled)
+        return (math.nan,) * 2 if event is None else (event.time, event.velocity)
+
+    return _halve_steps(throw)[0]
+
+
+def _choose_cells(scales: Scales, layer: Layer) -> NDArray[np.int64]:
     """Choose the numbers of cells of the layers in `throw_batch`."""
-    mu, kappa = ratios.mass_ratio, ratios.speed_ratio
-    finer = np.where(ratios.strain_ratio > 0.0, _NEO_HOOKEAN_CELLS, 1.0)
-    counts = (finer * _CELLS).astype(np.int64)
-    needed = finer * np.maximum(_CELLS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
+    finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
+    counts = np.full(scales.mass_ratio.shape, int(finer * _CELLS))
+    needed = finer * np.maximum(
+        _CELLS_PER_RELAXATION / scales.mass_ratio, _STEPS_PER_PERIOD / scales.speed_ratio
+    )
     while (too_few := (counts < needed) & (counts < _MAX_BATCH_CELLS)).any():
         counts[too_few] *= 2
     return counts
@@ -250,7 +283,7 @@ class CellStepper(Stepper):
 
     """
 
-    _changing = ('_nodes',)
+    _kernels = advance_compiled, read_layer_compiled
 
     def __init__(
         self,
@@ -267,27 +300,18 @@ class CellStepper(Stepper):
         grid = make_grid(rig, cells=cells)
         self.cells = int(grid.counts.sum())
         self.step = grid.step
-        self._nodes = np.zeros((ROWS, self.cells + 2))
-        self._points = grid.points(field_points)
-        self._make_records(RECORD, grid.step, is_measured=is_measured)
+        self._layer = np.zeros((ROWS, self.cells + 2))
+        self._reading = (grid.points(field_points),)
+        self._make_records(RECORD, is_measured=is_measured)
         prepare(
-            self._core, self._nodes, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
+            self._core, self._layer, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
         )
         self._bind()
         self.reset()
 
-    def _bind(self) -> None:
-        arrays = (self._core, self._nodes)
-        self._advance = partial(advance_compiled(), *arrays, self._path, self._events)
-        self._read_layer = partial(read_layer_compiled(), *arrays, self._points)
-
     def _clear(self) -> None:
-        reset(self._core, self._nodes)
-
-    def _copy_layer(self, origin: Stepper) -> None:
-        assert isinstance(origin, CellStepper)
-        self._nodes[:] = origin._nodes
+        reset(self._core, self._layer)
 
     @property
     def horizon(self) -> float:
@@ -303,14 +327,14 @@ class CellStepper(Stepper):
     @property
     def cost(self) -> float:
         """Time of a processor over time of the rig, about [-]."""
-        return float(UPDATE_COST * self._nodes.shape[1] / self.step)
+        return float(UPDATE_COST * self._layer.shape[1] / self.step)
 
     @property
     def loads(self) -> Loads:
         """Largest loads up to the first release, or up to now before the release."""
         now = self._core[1]
         plate, contact = now['edge_strains'].tolist()
-        inside = float(self._nodes[ROW.peak_strain].max())
+        inside = float(self._layer[ROW.peak_strain].max())
         acceleration, force = float(now['acceleration']), float(now['plate_force'])
         return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
 
@@ -321,10 +345,11 @@ class CellStepper(Stepper):
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""
-        return float(stored_energy(self._core, self._nodes))
+        return float(stored_energy(self._core, self._layer))
 
 
 def warm_up() -> None:
     """Compile or load all kernels."""
     load_kernels(CellStepper(Rig(), is_measured=True, field_points=2))
-    throw_batch(Ratios(mass_ratio=1.0, speed_ratio=8.0), Layer(), cells=8)
+    values = {name: np.array([value]) for name, value in values_of(Rig()).items()}
+    throw_batch(values, Layer(), cells=8)

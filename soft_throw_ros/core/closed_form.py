@@ -43,7 +43,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.batch import broadcast_ratios, in_threads, ThrowUnresolvedError
+from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import inlined, kernel, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
 
@@ -57,20 +57,11 @@ _INACCURATE = 2
 _GROWTH_LIMIT = 1e4
 """Largest |Q_k|; alpha loses at most 1e-14 |Q_k|, and |Q_k| is 34 at most within the box. [-]"""
 
-_ROUNDING = 9.0 * 2.0**-52
-"""
-Factor of the bound of the rounding error. [-]
-
-Of 195 throws with mu up to 1e10, kappa up to 1e5 and at most 110 intervals, computed again with
-260 digits, none had an error of a tenth of the bound; the throw (1e6, 1e4), of 1928 intervals, had
-an error of three quarters of the bound.
-"""
+_ROUNDING = 2e-15
+"""Rounding error of the speed in an interval, over the amplitude of the steady wave. [-]"""
 
 _ACCURACY = 1e-9
 """Promised relative error of alpha. [-]"""
-
-_LEAST_SPEED = 1e-150
-"""Speed whose square is still a normal number. [-]"""
 
 _SEARCH_EFFORT = 1e6
 """Terms of Laguerre sums after which a search is given up: some milliseconds."""
@@ -213,12 +204,13 @@ def first_releases(
     array([2.003 , 3.546 , 3.8322])
 
     """
-    ratios, shape = broadcast_ratios(
-        mass_ratio=mass_ratio,
-        speed_ratio=speed_ratio,
-        damping_ratio=damping_ratio,
-        gravity_ratio=gravity_ratio,
+    arrays = np.broadcast_arrays(
+        checks.require_all('mass_ratio', mass_ratio, 'positive'),
+        checks.require_all('speed_ratio', speed_ratio, 'positive'),
+        checks.require_all('damping_ratio', damping_ratio, 'in_unit_interval'),
+        checks.require_all('gravity_ratio', gravity_ratio, 'not_negative'),
     )
+    ratios, shape = np.stack(arrays).reshape(len(arrays), -1), arrays[0].shape
     phase, speed = np.empty((2, ratios.shape[1]))
     status = np.empty(ratios.shape[1], dtype=np.int64)
     in_threads(
@@ -468,20 +460,12 @@ def _polish(k, low, high, sigma, wave, steady, c):
             break
     phase = (2 * k + 1 + sigma) / wave.kappa
     is_found = min(change, high - low) <= 1e-6 * wave.kappa and math.isfinite(phase * speed)
-    if not is_found or _rounding_error(k, sigma, wave, steady, c) > _ACCURACY * abs(speed):
+    is_found = is_found and speed * speed > 0.0  # not below the smallest number
+    # The steady wave is known relative to its phase; each interval adds to the error
+    wave_size = math.sqrt(_size(steady)) * min(1.0, wave.lam.imag * (2.0 * k + 1.0 + sigma))
+    if not is_found or _ROUNDING * (k + 1.0) * wave_size > _ACCURACY * abs(speed):
         return 2.0 * k + 1.0, math.nan, _INACCURATE
     return phase, speed, _RELEASED
-
-
-@inlined
-def _rounding_error(k, sigma, wave, steady, c):
-    """Bound the rounding error of the speed; a heavy projectile is much slower than the wave."""
-    square = 0.0
-    for j in range(k + 1):
-        square += c[j] * c[j]
-    # The steady wave is known relative to its phase; each interval adds to both
-    wave_size = math.sqrt(_size(steady)) * min(1.0, wave.lam.imag * (2.0 * k + 1.0 + sigma))
-    return _ROUNDING * (k + 1.0) * (wave_size + math.sqrt(square)) + _ACCURACY * _LEAST_SPEED
 
 
 @subroutine

@@ -9,8 +9,8 @@ can be simulated.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 import math
 from typing import Any, NamedTuple, TYPE_CHECKING
 
@@ -106,7 +106,10 @@ class Engine:
 @dataclass(frozen=True, kw_only=True)
 class Layer:
     r"""
-    The soft layer, a cylinder of one material; see `Stack` for several sheets.
+    The soft layer: a cylinder of one material, or of several sheets, see `of_sheets`.
+
+    The numbers of a layer of sheets are effective values of the whole; a change of one of them
+    changes all sheets in proportion.
 
     Parameters
     ----------
@@ -124,6 +127,8 @@ class Layer:
         Law of stress over strain, see `material`.
     loss : {'kelvin_voigt', 'constant'}
         Law of loss: the loss tangent grows with frequency, or is constant over decades.
+    parts : sequence of Layer
+        Sheets from the plate upwards; none for a layer of one material.
 
     Raises
     ------
@@ -131,6 +136,15 @@ class Layer:
         If a value is not finite and positive, `loss_tangent` is negative, or above
         `material.LARGEST_CONSTANT_LOSS` where it is constant, or `stress_strain_law` or `loss` is
         not one of the listed texts.
+
+    Examples
+    --------
+    A stiff sheet of 2 mm on a soft one of 10 mm:
+
+    >>> soft = Layer(thickness=10e-3, wave_speed=8.0)
+    >>> layer = Layer.of_sheets([soft, Layer(thickness=2e-3, wave_speed=20.0)])
+    >>> round(layer.thickness, 6), round(1e3 * layer.crossing_time, 6)
+    (0.012, 1.35)
 
     """
 
@@ -141,11 +155,39 @@ class Layer:
     loss_tangent: float = 0.0
     stress_strain_law: str = 'linear'
     loss: str = 'kelvin_voigt'
+    parts: tuple[Layer, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self, loss_tangent='not_negative')
         if self.loss == 'constant':
             require_constant_loss(self.loss_tangent)
+        if self.parts:
+            own = {name: value for name, value in vars(self).items() if name != 'parts'}
+            whole = _values_of_sheets(self.parts)
+            if changes := {name: own[name] for name in own if own[name] != whole[name]}:
+                sheets = (_changed_sheet(sheet, whole, changes) for sheet in self.parts)
+                object.__setattr__(self, 'parts', tuple(sheets))
+
+    @classmethod
+    def of_sheets(cls, sheets: Iterable[Layer]) -> Layer:
+        """
+        Make a layer of one or more sheets on top of each other, from the plate upwards.
+
+        Raises
+        ------
+        ValueError
+            If the sheets differ in diameter, stress-strain law or kind of loss.
+
+        """
+        parts = tuple(sheet for layer in sheets for sheet in layer.sheets)
+        for sheet in parts[1:]:
+            for name, unit in (('diameter', ' m'), ('stress_strain_law', ''), ('loss', '')):
+                first, other = getattr(parts[0], name), getattr(sheet, name)
+                if first != other:
+                    raise ValueError(
+                        f'layer.sheets must be of one {name}, got {first}{unit} and {other}{unit}'
+                    )
+        return cls(**_values_of_sheets(parts), parts=parts) if len(parts) > 1 else parts[0]
 
     @property
     def section(self) -> float:
@@ -159,13 +201,17 @@ class Layer:
 
     @property
     def youngs_modulus(self) -> float:
-        r""":math:`E_s = \rho_s c_s^2` [Pa]."""
+        r""":math:`E_s = \rho_s c_s^2`; of sheets, that with the same compression at rest [Pa]."""
+        if self.parts:
+            compliance = sum(1.0 / sheet.stiffness for sheet in self.parts)
+            return self.thickness / (compliance * self.section)
         return self.density * self.wave_speed**2
 
     @property
     def impedance(self) -> float:
-        """:math:`E_s S / c_s`, force over speed of a travelling wave [kg/s]."""
-        return self.density * self.wave_speed * self.section
+        """:math:`E_s S / c_s` at the top, force over speed of a travelling wave [kg/s]."""
+        top = self.sheets[-1]
+        return top.density * top.wave_speed * top.section
 
     @property
     def stiffness(self) -> float:
@@ -187,20 +233,18 @@ class Layer:
             Force on the top. [N]
 
         """
+        if self.parts:
+            sag = sum(sheet.thickness * sheet.static_strain(force) for sheet in self.parts)
+            return sag / self.thickness
         load = force / (self.youngs_modulus * self.section)
         if self.loss == 'constant':
             load /= relaxation(self.loss_tangent).relaxed
         return load if self.stress_strain_law == 'linear' else 1.0 - static_stretch(3.0 * load)
 
     @property
-    def is_uniform(self) -> bool:
-        """Whether it is of one material, as travelling waves need it."""
-        return True
-
-    @property
     def needs_cells(self) -> bool:
-        """Whether only cells can follow it: a stack, a layer with loss, or one not linear."""
-        return not self.is_uniform or self.loss_tangent > 0.0 or self.stress_strain_law != 'linear'
+        """Whether only cells can follow it: sheets, a layer with loss, or one not linear."""
+        return bool(self.parts) or self.loss_tangent > 0.0 or self.stress_strain_law != 'linear'
 
     @property
     def linear_range(self) -> float:
@@ -210,112 +254,32 @@ class Layer:
     @property
     def sheets(self) -> tuple[Layer, ...]:
         """Sheets of the layer from the plate up, each of one material."""
-        return (self,)
+        return self.parts or (self,)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stack(Layer):
-    r"""
-    A layer of several sheets on top of each other.
+def _values_of_sheets(sheets: Sequence[Layer]) -> dict[str, Any]:
+    """Return the effective values of a layer of sheets."""
+    thickness = sum(sheet.thickness for sheet in sheets)
+    compliances = [1.0 / sheet.stiffness for sheet in sheets]
+    losses = [sheet.loss_tangent * part for sheet, part in zip(sheets, compliances, strict=True)]
+    return {
+        'thickness': thickness,
+        'wave_speed': thickness / sum(sheet.crossing_time for sheet in sheets),
+        'density': sum(sheet.density * sheet.thickness for sheet in sheets) / thickness,
+        'diameter': sheets[0].diameter,
+        'loss_tangent': sum(losses) / sum(compliances),  # in slow compression
+        'stress_strain_law': sheets[0].stress_strain_law,
+        'loss': sheets[0].loss,
+    }
 
-    Only cells simulate a stack. The properties that a stack shares with a layer
-    of one material are effective values of the whole stack.
 
-    Parameters
-    ----------
-    sheets : sequence of Layer
-        Sheets from the plate upwards, with the same diameter, stress-strain law and kind of loss.
-
-    Attributes
-    ----------
-    thickness : float
-        Total thickness :math:`L_s` of all sheets. [m]
-    wave_speed : float
-        Thickness over crossing time. [m/s]
-    density : float
-        Mass over volume. [kg/m3]
-    diameter : float
-        Diameter of the cross section :math:`S`. [m]
-    loss_tangent : float
-        Loss tangent of the whole stack in slow compression. [-]
-    stress_strain_law, loss : str
-        Law and kind of loss of all sheets.
-
-    Raises
-    ------
-    ValueError
-        If there is no sheet, or the sheets differ in diameter, stress-strain law or kind of loss.
-
-    Examples
-    --------
-    A stiff sheet of 2 mm on a soft one of 10 mm:
-
-    >>> stack = Stack(
-    ...     sheets=(Layer(thickness=10e-3, wave_speed=8.0), Layer(thickness=2e-3, wave_speed=20.0))
-    ... )
-    >>> round(stack.thickness, 6), round(1e3 * stack.crossing_time, 6)
-    (0.012, 1.35)
-
-    """
-
-    sheets: tuple[Layer, ...] = ()  # a default, to replace the property
-    thickness: float = field(init=False, repr=False)
-    wave_speed: float = field(init=False, repr=False)
-    density: float = field(init=False, repr=False)
-    diameter: float = field(init=False, repr=False)
-    loss_tangent: float = field(init=False, repr=False)
-    stress_strain_law: str = field(init=False, repr=False)
-    loss: str = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        sheets = tuple(sheet for layer in self.sheets for sheet in layer.sheets)
-        if not sheets:
-            raise ValueError('layer.sheets must be one or more, got none')
-        for sheet in sheets[1:]:
-            for name, unit in (('diameter', ' m'), ('stress_strain_law', ''), ('loss', '')):
-                first, other = getattr(sheets[0], name), getattr(sheet, name)
-                if first != other:
-                    raise ValueError(
-                        f'layer.sheets must be of one {name}, got {first}{unit} and {other}{unit}'
-                    )
-        thickness = sum(sheet.thickness for sheet in sheets)
-        compliances = [1.0 / sheet.stiffness for sheet in sheets]
-        lost = sum(
-            sheet.loss_tangent * compliance
-            for sheet, compliance in zip(sheets, compliances, strict=True)
-        )
-        for name, value in (
-            ('sheets', sheets),
-            ('thickness', thickness),
-            ('wave_speed', thickness / sum(sheet.crossing_time for sheet in sheets)),
-            ('diameter', sheets[0].diameter),
-            ('density', sum(sheet.density * sheet.thickness for sheet in sheets) / thickness),
-            ('loss_tangent', lost / sum(compliances)),
-            ('stress_strain_law', sheets[0].stress_strain_law),
-            ('loss', sheets[0].loss),
-        ):
-            object.__setattr__(self, name, value)
-
-    @property
-    def youngs_modulus(self) -> float:
-        """Young's modulus of a uniform layer with the same compression at rest [Pa]."""
-        compliance = sum(1.0 / sheet.stiffness for sheet in self.sheets)
-        return self.thickness / (compliance * self.section)
-
-    def static_strain(self, force: float) -> float:
-        """Return the compression of the whole stack under a steady force, see `Layer` [-]."""
-        sag = sum(sheet.thickness * sheet.static_strain(force) for sheet in self.sheets)
-        return sag / self.thickness
-
-    @property
-    def impedance(self) -> float:
-        """Mechanical impedance at the top: force over speed of a travelling wave [kg/s]."""
-        return self.sheets[-1].impedance
-
-    @property
-    def is_uniform(self) -> bool:
-        """Return False, even if all sheets are equal."""
-        return False
+def _changed_sheet(sheet: Layer, whole: Mapping[str, Any], changes: Mapping[str, Any]) -> Layer:
+    """Return a sheet whose values change in proportion to those of the whole layer."""
+    return replace(sheet, **{
+        name: value * getattr(sheet, name) / whole[name]
+        if isinstance(value, float) and whole[name] else value
+        for name, value in changes.items()
+    })
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -438,8 +402,8 @@ class Rig:
 
         """
         layer, need = self.layer, ''
-        if not layer.is_uniform:
-            need = f'a layer of one material, got {layer!r}'
+        if layer.parts:
+            need = f'a layer of one material, got {len(layer.parts)} sheets'
         elif layer.stress_strain_law != 'linear':
             need = f'layer.stress_strain_law linear, got {layer.stress_strain_law}'
         elif layer.loss_tangent > 0.0:
@@ -455,61 +419,36 @@ def values_of(rig: Rig) -> dict[str, float]:
     return {**values, 'mass': rig.projectile.mass}
 
 
-class Ratios(NamedTuple):
-    r"""
-    Ratios that decide a first release: numbers, or arrays that broadcast against each other.
+class Scales(NamedTuple):
+    """Scales of time and force of a rig, and the ratios that decide a throw: numbers or arrays."""
 
-    The core alone computes with them; `throws.throw_many` takes rigs in SI units.
-    """
-
+    crossing_time: Any
+    """:math:`t_s = L_s / c_s`. [s]"""
+    relaxation_time: Any
+    r""":math:`\tau = m c_s / (E_s S)`. [s]"""
+    impedance: Any
+    """:math:`E_s S / c_s`. [kg/s]"""
+    angular_frequency: Any
+    r""":math:`\omega`. [rad/s]"""
     mass_ratio: Any
     r""":math:`\mu = m / (\rho_s S L_s)`, projectile over layer. [-]"""
     speed_ratio: Any
     r""":math:`\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
-    damping_ratio: Any = 0.0
-    r"""Damping ratio of the plate, :math:`\zeta`. [-]"""
-    gravity_ratio: Any = 0.0
+    gravity_ratio: Any
     r""":math:`g / (A \omega^2)`. [-]"""
-    loss_tangent: Any = 0.0
-    """Loss tangent of the whole layer at the plate's frequency. [-]"""
-    strain_ratio: Any = 0.0
-    r""":math:`A \omega / c_s` of a neo-Hookean layer, 0 for a linear one. [-]"""
-    constant_loss: Any = 0.0
-    """Whether the loss tangent is constant, and not in proportion to frequency; 1 or 0."""
-
-    @property
-    def lossless(self) -> dict[str, Any]:
-        """Ratios that decide the throw from a lossless layer."""
-        return dict(zip(self._fields[:4], self[:4], strict=True))
 
 
-def ratios_of(rig: Rig, values: Mapping[str, Any]) -> Ratios:
-    """
-    Return the ratios that decide the throws of a rig with other values.
-
-    Parameters
-    ----------
-    rig : Rig
-        Rig with the laws of the layer.
-    values : mapping of str to float or ndarray
-        All numbers of `values_of`; they replace those of the rig.
-
-    """
-    mass, thickness, frequency = values['mass'], values['thickness'], values['frequency']
-    omega, section = 2.0 * math.pi * frequency, section_of(values['diameter'])
-    with np.errstate(divide='ignore'):  # a layer without thickness
-        speed_ratio = values['wave_speed'] / (thickness * frequency)
-        mass_ratio = mass / (values['density'] * section * thickness)
-    is_linear = rig.layer.stress_strain_law == 'linear'
-    return Ratios(
-        mass_ratio=mass_ratio,
-        speed_ratio=speed_ratio,
-        damping_ratio=values['damping_ratio'],
-        gravity_ratio=values['gravity'] / (values['amplitude'] * omega * omega),
-        loss_tangent=values['loss_tangent'],
-        strain_ratio=0.0 if is_linear else values['amplitude'] * omega / values['wave_speed'],
-        constant_loss=float(rig.layer.loss == 'constant'),
-    )
+def scales_of(values: Mapping[str, Any]) -> Scales:
+    """Return the scales of rigs with the values of `values_of`."""
+    thickness, omega = values['thickness'], 2.0 * math.pi * values['frequency']
+    impedance = values['density'] * values['wave_speed'] * section_of(values['diameter'])
+    with np.errstate(divide='ignore', invalid='ignore'):  # a layer without thickness
+        crossing, relaxation = thickness / values['wave_speed'], values['mass'] / impedance
+        return Scales(
+            crossing, relaxation, impedance, omega, relaxation / crossing,
+            1.0 / (crossing * values['frequency']),
+            values['gravity'] / (values['amplitude'] * omega * omega),
+        )
 
 
 def section_of(diameter: Any) -> Any:

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+import copy
+from functools import partial
 import math
-from typing import ClassVar, get_args, Literal, NamedTuple, TypeAlias
+from typing import Any, ClassVar, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +56,10 @@ MAX_EVENTS = 4096
 
 BACKWARDS, BEYOND_HORIZON, TOO_MANY_EVENTS, TOO_FAR = -1, -2, -3, -4
 """Error codes that a kernel returns instead of the number of events."""
+
+
+class RateError(ValueError):
+    """A rig that cannot be stepped in real time."""
 
 
 class HorizonError(ValueError):
@@ -128,9 +134,16 @@ class Stepper(ABC):
     field_points: int
     state: Floats
 
+    _kernels: ClassVar[tuple[Callable[[], Callable[..., Any]], Callable[[], Callable[..., Any]]]]
+    """Return the compiled kernels that advance, and that read the layer."""
+
     _core: NDArray[np.void]
     _numbers: Floats
     """View of the records as plain numbers, a row for each record, for faster copies."""
+    _layer: Floats
+    """State of the layer."""
+    _reading: tuple[NDArray[np.void], ...] = ()
+    """Further arguments of the kernel that reads the layer."""
     _path: Floats
     """Motion of the plate, see `plate_kernels`."""
     _events: Floats
@@ -139,8 +152,6 @@ class Stepper(ABC):
     """Goes to a time, and returns the number of events, or an error code."""
     _read_layer: Callable[[Floats], None]
     """Does the work of `read_layer`, without checks."""
-    _changing: ClassVar[tuple[str, ...]]
-    """Names of the arrays that the kernels change, beside records, path and events."""
 
     def __init__(self, rig: Rig, field_points: int) -> None:
         self.rig = rig
@@ -148,15 +159,12 @@ class Stepper(ABC):
         self._events = np.zeros((MAX_EVENTS, 4))
         self._readable = np.empty(0)  # the array that was checked last
 
-    def _make_records(
-        self, record: np.dtype[np.void], step: float, *, is_measured: bool
-    ) -> NDArray[np.void]:
+    def _make_records(self, record: np.dtype[np.void], *, is_measured: bool) -> NDArray[np.void]:
         """Make records and path, and return the record to fill in."""
         self._use_records(np.zeros(3, record))
-        start: NDArray[np.void] = self._core[2]
-        self._path = write_motion(self._core, self.rig.engine, step, is_measured=is_measured)
+        self._path = write_motion(self._core, self.rig.engine, is_measured=is_measured)
         self._is_measured = is_measured
-        return start
+        return self._core[2]  # type: ignore[no-any-return]
 
     def _use_records(self, core: NDArray[np.void]) -> None:
         self._core = core
@@ -164,9 +172,11 @@ class Stepper(ABC):
         self.state = core['state'][1]
         self.state.flags.writeable = False
 
-    @abstractmethod
     def _bind(self) -> None:
-        """Hand the arrays to the kernels `_advance` and `_read_layer`."""
+        """Hand the arrays to the kernels."""
+        advance, read_layer = (kernel() for kernel in self._kernels)
+        self._advance = partial(advance, self._core, self._layer, self._path, self._events)
+        self._read_layer = partial(read_layer, self._core, self._layer, *self._reading)
 
     @abstractmethod
     def _clear(self) -> None:
@@ -302,11 +312,9 @@ class Stepper(ABC):
         """
         if not self._is_measured:
             raise ValueError('fork needs a stepper made with is_measured')
-        other = object.__new__(type(self))
-        vars(other).update(vars(self))
+        other = copy.copy(self)
         other._use_records(self._core.copy())
-        for name in self._changing:
-            setattr(other, name, getattr(self, name).copy())
+        other._layer = self._layer.copy()
         other._bind()
         other._is_measured = False
         return other
@@ -331,9 +339,9 @@ class Stepper(ABC):
         )
         extrapolate(self._core, self._path)
 
-    @abstractmethod
     def _copy_layer(self, origin: Stepper) -> None:
         """Copy the state of the layer."""
+        self._layer[:] = origin._layer
 
     def read_layer(self, out: Floats) -> None:
         """
@@ -462,7 +470,7 @@ def require_rate(layer: Layer, needed: float, *, limit: float, unit: str) -> Non
     """Raise ValueError with a remedy if a layer needs more steps per second than the limit."""
     factor = needed / limit
     if factor > 1.0:
-        raise ValueError(
+        raise RateError(
             f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
             f'needs {needed:.3g} {unit} per second, the limit is {limit:g}; feasible: '
             f'layer.thickness of {1.001 * layer.thickness * factor:.4g} m or more, or '
@@ -474,7 +482,7 @@ def require_steps_per_period(rig: Rig, steps: float, *, limit: int, unit: str) -
     """Return the count of a unit for some steps in a period of the plate, or raise ValueError."""
     needed = math.ceil(steps * rig.crossing_time * rig.engine.frequency)
     if needed > limit:
-        raise ValueError(
+        raise RateError(
             f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
             f'{rig.crossing_time:.4g} s needs {needed} {unit}, the limit is {limit}; feasible: '
             f'engine.frequency of {0.999 * rig.engine.frequency * limit / needed:.4g} Hz or less'

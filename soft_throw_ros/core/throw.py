@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, check_cancelled
-from soft_throw_ros.core.cell_stepper import CellStepper
+from soft_throw_ros.core.cell_stepper import CellStepper, settled_cells
 from soft_throw_ros.core.plate import motion_of, PlateMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
@@ -330,6 +330,8 @@ def simulate(
         checks.require_positive('until', until)
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
+    if cells is None:
+        cells = settled_cells(rig, latest=_longest_wait(rig), cancelled=cancelled)
     stepper = make_stepper(rig, cells=cells)
     _run(stepper, until, max_events, cancelled)
     events = tuple(stepper.events()[:max_events])
@@ -364,15 +366,20 @@ def _energies(stepper: Stepper) -> Energies:
     return Energies(work, stored, 0.0 if is_lossless else max(0.0, work - stored))
 
 
+def _longest_wait(rig: Rig) -> float:
+    """Return the longest wait for the first release [s]."""
+    wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency
+    return wait + (rig.engine.motion.end_time if rig.engine.motion else 0.0)
+
+
 def _run(
     stepper: Stepper, until: float | None, max_events: int | None, cancelled: Cancelled | None
 ) -> None:
     """Go to the end of a throw as `simulate` defines it."""
-    rig, motion = stepper.rig, motion_of(stepper.rig.engine)
+    rig = stepper.rig
     latest = MAX_DURATION if until is None else until
     affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
-    wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency
-    wait += getattr(motion, 'end_time', 0.0)  # which a damped step does not have
+    wait = _longest_wait(rig)
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position

@@ -24,18 +24,10 @@ from soft_throw_ros.core.batch import (
     in_threads,
     ThrowUnresolvedError,
 )
-from soft_throw_ros.core.plate import motion_of
-from soft_throw_ros.core.rig import (
-    Engine,
-    Layer,
-    Ratios,
-    ratios_of,
-    Rig,
-    section_of,
-    Stack,
-    values_of,
-)
-from soft_throw_ros.core.stepper import EventLimitError
+from soft_throw_ros.core.cell_stepper import settled_cells
+from soft_throw_ros.core.plate import motion_of, peak_velocity_ratios
+from soft_throw_ros.core.rig import Engine, Layer, Rig, Scales, scales_of, values_of
+from soft_throw_ros.core.stepper import EventLimitError, RateError
 from soft_throw_ros.core.throw import make_stepper, simulate, ThrowUnfinishedError
 
 Floats = NDArray[np.float64]
@@ -72,11 +64,18 @@ On a spring the acceleration is :math:`2 q^2 / (q^2 - 1)` times the plate's at m
 frequencies :math:`q \ge 2` times the plate's. Waves increase it; 3.1 is the largest seen.
 """
 
-_CLOSED_FORM_BATCH, _LIGHT_BATCH, _STEPPER_BATCH = 1 << 16, 1 << 5, 1 << 10
-"""Throws per batch: some tenths of a second of the closed form, with weak and strong gravity."""
+_BATCHES = {'closed_form': 1 << 16, 'light': 1 << 5, 'waves': 1 << 10, 'cells': 1 << 10}
+"""Throws per batch by method: some tenths of a second. [-]"""
+
+_NUMBERS = 7
+"""Number of the results of a throw besides its status."""
 
 _WAIT = 8.0
 """Longest wait for a release after a sampled motion, in periods of plate and projectile. [-]"""
+
+
+RELEASED, HELD, REFUSED = range(3)
+"""Values of `Throws.status`."""
 
 
 class Throws(NamedTuple):
@@ -96,6 +95,11 @@ class Throws(NamedTuple):
     """Largest magnitude of the layer's force on the plate. [N]"""
     plate_work: Floats
     """Work of the plate up to the release. [J]"""
+    status: NDArray[np.int8]
+    """
+    `RELEASED`; `HELD` if no release was found; `REFUSED` if a thickness, a wave speed or a mass is
+    not positive, or a rig with a sampled motion cannot be stepped in time.
+    """
 
 
 def throw_many(
@@ -129,8 +133,7 @@ def throw_many(
     Returns
     -------
     Throws
-        Arrays of the common shape; NaN without a release, or where a thickness, a wave speed or a
-        mass is not positive.
+        Arrays of the common shape.
 
     Raises
     ------
@@ -155,29 +158,34 @@ def throw_many(
         columns = {name: np.array([row[name] for row in tables]) for name in tables[0]}
         changes = {**columns, **changes}
         rig = rig[0]
-    values: dict[str, Floats | float] = {**values_of(rig), **changes}
-    shape = np.broadcast_shapes(*map(np.shape, values.values()))
-    results = np.full((len(Throws._fields), math.prod(shape)), math.nan)
-    rows = results.reshape(len(results), *shape)
-    ratios = Ratios(*(np.broadcast_to(ratio, shape).ravel() for ratio in ratios_of(rig, values)))
-    for name, chosen in _methods(rig, ratios).items():
-        size = {'closed_form': _CLOSED_FORM_BATCH, 'light': _LIGHT_BATCH}.get(name, _STEPPER_BATCH)
-        for batch in _batches(chosen, size, cancelled):
-            selected = Ratios(*(row[batch] for row in ratios))
+    columns = {**values_of(rig), **changes}
+    shape = np.broadcast_shapes(*map(np.shape, columns.values()))
+    values = {name: np.broadcast_to(item, shape).ravel() for name, item in columns.items()}
+    scales = scales_of(values)
+    exist = (values['thickness'] > 0.0) & (values['wave_speed'] > 0.0) & (values['mass'] > 0.0)
+    results = np.full((_NUMBERS, exist.size), math.nan)
+    for name, chosen in _methods(rig, values, scales).items():
+        for batch in _batches(chosen & exist, _BATCHES[name], cancelled):
+            selected = {name: column[batch] for name, column in values.items()}
             if name == 'cells':
-                results[:, batch] = cell_stepper.throw_batch(
+                rows = cell_stepper.throw_batch(
                     selected, rig.layer, cells=cells, threads=threads, cancelled=cancelled
                 )
             elif name == 'waves':
-                results[:, batch] = wave_stepper.throw_batch(
-                    selected, threads=threads, cancelled=cancelled
-                )
+                rows = wave_stepper.throw_batch(selected, threads=threads, cancelled=cancelled)
             else:
-                results[:, batch] = _throw_by_closed_form(selected, loads, threads, cancelled)
-    results[1:, np.isnan(results[0])] = math.nan  # a method may have loads without a release
-    for n, unit in enumerate(units_of(values)):
-        rows[n] *= unit
-    return Throws(*rows)
+                rows = _throw_by_closed_form(selected, loads, threads, cancelled)
+            results[[0, 1, 3, 4, 5, 6], batch[:, None]] = rows.T
+    peak_speed = values['amplitude'] * scales.angular_frequency
+    results[2] = (results[1] / (peak_speed * peak_velocity_ratios(values['damping_ratio']))) ** 2
+    return _throws(results, np.where(exist, HELD, REFUSED), shape)
+
+
+def _throws(results: Floats, status: NDArray[np.int64], shape: tuple[int, ...]) -> Throws:
+    """Return the results of throws; no loads without a release, which a method may have."""
+    status = np.where(np.isnan(results[0]), status, RELEASED)
+    results[1:, status != RELEASED] = math.nan
+    return Throws(*results.reshape(_NUMBERS, *shape), status.astype(np.int8).reshape(shape))
 
 
 def _checked(changes: Changes) -> dict[str, Floats]:
@@ -189,20 +197,7 @@ def _checked(changes: Changes) -> dict[str, Floats]:
 
 def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
     """Return the properties of a rig that are no values of `Changes`."""
-    layer = rig.layer
-    sheets = len(layer.sheets) if isinstance(layer, Stack) else 0
-    return sheets, layer.stress_strain_law, layer.loss
-
-
-def units_of(values: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return the units of the rows of `cell_stepper.throw_batch`, for the numbers of a rig."""
-    omega = 2.0 * math.pi * values['frequency']
-    speed = values['amplitude'] * omega
-    impedance = values['density'] * values['wave_speed'] * section_of(values['diameter'])
-    return (
-        1.0 / values['frequency'], speed, 1.0, speed / values['wave_speed'],
-        speed * omega, speed * impedance, values['mass'] * speed**2,
-    )
+    return len(rig.layer.parts), rig.layer.stress_strain_law, rig.layer.loss
 
 
 def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
@@ -228,7 +223,7 @@ def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
     return replace(
         rig,
         engine=engine,
-        layer=_layer_with(rig.layer, _of(Layer, changes)),
+        layer=replace(rig.layer, **_of(Layer, changes)),
         projectile=replace(rig.projectile, mass=changes.get('mass', rig.projectile.mass)),
         gravity=changes.get('gravity', rig.gravity),
     )
@@ -237,23 +232,6 @@ def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
 def _of(kind: type[Engine] | type[Layer], changes: Mapping[str, float]) -> dict[str, Any]:
     """Return the changes of an engine or of a layer."""
     return {item.name: changes[item.name] for item in fields(kind) if item.name in changes}
-
-
-def _layer_with(layer: Layer, changes: Mapping[str, Any]) -> Layer:
-    """Return a layer with other values, in proportion for each sheet of a stack."""
-    if not isinstance(layer, Stack):
-        return replace(layer, **changes)
-
-    def of_sheet(sheet: Layer, name: str) -> Any:
-        whole = getattr(layer, name)
-        return changes[name] * getattr(sheet, name) / whole if whole else changes[name]
-
-    return Stack(
-        sheets=tuple(
-            replace(sheet, **{name: of_sheet(sheet, name) for name in changes})
-            for sheet in layer.sheets
-        )
-    )
 
 
 def _batches(
@@ -266,42 +244,50 @@ def _batches(
         yield indices[start:start + size]
 
 
-def _methods(rig: Rig, ratios: Ratios) -> dict[str, NDArray[np.bool_]]:
+def _methods(
+    rig: Rig, values: Mapping[str, Floats], scales: Scales
+) -> dict[str, NDArray[np.bool_]]:
     """Return the throws that each method computes."""
-    mu, kappa, gravity = ratios.mass_ratio, ratios.speed_ratio, ratios.gravity_ratio
-    exist = (mu > 0.0) & (mu < math.inf) & (kappa > 0.0) & (kappa < math.inf)
+    mu, gravity = scales.mass_ratio, scales.gravity_ratio
     with np.errstate(invalid='ignore', divide='ignore'):  # layers that do not exist
         # about the lowest frequency of projectile and layer over the plate's
-        q = kappa / (2.0 * math.pi * np.sqrt(np.abs(mu) + 4.0 / math.pi**2))
-    exist &= (q <= 2.0) | (gravity <= _HOLDING_GRAVITY)
+        q = scales.speed_ratio / (2.0 * math.pi * np.sqrt(np.abs(mu) + 4.0 / math.pi**2))
+    moves = (q <= 2.0) | (gravity <= _HOLDING_GRAVITY)
     is_strong = gravity > STRONG_GRAVITY
-    is_lossy = ratios.loss_tangent > 0.0
-    needs_cells = is_lossy | (not rig.layer.is_uniform or rig.layer.stress_strain_law != 'linear')
+    layer = replace(rig.layer, loss_tangent=0.0)
+    needs_cells = (values['loss_tangent'] > 0.0) | layer.needs_cells
     return {
-        'closed_form': exist & ~needs_cells & ~is_strong,
-        'light': exist & ~needs_cells & is_strong & (mu < _LIGHT),
-        'waves': exist & ~needs_cells & is_strong & (mu >= _LIGHT),
-        'cells': exist & needs_cells,
+        'closed_form': moves & ~needs_cells & ~is_strong,
+        'light': moves & ~needs_cells & is_strong & (mu < _LIGHT),
+        'waves': moves & ~needs_cells & is_strong & (mu >= _LIGHT),
+        'cells': moves & needs_cells,
     }
 
 
 def _throw_by_closed_form(
-    ratios: Ratios, loads: bool, threads: int | None, cancelled: Cancelled | None
+    values: Mapping[str, Floats], loads: bool, threads: int | None, cancelled: Cancelled | None
 ) -> Floats:
     """
     Compute rows as of `cell_stepper.throw_batch` by the closed form, and loads by waves.
 
     Under strong gravity waves also find the releases that the closed form gives up on.
     """
-    results = np.full((len(Throws._fields), ratios.mass_ratio.size), math.nan)
-    results[:3] = closed_form.first_releases(**ratios.lossless, threads=threads)
-    unresolved = np.isnan(results[0]) & (ratios.gravity_ratio > STRONG_GRAVITY)
-    chosen = unresolved | (loads and ~np.isnan(results[0]))
-    selected = Ratios(*(row[chosen] for row in ratios))
-    waves = wave_stepper.throw_batch(
-        selected, until=results[0, chosen], threads=threads, cancelled=cancelled
+    scales = scales_of(values)
+    phase, speed, _ = closed_form.first_releases(
+        mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio,
+        damping_ratio=values['damping_ratio'], gravity_ratio=scales.gravity_ratio,
+        threads=threads,
     )
-    results[3:, chosen] = waves[3:]
+    results = np.full((6, phase.size), math.nan)
+    results[0] = phase / values['frequency']
+    results[1] = speed * values['amplitude'] * scales.angular_frequency
+    unresolved = np.isnan(phase) & (scales.gravity_ratio > STRONG_GRAVITY)
+    chosen = unresolved | (loads and ~np.isnan(phase))
+    waves = wave_stepper.throw_batch(
+        {name: column[chosen] for name, column in values.items()}, until=results[0, chosen],
+        threads=threads, cancelled=cancelled,
+    )
+    results[2:, chosen] = waves[2:]
     results[:, unresolved] = waves[:, unresolved[chosen]]
     return results
 
@@ -318,20 +304,23 @@ def _throw_sampled(
     shape = np.broadcast_shapes(numbers.shape, *map(np.shape, changes.values()))
     numbers = np.broadcast_to(numbers, shape).ravel()
     columns = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
-    results = np.full((len(Throws._fields), numbers.size), math.nan)
-    for batch in _batches(np.ones(numbers.size, np.bool_), _STEPPER_BATCH, cancelled):
+    results = np.full((_NUMBERS, numbers.size), math.nan)
+    status = np.full(numbers.size, HELD)
+    for name in columns.keys() & {'thickness', 'wave_speed', 'mass'}:
+        status[columns[name] <= 0.0] = REFUSED
+    for batch in _batches(status == HELD, _BATCHES['waves'], cancelled):
 
         def run(first: int, stride: int, batch: NDArray[np.int64] = batch) -> None:
             for n in batch[first::stride].tolist():
                 values = {name: column[n].item() for name, column in columns.items()}
+                other = rig_with(rigs[numbers[n]], values)
                 try:
-                    other = rig_with(rigs[numbers[n]], values)
                     results[:, n] = _throw_with_stepper(other, cells, cancelled)
-                except (ValueError, EventLimitError):  # this throw cannot be followed
-                    continue
+                except (RateError, EventLimitError):
+                    status[n] = REFUSED
 
         in_threads(run, count=batch.size, per_thread=16, threads=threads)
-    return Throws(*results.reshape(len(results), *shape))
+    return _throws(results, status, shape)
 
 
 def _throw_with_stepper(
@@ -339,15 +328,18 @@ def _throw_with_stepper(
 ) -> tuple[float, ...]:
     """Follow one throw to its first release; without one it is NaN."""
     motion = motion_of(rig.engine)
-    cells = cells if rig.layer.needs_cells else None
-    stepper = make_stepper(rig, cells=cells, field_points=2)
     own_period = 1.0 / rig.natural_frequency + rig.crossing_time
+    latest = getattr(motion, 'end_time', 0.0) + _WAIT * own_period
+    if not rig.layer.needs_cells:
+        cells = None
+    elif cells is None:
+        cells = settled_cells(rig, latest=latest, cancelled=cancelled)
+    stepper = make_stepper(rig, cells=cells, field_points=2)
     release = stepper.advance_to_release(
-        latest=getattr(motion, 'end_time', 0.0) + _WAIT * own_period, step=0.25 * own_period,
-        cancelled=cancelled,
+        latest=latest, step=0.25 * own_period, cancelled=cancelled
     )
     if release is None:
-        return (math.nan,) * len(Throws._fields)
+        return (math.nan,) * _NUMBERS
     loads, transfer = stepper.loads, (release.velocity / motion.peak_velocity) ** 2
     return (
         release.time, release.velocity, transfer, loads.strain, loads.acceleration,
@@ -399,7 +391,7 @@ def last_release(rig: Rig, *, cancelled: Cancelled | None = None) -> LastRelease
 
 def require_uniform(rig: Rig) -> Rig:
     """Return the rig if its layer is of one material, or raise ValueError."""
-    if isinstance(rig.layer, Stack):
-        count = len(rig.layer.sheets)
-        raise ValueError(f'only layers of one material are designed, got a stack of {count}')
+    if rig.layer.parts:
+        count = len(rig.layer.parts)
+        raise ValueError(f'only layers of one material are designed, got {count} sheets')
     return rig

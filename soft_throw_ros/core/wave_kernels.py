@@ -19,7 +19,7 @@ in contact again when the gap closes, its speed unchanged. Flight, landing and g
 [1]_'s analytical model.
 
 The step h divides :math:`t_s`, so waves travel from grid point to grid point without any error,
-and the kinks that the start of an underdamped plate sends through the layer, at odd multiples of
+and the kinks that the start of a damped step sends through the layer, at odd multiples of
 :math:`t_s`, fall on grid points. Only the response of the mass has to be computed: p is known
 :math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a kink),
 and the equation of V is solved exactly for this cubic, however small :math:`\tau` is. So the first
@@ -50,16 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.kernels import compiled, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import (
-    BLOCK,
-    DAMPED,
-    motion_at,
-    piece_at,
-    PLATE,
-    start_block,
-    velocity_of_piece,
-    write_underdamped,
-)
+from soft_throw_ros.core.plate_kernels import end_of_piece, motion_at, piece_at, PLATE
 
 Floats = NDArray[np.float64]
 
@@ -68,6 +59,9 @@ PAD = 8
 
 _SPARE_STEPS = 1024
 """Spare steps in the memory of waves, so that it is rarely moved. [-]"""
+
+_STRAINS_PER_CROSSING, _STRAIN_PHASE = 32.0, 0.05
+"""Fewest strains that are compared in a crossing [-], and the longest phase in between [rad]."""
 
 _NOISE = 1e-12
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
@@ -93,7 +87,6 @@ RECORD = np.dtype(
         ('rest_height', 'f8'),  # of the projectile's lower face [m]
         # how the plate moves, and where it has got to
         *PLATE,
-        ('block', 'i8'),
         # where the waves have got to
         ('time', 'f8'),
         ('cell', 'i8'),  # grid point
@@ -113,10 +106,11 @@ RECORD = np.dtype(
         ('launch_velocity', 'f8'),
         ('events', 'i8'),
         # loads up to the first release
-        ('compared', 'i8'),  # first grid point of the waves p that are not compared yet
+        ('stride', 'i8'),  # between the grid points in time and depth whose strains are compared
+        ('compared', 'i8'),  # next of these grid points in time
         ('peak_contact_force', 'f8'),  # of the scaled contact force 2 p - V
         ('peak_plate_stress', 'f8'),  # of p - m + g tau at the plate
-        ('peak_strain', 'f8'),  # of the same anywhere in the layer
+        ('peak_strain', 'f8'),  # of the same in the layer
         ('first_work', 'f8'),
         ('work', 'f8'),  # sum of power over the impedance and h, without the steps in flight
         ('power', 'f8'),  # last addend
@@ -153,7 +147,7 @@ def _moments(x):
 @kernel
 def prepare(
     core: Any, N: int, crossing: float, relaxation: float, gravity: float, impedance: float,
-    speed: float,
+    omega: float, speed: float,
 ) -> None:
     """Complete the third record, which has the plate's motion already."""
     s = core[2]
@@ -171,19 +165,13 @@ def prepare(
     s.gravity_offset = gravity * relaxation
     s.release_threshold = -s.gravity_offset - _NOISE * speed
     s.base = -2 * N - PAD
-    s.block = -1
     s.contact = True
-    s.kink = N if s.plate_kind == DAMPED else 1 << 62
+    s.kink = N
+    # A divisor of N, so that kinks, where strains are largest, are at points that are compared
+    s.stride = max(1, int(min(N / _STRAINS_PER_CROSSING, _STRAIN_PHASE / (omega * s.step))))
+    while N % s.stride > 0:
+        s.stride -= 1
     s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
-
-
-@kernel
-def prepare_underdamped(
-    core: Any, path: Any, N: int, mu: float, kappa: float, zeta: float, gravity: float
-) -> None:
-    """Make a record at rest in units of 1 / f, A omega and the layer's impedance."""
-    write_underdamped(core[2], path, 1.0, 2.0 * math.pi, zeta, 1.0 / (kappa * N))
-    prepare(core, N, 1.0 / kappa, mu / kappa, 2.0 * math.pi * gravity, 1.0, 1.0)
 
 
 @subroutine
@@ -270,6 +258,7 @@ def _change_contact(s, waves, events, d, cubic):
         V = _mass_velocity(s, d, s.velocity, *cubic)
         height = s.top + 2.0 * rise - s.relaxation * V
         if s.events == 0:
+            _compare_strains_at(s, waves, s.cell)
             s.first_work = s.work + 0.5 * s.power * (2.0 * d - 1.0)
         stepper.note_event(s, events, stepper.RELEASE, time, height, V)
         s.launch_cell, s.launch_offset = s.cell, d
@@ -416,25 +405,19 @@ def _fill(s, waves, path, last):
     """Compute p at the plate up to grid point `last`, from m a crossing earlier."""
     while s.filled < last:
         first = s.filled + 1
-        count = last - s.filled
+        time = first * s.step
+        k = piece_at(s, path, time)
+        end, begin = end_of_piece(s, path), path[0, k]
+        count = int(min((end - time) / s.step, last - first)) + 1
+        while count > 1 and (first + count - 1) * s.step >= end:
+            count -= 1
         leaving, coming = waves[0, first - s.base:], waves[1, first - s.base - s.steps:]
-        if s.plate_kind == DAMPED:
-            # Rotations of a phasor that is evaluated anew for every block
-            k = first % BLOCK
-            if first // BLOCK != s.block:
-                s.block = first // BLOCK
-                start_block(s, s.block * BLOCK)
-            real, imaginary = s.factor * s.cosine, s.factor * s.sine
-            count = min(count, BLOCK - k)
-            cosines, sines = path[0, k:], path[1, k:]
-            for n in range(count):
-                velocity = real * sines[n] + imaginary * cosines[n]  # Eq. (D2), derived
-                leaving[n] = velocity - coming[n]
-        else:
-            for n in range(count):
-                time = (first + n) * s.step
-                velocity = velocity_of_piece(path, piece_at(s, path, time), time)
-                leaving[n] = velocity - coming[n]  # p(t) = V_p(t - t_s) - m(t - 2 t_s), Sec. IV
+        a, b, c = path[2, k], 2.0 * path[3, k], 3.0 * path[4, k]
+        d, e = 4.0 * path[5, k], 5.0 * path[6, k]
+        for n in range(count):
+            u = (first + n) * s.step - begin
+            velocity = a + u * (b + u * (c + u * (d + u * e)))
+            leaving[n] = velocity - coming[n]  # p(t) = V_p(t - t_s) - m(t - 2 t_s), Sec. IV
         s.filled += count
 
 
@@ -446,8 +429,7 @@ def _march(s, waves, path, events, goal):
             s.kink += 2 * s.steps
         if s.filled == s.cell:
             if s.cell + 3 - s.base > waves.shape[1]:
-                # Strains up to the first release look back three crossings
-                shift = s.cell - s.base - PAD - (3 if s.events == 0 else 1) * s.steps
+                shift = s.cell - s.base - PAD - s.steps
                 for j in range(s.cell + 2 - s.base - shift):
                     waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
                 s.base += shift
@@ -459,52 +441,20 @@ def _march(s, waves, path, events, goal):
             done = _run_in_contact(s, waves, count)
         else:
             done = _run_in_flight(s, waves, count)
-        if s.events == 0:
-            while s.cell - s.compared >= 2 * s.steps:
-                _compare_strains(s, waves, s.steps)
+        while s.events == 0 and s.compared <= s.cell:
+            _compare_strains_at(s, waves, s.compared)
+            s.compared += s.stride
         if done < count or count == 0:
-            if s.events == 0:
-                _complete_strains(s, waves)
             _cross_step(s, waves, events, 1.0)
 
 
 @subroutine
-def _compare_strains(s, waves, count):
-    """
-    Compare `count` waves p, a crossing at most, with the waves m that meet them.
-
-    The stress is p(a) - m(b) + g tau, of a wave p that leaves the plate at a and a wave m that
-    leaves the top at b, a crossing earlier or later at most. So the extremes of m in windows of
-    two crossings are computed: backwards from the end of the same crossing, and forwards from the
-    next one.
-    """
-    N, offset, i = s.steps, s.gravity_offset, s.compared - s.base
-    p, same, later = waves[0, i:], waves[1, i - N:], waves[1, i + N:]
-    lowest, highest, peak = waves[2], waves[3], s.peak_strain
-    low = high = same[2 * N - 1]
-    for n in range(2 * N - 1, -1, -1):
-        low, high = min(low, same[n]), max(high, same[n])
-        lowest[n], highest[n] = low, high
-    low, high = lowest[N], highest[N]
-    for n in range(count):
-        low, high = min(low, later[n]), max(high, later[n])
-        here = p[n] + offset
-        peak = max(peak, here - min(low, lowest[n]), max(high, highest[n]) - here)
-    s.peak_strain = peak
-    s.compared += count
-
-
-@subroutine
-def _complete_strains(s, waves):
-    """Compare the waves p that are still in the layer with the waves m that have met them."""
-    N, i = s.steps, s.cell - s.base
-    _compare_strains(s, waves, max(s.cell - N + 1 - s.compared, 0))
-    low = high = waves[1, i - N]
-    for k in range(N):
-        older, newer = waves[1, i - N - k], waves[1, i - N + k]
-        low, high = min(low, older, newer), max(high, older, newer)
-        p = waves[0, i - k] + s.gravity_offset
-        s.peak_strain = max(s.peak_strain, p - low, high - p)
+def _compare_strains_at(s, waves, cell):
+    """Compare strains in the layer at a grid point in time, not earlier than a crossing ago."""
+    N, i = s.steps, cell - s.base
+    for k in range(0, N + 1, s.stride):  # steps above the plate
+        stress = waves[0, i - k] - waves[1, i - N + k] + s.gravity_offset
+        s.peak_strain = max(s.peak_strain, abs(stress))
 
 
 @kernel
@@ -581,21 +531,14 @@ def _read_layer(core, waves, out):
         force[n] *= s.impedance
 
 
-@kernel
-def update_loads(core: Any, waves: Any) -> None:
-    """Bring the loads of the second record up to the last grid point before the first release."""
-    if core[0].events == 0:
-        _complete_strains(core[1], waves)
-
-
 def make_waves(steps: int) -> Floats:
-    """Make room for waves p and m, and for two series in `_compare_strains`."""
-    return np.zeros((4, 4 * steps + _SPARE_STEPS))
+    """Make room for the waves p and m."""
+    return np.zeros((2, 4 * steps + _SPARE_STEPS))
 
 
 def clear_waves(waves: Floats, steps: int) -> None:
     """Forget the waves: those that are read before they are written."""
-    waves[:2, : 2 * steps + PAD + 1] = 0.0
+    waves[:, : 2 * steps + PAD + 1] = 0.0
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]

@@ -8,21 +8,14 @@ Throws by travelling waves: a rigid projectile on a lossless layer of one materi
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Mapping
 import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.batch import (
-    broadcast_ratios,
-    Cancelled,
-    check_cancelled,
-    in_threads,
-    longest_wait,
-)
-from soft_throw_ros.core.plate import peak_velocity_ratios
-from soft_throw_ros.core.plate_kernels import BLOCK
-from soft_throw_ros.core.rig import Ratios, Rig
+from soft_throw_ros.core.batch import Cancelled, check_cancelled, in_threads, longest_wait
+from soft_throw_ros.core.plate_kernels import make_damped_path, write_damped
+from soft_throw_ros.core.rig import Rig, scales_of
 from soft_throw_ros.core.stepper import (
     load_kernels,
     Loads,
@@ -37,10 +30,8 @@ from soft_throw_ros.core.wave_kernels import (
     make_waves,
     PAD,
     prepare,
-    prepare_underdamped,
     read_layer_compiled,
     RECORD,
-    update_loads,
 )
 
 Floats = NDArray[np.float64]
@@ -105,7 +96,8 @@ def steps_per_crossing(rig: Rig) -> int:
         rig, _STEPS_PER_PERIOD, limit=limit, unit='steps per crossing of the wave'
     )
     for_mass = math.ceil(min(_STEPS_PER_RELAXATION / rig.mass_ratio, _MOST_FOR_RELAXATION))
-    return min(max(_STEPS, for_mass, for_plate), limit)
+    steps = min(max(_STEPS, for_mass, for_plate), limit)
+    return steps - steps % 32
 
 
 class WaveStepper(Stepper):
@@ -139,7 +131,7 @@ class WaveStepper(Stepper):
 
     """
 
-    _changing = ('_waves',)
+    _kernels = advance_compiled, read_layer_compiled
 
     def __init__(
         self,
@@ -154,34 +146,27 @@ class WaveStepper(Stepper):
         if steps is None:
             steps = steps_per_crossing(rig)
         self.steps = require_count('steps', steps, low=16, high=MAX_STEPS)
-        start = self._make_records(RECORD, rig.crossing_time / self.steps, is_measured=is_measured)
+        self._layer = make_waves(self.steps)
+        start = self._make_records(RECORD, is_measured=is_measured)
         start['thickness'] = rig.layer.thickness
         start['rest_height'] = rig.rest_height
         prepare(
             self._core, self.steps, rig.crossing_time, rig.relaxation_time, rig.gravity,
-            rig.layer.impedance, rig.engine.speed_scale,
+            rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
         )
-        self._waves = make_waves(self.steps)
         self._work_unit = rig.layer.impedance * float(start['step'])
         self._bind()
         self.reset()
 
-    def _bind(self) -> None:
-        self._advance = partial(
-            advance_compiled(), self._core, self._waves, self._path, self._events
-        )
-        self._read_layer = partial(read_layer_compiled(), self._core, self._waves)
-
     def _clear(self) -> None:
-        clear_waves(self._waves, self.steps)
+        clear_waves(self._layer, self.steps)
 
     def _copy_layer(self, origin: Stepper) -> None:
         """Copy the waves that are still on their way."""
-        assert isinstance(origin, WaveStepper)
         grid = origin._core[0]
-        kept = int(grid['cell'] - grid['base']) - (3 if grid['events'] == 0 else 1) * self.steps
+        kept = int(grid['cell'] - grid['base']) - self.steps
         first, last = max(kept - PAD, 0), int(grid['filled'] - grid['base']) + 2
-        self._waves[:2, first:last] = origin._waves[:2, first:last]
+        self._layer[:, first:last] = origin._layer[:, first:last]
 
     @property
     def cost(self) -> float:
@@ -190,18 +175,8 @@ class WaveStepper(Stepper):
 
     @property
     def loads(self) -> Loads:
-        """Largest loads up to the first release, or so far if that is to come."""
-        update_loads(self._core, self._waves)
-        layer, now = self.rig.layer, self._core[1]
-        force, stress = float(now['peak_contact_force']), float(now['peak_plate_stress'])
-        contact_stress = force + float(now['gravity_offset'])
-        return Loads(
-            strain=max(float(now['peak_strain']), stress, contact_stress) / layer.wave_speed,
-            plate_strain=stress / layer.wave_speed,
-            contact_strain=contact_stress / layer.wave_speed,
-            acceleration=force / self.rig.relaxation_time,
-            plate_force=stress * layer.impedance,
-        )
+        """Largest loads up to the first release, or up to now before the release."""
+        return _loads_of(self._core[1], self.rig.layer.wave_speed)
 
     @property
     def plate_work(self) -> float:
@@ -215,73 +190,81 @@ class WaveStepper(Stepper):
         return self.plate_work
 
 
+def _loads_of(s: np.void, wave_speed: float) -> Loads:
+    """Return the loads of a record in SI units."""
+    force, stress = float(s['peak_contact_force']), float(s['peak_plate_stress'])
+    contact_stress = force + float(s['gravity_offset'])
+    return Loads(
+        strain=max(float(s['peak_strain']), stress, contact_stress) / wave_speed,
+        plate_strain=stress / wave_speed,
+        contact_strain=contact_stress / wave_speed,
+        acceleration=force / float(s['relaxation']),
+        plate_force=stress * float(s['impedance']),
+    )
+
+
 def throw_batch(
-    ratios: Ratios,
+    values: Mapping[str, Floats],
     *,
     until: Floats | float = math.nan,
     threads: int | None = None,
     cancelled: Cancelled | None = None,
 ) -> Floats:
     r"""
-    Compute first releases and loads for `throws.throw_many`, without loss.
+    Compute first releases and loads for `throws.throw_many`, without loss, unchecked.
 
     Parameters
     ----------
-    ratios, threads, cancelled
+    values, threads, cancelled
         As for `cell_stepper.throw_batch`.
     until : ndarray or float
-        Phases of the first releases where they are known, otherwise NaN. A light projectile may
-        leave and be caught again within a step. [-]
+        Times of the first releases where they are known, otherwise NaN. A light projectile may
+        leave and be caught again within a step. [s]
 
     Returns
     -------
-    ndarray, shape (7, n)
+    ndarray, shape (6, n)
         Rows as of `cell_stepper.throw_batch`. Errors: 1e-5 in the release, and 1e-3 in
         loads and work for 95 % of rigs.
 
-    Raises
-    ------
-    ValueError
-        If a ratio is out of range.
-
     """
-    rows, _ = broadcast_ratios(**ratios.lossless)
-    mu, kappa, damping_ratio = rows[:3]
-    steps = np.maximum(_STEPS_PER_RELAXATION / mu, _STEPS_PER_PERIOD / kappa)
-    steps = np.clip(np.ceil(steps), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    is_known = np.isfinite(np.broadcast_to(until, mu.shape))
-    latest = np.where(is_known, until + 1.0 / (kappa * steps), longest_wait(mu, kappa) / kappa)
-    peak_speed = peak_velocity_ratios(damping_ratio)
-    results = np.full((7, mu.size), math.nan)
+    scales = scales_of(values)
+    crossing, omega = scales.crossing_time, scales.angular_frequency
+    steps = np.maximum(
+        _STEPS_PER_RELAXATION / scales.mass_ratio, _STEPS_PER_PERIOD / scales.speed_ratio
+    )
+    steps = np.clip(32.0 * np.ceil(steps / 32.0), _FEWEST_STEPS, _STEPS).astype(np.int64)
+    is_known = np.isfinite(np.broadcast_to(until, crossing.shape))
+    latest = np.where(is_known, until + crossing / steps, longest_wait(scales))
+    amplitude, zeta, gravity = (values[key] for key in ('amplitude', 'damping_ratio', 'gravity'))
+    results = np.full((6, crossing.size), math.nan)
 
     def run(first: int, stride: int) -> None:
-        core, path, no_events = np.zeros(3, RECORD), np.empty((2, BLOCK)), np.empty((0, 4))
+        core, path, no_events = np.zeros(3, RECORD), make_damped_path(), np.empty((0, 4))
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
-        for n in range(first, mu.size, stride):
+        for n in range(first, crossing.size, stride):
             check_cancelled(cancelled)
             waves = make_waves(int(steps[n]))
             numbers[:] = 0.0
-            prepare_underdamped(core, path, steps[n], *rows[:, n])
+            write_damped(core, path, amplitude[n], omega[n], zeta[n])
+            prepare(
+                core, steps[n], crossing[n], scales.relaxation_time[n], gravity[n],
+                scales.impedance[n], omega[n], amplitude[n] * omega[n],
+            )
             numbers[:2] = numbers[2]
             advance(core, waves, path, no_events, latest[n])
-            if core[0]['events'] or is_known[n]:
-                update_loads(core, waves)
-                results[:, n] = _first_throw(core[1], peak_speed[n])
+            s = core[1]
+            if s['events'] or is_known[n]:
+                loads = _loads_of(s, values['wave_speed'][n])
+                work = (s['first_work'] if s['events'] else s['work']) * s['step'] * s['impedance']
+                results[:, n] = (
+                    (s['launch_cell'] + s['launch_offset']) * s['step'], s['launch_velocity'],
+                    loads.strain, loads.acceleration, loads.plate_force, work,
+                )
 
-    in_threads(run, count=mu.size, per_thread=_THROWS_PER_THREAD, threads=threads)
+    in_threads(run, count=crossing.size, per_thread=_THROWS_PER_THREAD, threads=threads)
     return results
-
-
-def _first_throw(s: np.void, peak_speed: float) -> tuple[float, ...]:
-    """Read the rows of `throw_batch` from a record that has come to the first release."""
-    time, speed = (s['launch_cell'] + s['launch_offset']) * s['step'], s['launch_velocity']
-    contact_force, omega = s['peak_contact_force'], 2.0 * math.pi
-    strain = max(s['peak_strain'], s['peak_plate_stress'], contact_force + s['gravity_offset'])
-    work = (s['first_work'] if s['events'] else s['work']) * s['step'] / s['relaxation']
-    acceleration = contact_force / (omega * s['relaxation'])
-    transfer = (speed / peak_speed) ** 2
-    return time, speed, transfer, strain, acceleration, s['peak_plate_stress'], work
 
 
 def warm_up() -> None:

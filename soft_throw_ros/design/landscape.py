@@ -326,7 +326,7 @@ def _check_release(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) ->
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
     if rig.engine.motion and 'engine.damping_ratio' in axes:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
-    if not rig.layer.is_uniform and release == 'last':
+    if rig.layer.parts and release == 'last':
         raise ValueError('layer.stack needs the first release, got the last one')
 
 

@@ -54,7 +54,7 @@ import scipy  # its parts are imported where they are first used, which takes 0.
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
-from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
 from soft_throw_ros.core.throws import SEARCH_CELLS
@@ -335,13 +335,6 @@ def _follow(
     return None
 
 
-def _linear_layer(layer: Layer) -> Layer:
-    """Return the linear layer of the same modulus at rest."""
-    if isinstance(layer, Stack):
-        return Stack(sheets=tuple(_linear_layer(sheet) for sheet in layer.sheets))
-    return replace(layer, stress_strain_law='linear')
-
-
 def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
     """List times of release that may be worth it, the longest first [s]."""
     contact = rig.crossing_time * (1.5 + math.pi * math.sqrt(rig.mass_ratio + 0.4))
@@ -395,7 +388,8 @@ class _Programme:
         # are to a pulse of 1 m/s.
         pulse = replace(rig.engine, motion=Pulses(self._step, np.ones(1)).motion())
         gravity = 1e3 / self._step
-        heavy = replace(rig, engine=pulse, layer=_linear_layer(rig.layer), gravity=gravity)
+        linear = replace(rig.layer, stress_strain_law='linear')
+        heavy = replace(rig, engine=pulse, layer=linear, gravity=gravity)
         cells = SEARCH_CELLS if heavy.layer.needs_cells and not is_fine else None
         stepper = make_stepper(heavy, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))

@@ -92,6 +92,6 @@ def predict(rig: Rig) -> PredictedThrow:
         loss_tangent=layer.loss_tangent,
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
-        **{name: float(value) for name, value in throws._asdict().items()},
+        **{name: float(getattr(throws, name)) for name in throws._fields if name != 'status'},
         kinetic_energy=0.5 * rig.projectile.mass * float(throws.ejection_speed) ** 2,
     )

@@ -16,8 +16,7 @@ from soft_throw_ros.commands.design_texts import summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core.batch import SearchCancelledError
-from soft_throw_ros.core.processors import leave_processors
+from soft_throw_ros.core.batch import leave_processors, SearchCancelledError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign

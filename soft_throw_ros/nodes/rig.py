@@ -41,7 +41,7 @@ class SimulatedRig(RealTimeNode):
     -----
     The node runs a session of a twin with its own parameters, unknown to the observed twin, and
     publishes positions as faulty sensors would measure them. Effects that no model of the core
-    has, such as a stiffening layer, are computed before the throw as `Deviations` and added.
+    has, such as a plate that rings, are computed before the throw as `Deviations` and added.
 
     A trajectory of the plate replaces the motion of the engine. It starts with the first step
     after its stamp. Periodic throws and the imperfections of the rig then stop; the faults of the
@@ -174,7 +174,7 @@ class SimulatedRig(RealTimeNode):
         self._start_ns = start_ns
 
     def _find_deviations(self) -> Deviations | None:
-        """Return the effect of the imperfections, computed in about 0.1 s; None without any."""
+        """Return the effect of the imperfections, computed in about 0.3 s; None without any."""
         imperfections = _faults_of(Imperfections, self.parameters.settings)
         if not imperfections.are_present:
             return None

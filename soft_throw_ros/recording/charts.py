@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 import functools
 import io
 import time
@@ -18,8 +19,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.core.closed_form import first_releases
-from soft_throw_ros.core.rig import ratios_of, Rig, values_of
+from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.recording.timeseries import Values
 from soft_throw_ros.twin.results import Floats
 
@@ -160,8 +161,9 @@ def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
 
 def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
     """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
-    values = {**values_of(rig), 'thickness': thickness, 'wave_speed': wave_speed}
-    return np.asarray(first_releases(**ratios_of(rig, values).lossless).energy_transfer)
+    layer = Layer(density=rig.layer.density, diameter=rig.layer.diameter)
+    rig = replace(rig, engine=replace(rig.engine, motion=None), layer=layer)
+    return throw_many(rig, {'thickness': thickness, 'wave_speed': wave_speed}).energy_transfer
 
 
 def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Figure:

@@ -64,7 +64,7 @@ def test_single_changes_leave_consistent_settings(changes: Any) -> None:
     names = ('thickness', 'wave_speed', 'density', 'loss_tangent', 'stress_strain_law', 'loss')
     for name in names:
         assert getattr(rig.layer, name) == settings[f'layer.{name}']
-    assert rig.layer.is_uniform is (settings['layer.stack'] == '')
+    assert (rig.layer.parts == ()) is (settings['layer.stack'] == '')
     is_harmonic = settings['engine.motion'] == 'harmonic'
     assert rig.engine.damping_ratio == (0.0 if is_harmonic else settings['engine.damping_ratio'])
     for name, value in LAYERS.get(settings['layer.name'], {}).items():

@@ -10,17 +10,17 @@ import pytest
 from soft_throw_ros.core import cell_kernels
 from soft_throw_ros.core.cell_grid import make_grid
 from soft_throw_ros.core.cell_kernels import RECORD, ROW, ROWS
-from soft_throw_ros.core.rig import Layer, Rig, Stack
+from soft_throw_ros.core.rig import Layer, Rig
 
-STACK = Stack(
-    sheets=(
+STACK = Layer.of_sheets(
+    (
         Layer(thickness=6e-3, wave_speed=7.8),
         Layer(thickness=5e-5, wave_speed=100.0, density=7800.0),
         Layer(thickness=9e-3, wave_speed=20.0, loss_tangent=0.2),
     )
 )
 GEL = {'stress_strain_law': 'neo_hookean', 'loss': 'constant'}
-GELS = Stack(sheets=tuple(replace(sheet, **GEL) for sheet in STACK.sheets))
+GELS = Layer.of_sheets(tuple(replace(sheet, **GEL) for sheet in STACK.sheets))
 LAYERS = pytest.mark.parametrize(
     'layer', [Layer(), Layer(loss_tangent=0.1), STACK], ids=['lossless', 'lossy', 'stack']
 )

@@ -17,7 +17,7 @@ from reference.method_of_steps import follow
 from scipy.integrate import trapezoid
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import (
     EventLimitError,
     HorizonError,
@@ -35,7 +35,7 @@ from soft_throw_ros.core.wave_stepper import WaveStepper
 
 LOSSY = Rig(layer=Layer(loss_tangent=0.05))
 CAP = Layer(thickness=1e-4, wave_speed=200.0, density=5000.0, loss_tangent=0.1)
-STACKED = Rig(layer=Stack(sheets=(Layer(thickness=8e-3), CAP)))
+STACKED = Rig(layer=Layer.of_sheets((Layer(thickness=8e-3), CAP)))
 GEL = Rig(layer=Layer(loss_tangent=0.05, stress_strain_law='neo_hookean', loss='constant'))
 SLOW = Layer(thickness=0.1, wave_speed=1.0, diameter=1e-3)
 LAYERS_ON_THE_PLATE = [

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import last_release, rig_with
 from soft_throw_ros.design.aiming import aim
@@ -101,7 +101,7 @@ def test_limit_is_the_peak_load_of_the_throw():
     [
         Layer(loss_tangent=0.1),
         Layer(stress_strain_law='neo_hookean'),
-        Stack(sheets=(Layer(wave_speed=19.0, density=1350.0), Layer(thickness=4e-3))),
+        Layer.of_sheets((Layer(wave_speed=19.0, density=1350.0), Layer(thickness=4e-3))),
     ],
 )
 def test_aim_with_any_layer_counts_its_last_release(layer):

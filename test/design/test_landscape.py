@@ -11,7 +11,7 @@ import pytest
 from reference.cases import exact_release
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.design.landscape import compute_landscape
 
@@ -194,7 +194,7 @@ def test_refused_requests_are_quoted(axes, options, message):
 @pytest.mark.parametrize(
     ('rig', 'axes', 'release', 'message'),
     [
-        (Rig(layer=Stack(sheets=(Layer(), Layer()))), {'gravity': [0.0]}, 'last', 'layer.stack'),
+        (Rig(layer=Layer.of_sheets([Layer()] * 2)), {'gravity': [0.0]}, 'last', 'layer.stack'),
         (Rig(engine=Engine(motion=MOTION)), {'engine.damping_ratio': [0.1]}, 'first', 'by a file'),
     ],
 )

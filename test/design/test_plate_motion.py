@@ -10,7 +10,7 @@ import pytest
 from soft_throw_ros.commands.design_texts import motion_summary
 from soft_throw_ros.core.batch import SearchCancelledError
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.motion_design import design_motion
 from soft_throw_ros.design.objective import Limits
@@ -79,7 +79,7 @@ def test_best_motion_beats_the_present_one_within_its_limits(layer):
 
 
 NEO_HOOKEAN = Layer(stress_strain_law='neo_hookean')
-STACK = Stack(sheets=(Layer(wave_speed=19.0, density=1350.0), Layer(thickness=4e-3)))
+STACK = Layer.of_sheets((Layer(wave_speed=19.0, density=1350.0), Layer(thickness=4e-3)))
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_sensors_have_the_faults_of_the_parameters(start) -> None:
 
 @pytest.mark.parametrize(
     ('fault', 'is_before', 'body'),
-    [('second_mode:=0.02', False, 0), ('sticking:=3e-4', False, 1), ('ringing:=0.02', True, 0)],
+    [('second_mode:=0.02', False, 0), ('second_mode:=0.02', False, 1), ('ringing:=0.02', True, 0)],
 )
 def test_imperfect_rig_deviates_from_the_model(start, fault, is_before, body) -> None:
     rig = start(*QUIET, '-p', 'throw.period:=0.8', '-p', f'faults.{fault}')

@@ -28,7 +28,7 @@ from soft_throw_ros.configuration.interface import (
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.result_keys import RESULT_KEYS
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core.processors import usable_processors
+from soft_throw_ros.core.batch import usable_processors
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
