@@ -49,7 +49,7 @@ def longest_wait(scales: Scales) -> Floats:
     crossing, relaxation = scales.crossing_time, scales.relaxation_time
     own_period = 2.0 * math.pi * np.sqrt(crossing * relaxation)
     longest = np.maximum(2.0 * math.pi / scales.angular_frequency, own_period)
-    return np.minimum(crossing + _MAX_PERIODS * longest, _MAX_CROSSINGS * crossing)
+    return np.asarray(np.minimum(crossing + _MAX_PERIODS * longest, _MAX_CROSSINGS * crossing))
 
 
 def in_threads(

@@ -648,9 +648,10 @@ def _advance(core, nodes, path, events, time):
     _march(grid, nodes, path, events, goal)
     if grid.events > events.shape[0]:
         return stepper.TOO_MANY_EVENTS
-    piece = s.piece  # the grid's may be further on
+    piece = s.piece
     core[1] = core[0]
-    s.piece = piece
+    if time < s.piece_begin:  # the grid is further on
+        s.piece = piece
     s.time = time
     s.fraction = 1.0
     if goal > 0:

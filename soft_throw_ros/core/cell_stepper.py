@@ -26,7 +26,7 @@ from soft_throw_ros.core.cell_kernels import (
     ROWS,
     stored_energy,
 )
-from soft_throw_ros.core.plate_kernels import make_damped_path, write_damped
+from soft_throw_ros.core.plate_kernels import NO_PATH, write_damped
 from soft_throw_ros.core.rig import Layer, Rig, Scales, scales_of, values_of
 from soft_throw_ros.core.stepper import (
     load_kernels,
@@ -157,7 +157,8 @@ def throw_batch(
         require_count('cells', cells, low=8, high=MAX_CELLS)
     scales = scales_of(values)
     bodies, crossings = make_bodies(values, layer)
-    counts = _choose_cells(scales, layer) if cells is None else np.full(len(bodies), cells)
+    steps = crossings.sum(axis=1) / (_choose_cells(scales, layer) if cells is None else cells)
+    bodies['count'] = count_cells(crossings, steps[:, None])
     is_settled = (values['loss_tangent'] > 0.0) | (cells is not None or not layer.parts)
     latest = longest_wait(scales)
     names = 'amplitude', 'damping_ratio', 'mass', 'gravity'
@@ -166,16 +167,15 @@ def throw_batch(
     results = np.full((6, mass.size), math.nan)
 
     def run(first: int, stride: int) -> None:
-        core, path, no_events = np.zeros(3, RECORD), make_damped_path(), np.empty((0, 4))
+        core, no_events = np.zeros(3, RECORD), np.empty((0, 4))
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
 
-        def throw(n: int, count: int) -> tuple[float, ...]:
-            step, body = crossings[n].sum() / count, bodies[n]
-            body['count'] = count_cells(crossings[n], step)
+        def throw(n: int) -> tuple[float, ...]:
+            step, body = steps[n], bodies[n]
             nodes = np.zeros((ROWS, body['count'].sum() + 2))
             numbers[:] = 0.0
-            write_damped(core, path, amplitude[n], omega[n], zeta[n])
+            write_damped(core, amplitude[n], omega[n], zeta[n])
             peak_force = amplitude[n] * omega[n] * scales.impedance[n]
             prepare(core, nodes, body, step, mass[n], gravity[n], omega[n], peak_force)
             numbers[:2] = numbers[2]
@@ -183,7 +183,7 @@ def throw_batch(
             slices = 2 + int(UPDATE_COST * nodes.shape[1] * latest[n] / step / _SLICE)
             for time in np.linspace(0.0, latest[n], slices)[1:]:
                 check_cancelled(cancelled)
-                if advance(core, nodes, path, no_events, time):
+                if advance(core, nodes, NO_PATH, no_events, time):
                     break
             grid = core[0]
             if not grid['events']:
@@ -194,11 +194,16 @@ def throw_batch(
                 grid['acceleration'], grid['plate_force'], grid['work'],
             )
 
+        def throw_with(n: int, count: int) -> tuple[float, ...]:
+            steps[n] = crossings[n].sum() / count
+            bodies['count'][n] = count_cells(crossings[n], steps[n])
+            return throw(n)
+
         for n in range(first, mass.size, stride):
             if is_settled[n]:
-                results[:, n] = throw(n, int(counts[n]))
+                results[:, n] = throw(n)
             else:
-                _, results[:, n] = _halve_steps(partial(throw, n))
+                _, results[:, n] = _halve_steps(partial(throw_with, n))
 
     in_threads(run, count=mass.size, per_thread=_THROWS_PER_THREAD, threads=threads)
     return results

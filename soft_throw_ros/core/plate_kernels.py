@@ -3,10 +3,10 @@
 """
 The plate's motion inside compiled steppers: pieces, each a quintic in height.
 
-A stepper's record has the fields `PLATE`, and beside it there is a *path*, an array of shape
-(7, n) with a column for each piece: its start time, and the six coefficients. It is a ring. Pieces
-of a damped step are made when they are needed; pieces of a plate that is measured while the
-stepper runs overwrite those that it has passed.
+A stepper's record has the fields `PLATE`, with the present piece. Pieces of a damped step are made
+when they are needed. Those of another motion are in a *path*, an array of shape (7, n) with a
+column for each piece: its start time, and the six coefficients. It is a ring: pieces of a plate
+that is measured while the stepper runs overwrite those that it has passed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.kernels import kernel, Record, subroutine
+from soft_throw_ros.core.kernels import inlined, kernel, Record, subroutine
 from soft_throw_ros.core.plate import quintic
 from soft_throw_ros.core.rig import Engine
 
@@ -24,10 +24,10 @@ Floats = NDArray[np.float64]
 MAX_PIECES_AHEAD = 4096
 """Most states of a measured plate that can be known ahead of the stepper."""
 
-_PIECES_PER_PERIOD = 64.0
-"""Pieces in a period of a damped step, whose heights err by 2e-11 of its amplitude. [-]"""
+_PIECES_PER_PERIOD = 32.0
+"""Pieces in a period of a damped step, whose speeds err by 1e-8 of the largest. [-]"""
 
-_ROWS, _DAMPED_COLUMNS = 7, 4
+_ROWS = 7
 
 _quintic = subroutine(quintic)
 
@@ -36,35 +36,37 @@ PLATE = [
     ('growth', 'f8'),  # its exponent [1/s]
     ('turn', 'f8'),
     ('duration', 'f8'),  # of its pieces, 0 for another motion [s]
-    ('piece', 'i8'),  # number of the present piece
+    ('piece_rate', 'f8'),  # of its pieces [1/s]
+    ('piece_begin', 'f8'),  # of the present piece [s]
+    ('piece_end', 'f8'),  # infinite if no other piece is known [s]
+    ('coefficients', 'f8', (6,)),  # of the present piece, lowest order first
+    ('piece', 'i8'),  # its number
     ('pieces', 'i8'),  # how many are known; number 0 is rest before the first state
     ('horizon', 'f8'),  # until when the plate is known [s]
-    ('last', 'f8', (4,)),  # time, height, velocity and acceleration appended last
+    ('last', 'f8', (4,)),  # time, height, velocity and acceleration at the end of all pieces
 ]
 """Fields of a record, for `numpy.dtype`."""
 
 
-def make_damped_path() -> Floats:
-    """Make the path of a damped step, for `write_damped`."""
-    return np.empty((_ROWS, _DAMPED_COLUMNS))
+NO_PATH = np.empty((_ROWS, 0))
+"""Path of a damped step."""
 
 
 @kernel
-def write_damped(core: Record, path: Floats, amplitude: float, omega: float, zeta: float) -> None:
+def write_damped(core: Record, amplitude: float, omega: float, zeta: float) -> None:
     """Write a damped step into the third record, unchecked."""
     s = core[2]
     s.amplitude, s.growth, s.turn = amplitude, -zeta * omega, math.sqrt(1.0 - zeta * zeta) * omega
-    s.duration, s.horizon = 2.0 * math.pi / (_PIECES_PER_PERIOD * omega), math.inf
-    path[0] = math.nan
+    s.piece_rate, s.horizon = _PIECES_PER_PERIOD * omega / (2.0 * math.pi), math.inf
+    s.duration, s.last[0] = 1.0 / s.piece_rate, -math.inf
 
 
 def write_motion(core: NDArray[np.void], engine: Engine, *, is_measured: bool) -> Floats:
     """Write a motion into the third record, whose fields `PLATE` are zero; return its path."""
     record, motion = core[2], engine.motion
     if motion is None and not is_measured:
-        path = make_damped_path()
-        write_damped(core, path, engine.amplitude, engine.angular_frequency, engine.damping_ratio)
-        return path
+        write_damped(core, engine.amplitude, engine.angular_frequency, engine.damping_ratio)
+        return NO_PATH
     record['pieces'] = 1
     record['last'][0] = -math.inf
     if motion is None or is_measured:
@@ -92,61 +94,44 @@ def _damped_state(s: Record, time: float) -> tuple[float, float, float]:
 
 
 @subroutine
-def _make_damped_piece(s: Record, path: Floats, k: int) -> None:
-    """Write the present piece of a damped step into column k."""
-    start, end = s.piece * s.duration, (s.piece + 1) * s.duration
-    height, velocity, acceleration = _damped_state(s, start)
-    next_height, next_velocity, next_acceleration = _damped_state(s, end)
-    column = path[:, k]
-    column[0] = start
-    column[1], column[2], column[3], column[4], column[5], column[6] = _quintic(
-        end - start, height, velocity, acceleration, next_height, next_velocity, next_acceleration
-    )
-
-
-@subroutine
-def piece_at(s: Record, path: Floats, time: float) -> int:
-    """Advance to the piece at `time`, which must not decrease, and return its column."""
-    capacity = path.shape[1]
+def enter_piece(s: Record, path: Floats, time: float) -> None:
+    """Write the piece at `time`, which must not decrease, into the record."""
+    c, last = s.coefficients, s.last
     if s.duration > 0.0:
-        s.piece = int(time / s.duration)
+        s.piece = int(time * s.piece_rate)
         if s.piece * s.duration > time:
             s.piece -= 1
         elif (s.piece + 1) * s.duration <= time:
             s.piece += 1
-        k = s.piece % capacity
-        if path[0, k] != s.piece * s.duration:
-            _make_damped_piece(s, path, k)
-        return k  # type: ignore[no-any-return]
+        s.piece_begin, s.piece_end = s.piece * s.duration, (s.piece + 1) * s.duration
+        if last[0] != s.piece_begin:
+            last[1], last[2], last[3] = _damped_state(s, s.piece_begin)
+        height, velocity, acceleration = _damped_state(s, s.piece_end)
+        c[0], c[1], c[2], c[3], c[4], c[5] = _quintic(
+            s.piece_end - s.piece_begin, last[1], last[2], last[3], height, velocity, acceleration
+        )
+        last[0], last[1], last[2], last[3] = s.piece_end, height, velocity, acceleration
+        return
+    capacity = path.shape[1]
     while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
         s.piece += 1
-    return s.piece % capacity  # type: ignore[no-any-return]
+    s.piece_begin = path[0, s.piece % capacity]
+    s.piece_end = path[0, (s.piece + 1) % capacity] if s.piece + 1 < s.pieces else math.inf
+    for n in range(6):
+        c[n] = path[n + 1, s.piece % capacity]
 
 
-@subroutine
-def end_of_piece(s: Record, path: Floats) -> float:
-    """Return the end of the present piece, infinite if no other one is known."""
-    if s.duration > 0.0:
-        return (s.piece + 1) * s.duration  # type: ignore[no-any-return]
-    if s.piece + 1 < s.pieces:
-        return path[0, (s.piece + 1) % path.shape[1]]  # type: ignore[no-any-return]
-    return math.inf
-
-
-@subroutine
+@inlined
 def motion_at(s: Record, path: Floats, time: float) -> tuple[float, float, float]:
     """Evaluate height, velocity and acceleration of the plate."""
-    k = piece_at(s, path, time)
-    u = time - path[0, k]
-    height = path[1, k] + u * (
-        path[2, k] + u * (path[3, k] + u * (path[4, k] + u * (path[5, k] + u * path[6, k])))
+    if not s.piece_begin <= time < s.piece_end:
+        enter_piece(s, path, time)
+    u, c = time - s.piece_begin, s.coefficients
+    height = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
+    velocity = c[1] + u * (
+        2.0 * c[2] + u * (3.0 * c[3] + u * (4.0 * c[4] + u * 5.0 * c[5]))
     )
-    velocity = path[2, k] + u * (
-        2.0 * path[3, k] + u * (3.0 * path[4, k] + u * (4.0 * path[5, k] + u * 5.0 * path[6, k]))
-    )
-    acceleration = 2.0 * path[3, k] + u * (
-        6.0 * path[4, k] + u * (12.0 * path[5, k] + u * 20.0 * path[6, k])
-    )
+    acceleration = 2.0 * c[2] + u * (6.0 * c[3] + u * (12.0 * c[4] + u * 20.0 * c[5]))
     return height, velocity, acceleration
 
 
@@ -173,4 +158,5 @@ def extrapolate(core: NDArray[np.void], path: Floats) -> None:
         piece = time, height, velocity, 0.5 * acceleration, 0.0, 0.0, 0.0
         path[:, s['pieces'] % path.shape[1]] = piece
         s['pieces'] += 1
+    s['piece_end'] = -math.inf  # the present piece may end now
     core['horizon'][:2] = math.inf

@@ -301,6 +301,7 @@ class Stepper(ABC):
         core['pieces'][0] = append_states(
             core['last'][0], int(core['pieces'][0]), self._path, times, states
         )
+        core['piece_end'][0] = -math.inf  # the present piece may end now
         core['horizon'][:2] = times[-1]
 
     def fork(self) -> Stepper:

@@ -144,9 +144,9 @@ def throw_many(
         If `cancelled` returns True.
 
     """
-    changes = _checked(changes or {})
+    changes = checked = _checked(changes or {})
     if any(single.engine.motion for single in ([rig] if isinstance(rig, Rig) else rig)):
-        return _throw_sampled(rig, changes, cells, threads, cancelled)
+        return _throw_sampled(rig, checked, cells, threads, cancelled)
     if not isinstance(rig, Rig):
         kinds = {_kind_of(single) for single in rig}
         if len(kinds) != 1:
@@ -158,9 +158,9 @@ def throw_many(
         columns = {name: np.array([row[name] for row in tables]) for name in tables[0]}
         changes = {**columns, **changes}
         rig = rig[0]
-    columns = {**values_of(rig), **changes}
-    shape = np.broadcast_shapes(*map(np.shape, columns.values()))
-    values = {name: np.broadcast_to(item, shape).ravel() for name, item in columns.items()}
+    given: dict[str, Any] = {**values_of(rig), **changes}
+    shape = np.broadcast_shapes(*map(np.shape, given.values()))
+    values = {name: np.broadcast_to(item, shape).ravel() for name, item in given.items()}
     scales = scales_of(values)
     exist = (values['thickness'] > 0.0) & (values['wave_speed'] > 0.0) & (values['mass'] > 0.0)
     results = np.full((_NUMBERS, exist.size), math.nan)
@@ -185,7 +185,8 @@ def _throws(results: Floats, status: NDArray[np.int64], shape: tuple[int, ...]) 
     """Return the results of throws; no loads without a release, which a method may have."""
     status = np.where(np.isnan(results[0]), status, RELEASED)
     results[1:, status != RELEASED] = math.nan
-    return Throws(*results.reshape(_NUMBERS, *shape), status.astype(np.int8).reshape(shape))
+    numbers: Any = (*results.reshape(_NUMBERS, *shape), status.astype(np.int8).reshape(shape))
+    return Throws(*numbers)
 
 
 def _checked(changes: Changes) -> dict[str, Floats]:
@@ -273,11 +274,11 @@ def _throw_by_closed_form(
     Under strong gravity waves also find the releases that the closed form gives up on.
     """
     scales = scales_of(values)
-    phase, speed, _ = closed_form.first_releases(
+    phase, speed, _ = (np.asarray(row) for row in closed_form.first_releases(
         mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio,
         damping_ratio=values['damping_ratio'], gravity_ratio=scales.gravity_ratio,
         threads=threads,
-    )
+    ))
     results = np.full((6, phase.size), math.nan)
     results[0] = phase / values['frequency']
     results[1] = speed * values['amplitude'] * scales.angular_frequency
@@ -294,7 +295,7 @@ def _throw_by_closed_form(
 
 def _throw_sampled(
     rig: Rig | Sequence[Rig],
-    changes: Changes,
+    changes: Mapping[str, Floats],
     cells: int | None,
     threads: int | None,
     cancelled: Cancelled | None,
@@ -303,7 +304,9 @@ def _throw_sampled(
     rigs, numbers = ([rig], np.array(0)) if isinstance(rig, Rig) else (rig, np.arange(len(rig)))
     shape = np.broadcast_shapes(numbers.shape, *map(np.shape, changes.values()))
     numbers = np.broadcast_to(numbers, shape).ravel()
-    columns = {name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()}
+    columns: dict[str, Any] = {
+        name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()
+    }
     results = np.full((_NUMBERS, numbers.size), math.nan)
     status = np.full(numbers.size, HELD)
     for name in columns.keys() & {'thickness', 'wave_speed', 'mass'}:

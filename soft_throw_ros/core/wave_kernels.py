@@ -50,7 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.kernels import compiled, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import end_of_piece, motion_at, piece_at, PLATE
+from soft_throw_ros.core.plate_kernels import enter_piece, motion_at, PLATE
 
 Floats = NDArray[np.float64]
 
@@ -65,6 +65,9 @@ _STRAINS_PER_CROSSING, _STRAIN_PHASE = 32.0, 0.05
 
 _NOISE = 1e-12
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
+
+_COUNTS = np.arange(1024.0)
+"""Whole numbers, which are slow to convert. [-]"""
 
 _RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 
@@ -167,8 +170,9 @@ def prepare(
     s.base = -2 * N - PAD
     s.contact = True
     s.kink = N
+    longest = N / _STRAINS_PER_CROSSING
     # A divisor of N, so that kinks, where strains are largest, are at points that are compared
-    s.stride = max(1, int(min(N / _STRAINS_PER_CROSSING, _STRAIN_PHASE / (omega * s.step))))
+    s.stride = max(1, int(min(longest, _STRAIN_PHASE / (omega * s.step))))
     while N % s.stride > 0:
         s.stride -= 1
     s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
@@ -406,16 +410,18 @@ def _fill(s, waves, path, last):
     while s.filled < last:
         first = s.filled + 1
         time = first * s.step
-        k = piece_at(s, path, time)
-        end, begin = end_of_piece(s, path), path[0, k]
-        count = int(min((end - time) / s.step, last - first)) + 1
+        if not s.piece_begin <= time < s.piece_end:
+            enter_piece(s, path, time)
+        begin, end = s.piece_begin, s.piece_end
+        count = int(min((end - time) / s.step, last - first, _COUNTS.size - 1)) + 1
         while count > 1 and (first + count - 1) * s.step >= end:
             count -= 1
         leaving, coming = waves[0, first - s.base:], waves[1, first - s.base - s.steps:]
-        a, b, c = path[2, k], 2.0 * path[3, k], 3.0 * path[4, k]
-        d, e = 4.0 * path[5, k], 5.0 * path[6, k]
+        p = s.coefficients
+        a, b, c, d, e = p[1], 2.0 * p[2], 3.0 * p[3], 4.0 * p[4], 5.0 * p[5]
+        start, step = float(first), s.step
         for n in range(count):
-            u = (first + n) * s.step - begin
+            u = (start + _COUNTS[n]) * step - begin
             velocity = a + u * (b + u * (c + u * (d + u * e)))
             leaving[n] = velocity - coming[n]  # p(t) = V_p(t - t_s) - m(t - 2 t_s), Sec. IV
         s.filled += count

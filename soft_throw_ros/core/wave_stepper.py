@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, in_threads, longest_wait
-from soft_throw_ros.core.plate_kernels import make_damped_path, write_damped
+from soft_throw_ros.core.plate_kernels import NO_PATH, write_damped
 from soft_throw_ros.core.rig import Rig, scales_of
 from soft_throw_ros.core.stepper import (
     load_kernels,
@@ -240,20 +240,20 @@ def throw_batch(
     results = np.full((6, crossing.size), math.nan)
 
     def run(first: int, stride: int) -> None:
-        core, path, no_events = np.zeros(3, RECORD), make_damped_path(), np.empty((0, 4))
+        core, no_events = np.zeros(3, RECORD), np.empty((0, 4))
         numbers = core.view(np.float64).reshape(3, -1)
         advance = advance_compiled()
         for n in range(first, crossing.size, stride):
             check_cancelled(cancelled)
             waves = make_waves(int(steps[n]))
             numbers[:] = 0.0
-            write_damped(core, path, amplitude[n], omega[n], zeta[n])
+            write_damped(core, amplitude[n], omega[n], zeta[n])
             prepare(
                 core, steps[n], crossing[n], scales.relaxation_time[n], gravity[n],
                 scales.impedance[n], omega[n], amplitude[n] * omega[n],
             )
             numbers[:2] = numbers[2]
-            advance(core, waves, path, no_events, latest[n])
+            advance(core, waves, NO_PATH, no_events, latest[n])
             s = core[1]
             if s['events'] or is_known[n]:
                 loads = _loads_of(s, values['wave_speed'][n])

@@ -105,7 +105,8 @@ def throw(
     imperfections = imperfections or Imperfections()
     start = min(start, 0.0)
     begin = start - _LEAD_IN if imperfections.ringing else 0.0
-    times = begin + _STEP * np.arange(math.ceil((until - begin) / _STEP) + 1)
+    steps = np.arange(math.ceil((until - begin) / _STEP) + 1, dtype=np.float64)
+    times = begin + _STEP * steps
     moving = rig
     if imperfections.are_present:
         heights = _plate(rig, imperfections, times, start)
