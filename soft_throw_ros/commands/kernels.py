@@ -23,7 +23,7 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.simulated_rig import imperfect_rig
-from soft_throw_ros.twin import engine_fit, outlier_filter
+from soft_throw_ros.twin import outlier_filter, plate_observer
 from soft_throw_ros.twin.prepared_rig import PreparedRig
 
 Say = Callable[[str], object]
@@ -31,7 +31,7 @@ Say = Callable[[str], object]
 _INTERVAL = 2.0  # from one line of progress to the next [s]
 _SOURCES = (  # of kernels
     *Path(smoothing.__file__).parent.glob('*.py'),
-    *(Path(str(module.__file__)) for module in (engine_fit, imperfect_rig, outlier_filter)),
+    *(Path(str(module.__file__)) for module in (imperfect_rig, outlier_filter, plate_observer)),
 )
 
 
@@ -44,7 +44,7 @@ def _prepare(stepper: ModuleType, **layer: float) -> None:
 
 def _measure() -> None:
     """Run the kernels that process samples of a plate once."""
-    for module in (smoothing, outlier_filter, engine_fit):
+    for module in (smoothing, outlier_filter, plate_observer):
         module.warm_up()
 
 

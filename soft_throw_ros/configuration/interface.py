@@ -140,7 +140,7 @@ class TwinTopics(NamedTuple):
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
         'Result of a throw, at its first release and at its end, with the time of the event as '
-        'stamp; with a measured plate also the prediction with its errors, first within 1 % and '
+        'stamp; with a measured plate also the prediction with its errors, first within 3 % and '
         'again when it is certain',
         depth=2, is_latched=True)
     ejection_time: Topic = Topic(

@@ -53,8 +53,6 @@ RESULT_KEYS = (
         'fraction of throws without release within the uncertainties'),
     Key('uncertainty.jumps', 'whether the release jumps within the uncertainties'),
     Key('lead', 'measured plate: time from the first prediction to the release', 's'),
-    Key('accuracy.basis', '`engine` if the errors are those of a fit of the motion of the engine, '
-        '`plate` if those of the smoothed samples'),
     Key('accuracy.is_certain', 'whether the plate cannot change the release any more'),
     Key('accuracy.release_time_error', 'standard error of the time of the release', 's'),
     Key('accuracy.ejection_speed_error', 'standard error of the speed at the release', 'm/s'),

@@ -85,11 +85,16 @@ def _engine_of_file(settings: Settings, motion_of: motions.MotionSource) -> Engi
     return replace(_engine(settings, motion_of), motion=motion_of(path))
 
 
+def _measured_engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
+    make = _engine_of_file if settings[motions.PARAMETER] else _engine
+    return make(settings, motion_of)
+
+
 MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
     'underdamped': _engine,
     'harmonic': _harmonic_engine,
     'file': _engine_of_file,
-    'measured': _engine,
+    'measured': _measured_engine,
 }
 """Motions of the plate, each with the function that makes the engine of complete settings."""
 
@@ -115,7 +120,8 @@ def joint_names(settings: Settings) -> tuple[str, str]:
 _ENTRIES = (
     row('engine.motion_file', '',
         'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
-        'are then units, and the loss tangent is that at the frequency',
+        'are then units, and the loss tangent is that at the frequency. A measured plate is '
+        'expected to follow it',
         kind='the path of a file, or empty'),
     row('engine.motion', 'underdamped',
         'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), the '
@@ -135,7 +141,7 @@ _ENTRIES = (
     row('engine.damping_ratio', _RIG.engine.damping_ratio,
         'Damping ratio of the plate, unless the motion is harmonic', low=0.0, high=0.99),
     row('measured.smoothing_window', 2e-3,
-        'Length of the smoothing window of a measured plate; a quarter of the length is the delay',
+        'Length of the smoothing window of a measured plate; half of it delays the events',
         unit='s', low=1e-4, high=0.1),
     row('measured.latency', 0.0, 'Time to wait for samples that arrive out of order',
         unit='s', low=0.0, high=0.1),
@@ -199,8 +205,7 @@ _ENTRIES = (
     row('uncertainty.mass', 0.01, 'Largest relative error of the mass, likewise',
         low=0.0, high=0.9),
     row('uncertainty.frequency', 0.1,
-        'Largest error of the frequency, likewise; divided by the square root of 3 it is the '
-        'standard deviation with which a fit of a measured plate begins',
+        'Largest error of the frequency, likewise; part of the errors of a measured plate',
         unit='Hz', low=0.0, high=500.0),
     row('uncertainty.damping_ratio', 0.003,
         'Largest error of the damping ratio; used like that of the frequency',

@@ -9,17 +9,23 @@ The table, the journal and ROS use dotted names; computations read these fields.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 import math
 
+import numpy as np
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import rig_of, RIG_PARAMETERS
-from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.plate import motion_of as motion_of_engine
+from soft_throw_ros.core.plate import PlateMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.message import SECOND
 
 _START_SPEED = 0.1
 """Speed at which a measured plate has started a throw, over the peak speed by `engine.*`. [-]"""
+
+_RISE_TIMES = 1024
+"""Times from the start to the largest speed at which the expected speed is evaluated. [-]"""
 
 BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
@@ -35,7 +41,8 @@ class MeasurementConfig:
     stamp_error: float  # standard deviation of the stamps [s]
     start_speed: float  # upward speed at which a throw has begun [m/s]
     residual_threshold: float  # rms of the projectile beyond which the model is wrong [m]
-    plate: Underdamped  # expected motion in a throw
+    plate: Underdamped  # motion of the engine
+    motion: PlateMotion  # expected in a throw: that of the engine, or a commanded one
     frequency_error: float  # standard deviation of its frequency [Hz]
     damping_error: float  # standard deviation of its damping ratio [-]
 
@@ -43,6 +50,17 @@ class MeasurementConfig:
     def smoothing_window(self) -> float:
         """Length of the smoothing window [s]."""
         return self.smoothing_window_ns / SECOND
+
+    @cached_property
+    def rise_time(self) -> float:
+        """Time from the start of the expected motion until it has the speed of a start [s]."""
+        times = np.linspace(0.0, self.motion.peak_velocity_time, _RISE_TIMES)
+        return float(times[(np.abs(self.motion.velocity(times)) >= self.start_speed).argmax()])
+
+    @cached_property
+    def direction(self) -> float:
+        """Sign of the velocity at this time; a commanded motion may go down first."""
+        return float(np.sign(self.motion.velocity(self.rise_time)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +88,7 @@ class TwinConfig:
     @property
     def motion_file(self) -> str:
         """Path of the file with the motion of the plate; empty for other motions."""
-        return str(self.settings[motions.PARAMETER]) if self.motion == 'file' else ''
+        return str(self.settings[motions.PARAMETER]) if self.rig.engine.motion else ''
 
     @classmethod
     def from_settings(
@@ -111,6 +129,7 @@ class TwinConfig:
                 start_speed=_START_SPEED * plate.peak_velocity,
                 residual_threshold=settings['measured.residual_threshold'],
                 plate=plate,
+                motion=motion_of_engine(rig.engine),
                 frequency_error=settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
                 damping_error=settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
             ),

@@ -80,6 +80,11 @@ class Underdamped:
         )
 
     @property
+    def angular_frequency(self) -> float:
+        r""":math:`\omega` [rad/s]."""
+        return 2.0 * math.pi * self.frequency
+
+    @property
     def exponent(self) -> complex:
         r""":math:`\lambda = -\zeta \omega + i \omega_d` [1/s]."""
         omega = 2.0 * math.pi * self.frequency
@@ -117,6 +122,15 @@ class Underdamped:
         time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
         rate = self.exponent
         return self.velocity_factor * np.exp(rate.real * time) * np.sin(rate.imag * time)
+
+    def states_at(self, time: Floats) -> Floats:
+        """Height [m], velocity [m/s] and acceleration [m/s2], Eqs. (D1) and (D2), shape (n, 3)."""
+        rate, change = self.exponent, np.expm1(self.exponent * np.maximum(time, 0.0))
+        turned = change + 1.0
+        columns = change / rate, turned, rate * turned
+        states = self.velocity_factor * np.stack(columns, axis=1).imag
+        states[time < 0.0, 2] = 0.0
+        return states
 
 
 def peak_velocity_ratio(damping_ratio: float) -> float:
@@ -217,10 +231,21 @@ class SampledMotion:
         return float(self.times[-1])
 
     @cached_property
-    def peak_velocity(self) -> float:
-        """Largest upward speed, at 16 points between states [m/s]."""
+    def peak_velocity_time(self) -> float:
+        """Time of the largest upward speed, of 16 points between states [s]."""
         between = np.linspace(self.times[:-1], self.times[1:], 17)
-        return float(self.velocity(between).max())
+        return float(between.flat[self.velocity(between).argmax()])
+
+    @property
+    def peak_velocity(self) -> float:
+        """Largest upward speed [m/s]."""
+        return float(self.velocity(self.peak_velocity_time))
+
+    def states_at(self, time: Floats) -> Floats:
+        """Height [m], velocity [m/s] and acceleration [m/s2], shape (n, 3)."""
+        is_moving = (time >= self.start_time) & (time <= self.end_time)
+        acceleration = np.where(is_moving, self._path(time, 2), 0.0)
+        return np.stack((self.position(time), self.velocity(time), acceleration), axis=1)
 
     def position(self, time: ArrayLike) -> Floats:
         """Height of the plate [m]."""

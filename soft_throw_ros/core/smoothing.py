@@ -38,7 +38,6 @@ def fit_cubics(
     half: float,
     states: Floats,
     errors: Floats,
-    misfits: Floats,
 ) -> None:
     """
     Fit a cubic around each time, unchecked; the error of the velocity is of third order.
@@ -51,10 +50,9 @@ def fit_cubics(
         Samples, times increasing. [s], [m]
     half : float
         Half the length of the window. [s]
-    states, errors, misfits : ndarray, shapes (n, 3), (n,) and (n, 2)
+    states, errors : ndarray, shapes (n, 3) and (n,)
         For the results: position [m], velocity [m/s] and acceleration [m/s2]; errors of the
-        velocity for unit noise of the position [1/s]; sums of squares of the residuals [m2] and
-        their degrees of freedom. States and errors are NaN where samples are too few, or on one
+        velocity for unit noise of the position [1/s]. NaN where samples are too few, or on one
         side only.
 
     """
@@ -67,7 +65,7 @@ def fit_cubics(
             first += 1
         normal[:], right[:], unit[:] = 0.0, 0.0, 0.0
         unit[1] = 1.0
-        count, before, squares = 0, 0, 0.0
+        count, before = 0, 0
         k = first
         while k < times.size and (times[k] - at[n]) / half <= ahead:
             u = (times[k] - at[n]) / half
@@ -77,14 +75,12 @@ def fit_cubics(
                 right[i] += row[i] * value
                 for j in range(i + 1):
                     normal[i, j] += row[i] * row[j]
-            squares += value * value
             count += 1
             before += u <= 0.0
             k += 1
         if count < FEWEST or before in (0, count) or not factorise(normal):
             states[n] = np.nan
             errors[n] = np.nan
-            misfits[n] = 0.0
             continue
         solution[:] = right
         solve(normal, solution)
@@ -93,8 +89,6 @@ def fit_cubics(
         states[n, 1] = solution[1] / half
         states[n, 2] = 2.0 * solution[2] / (half * half)
         errors[n] = np.sqrt(unit[1]) / half
-        misfits[n, 0] = max(squares - (right * solution).sum(), 0.0)
-        misfits[n, 1] = count - 4
 
 
 @kernel
@@ -132,5 +126,5 @@ def solve(factor: Floats, x: Floats) -> None:
 def warm_up() -> None:
     """Compile or load all kernels."""
     times, zeros = np.array([0.0, 0.25, 0.5, 1.0]), np.zeros(4)
-    results = np.empty((1, 3)), np.empty(1), np.empty((1, 2))
+    results = np.empty((1, 3)), np.empty(1)
     fit_cubics(np.array([0.5]), times, zeros, 0.5, *results)

@@ -47,6 +47,8 @@ EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 
 EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
+_NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
+
 MAX_EVENTS = 4096
 """Most events of one throw."""
 
@@ -309,17 +311,24 @@ class Stepper(ABC):
         other._is_measured = False
         return other
 
-    def sync_from(self, origin: Stepper) -> None:
+    def sync_from(
+        self, origin: Stepper, times: Floats = _NO_TIMES, states: Floats = _NO_STATES
+    ) -> None:
         """
         Copy the state of `origin`, the stepper that this fork runs ahead of.
 
-        Beyond its horizon the plate keeps its acceleration. The extrapolated motion reaches the
+        Beyond its horizon the plate passes the given states, see `append_plate_states`, unchecked.
+        Beyond the last one it keeps its acceleration. The extrapolated motion reaches the
         projectile only after a crossing of the wave; until then the motion of the projectile is
         exact. Internal loss acts without delay: a loss tangent of 0.05 makes the velocity
         uncertain by 2e-3 of its scale at the end of this crossing.
         """
         self._numbers[:] = origin._numbers
         self._copy_layer(origin)
+        record = self._core[0]
+        record['pieces'] = append_states(
+            record['last'], int(record['pieces']), self._path, times, states
+        )
         extrapolate(self._core, self._path)
 
     @abstractmethod

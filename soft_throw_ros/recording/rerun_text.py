@@ -54,9 +54,6 @@ TRACK_TASKS = ('measurement', 'model', 'identification')
 
 _STAGES = {'final': 'in all', 'predicted': 'as it will be'}
 
-_BASES = {'engine': ', which moves as the engine should', 'plate': ' alone'}
-"""Basis of the errors of a throw."""
-
 _VARIED = {'thickness': 'other thickness', 'wave_speed': 'other wave speed'}
 """Titles of the layers that vary one quantity."""
 
@@ -73,8 +70,7 @@ def throw_text(values: Values) -> str:
         text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
     samples, out = (values.get(f'accuracy.{key}') for key in ('samples', 'samples_left_out'))
     if samples is not None:
-        basis = _BASES.get(str(values.get('accuracy.basis')), '')
-        text += f'\n± by {samples:g} samples of the plate{basis}'
+        text += f'\n± by {samples:g} samples of the plate'
         text += f'; {out:g} were left out.\n' if out else '.\n'
     return text
 

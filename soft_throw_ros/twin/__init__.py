@@ -17,9 +17,9 @@ A sample of a measured plate passes the following stations:
    `outlier_filter` may remove it, and the samples of a window yield a smoothed state.
 2. `plate_monitor.PlateMonitor` detects from smoothed states that a throw has begun, and finds the
    `Onset`. `sensor_checks` warns of faults.
-3. In a throw, `plate_source.MeasuredPlate` fits the engine's motion to the samples (`engine_fit`).
-   Either the fit or the smoothed states move the plate of a simulation.
-4. `measured_throw` advances the simulation until the sample's time, which gives the residual, and
+3. In a throw, `plate_observer.PlateObserver` smooths the samples, and continues the motion ahead
+   of them.
+4. `measured_throw` advances the simulation along the smoothed plate, which gives the residual, and
    forks of the simulation ahead of it, which give the displayed state and the predictions.
 5. `results.Outputs` has the numbers of the step. `nodes` publishes them.
 

@@ -221,7 +221,6 @@ def encode_onset(onset: Onset) -> Entry:
         'projectile_rest': None if math.isnan(rest.projectile) else rest.projectile,
         'noise': rest.noise,
         'rest_error': rest.error,
-        'trusts_engine': onset.engine_is_nominal,
         'clock_offset_ns': onset.clock_offset_ns,
         **encode_samples([(0, onset.samples)]),
     }
@@ -242,7 +241,6 @@ def decode_onset(values: Entry) -> Onset:
             samples=tuple(
                 sample for _, batch in decode_samples({**values, 'step': 0}) for sample in batch
             ),
-            engine_is_nominal=bool(values['trusts_engine']),
             clock_offset_ns=index(values.get('clock_offset_ns', 0)),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:

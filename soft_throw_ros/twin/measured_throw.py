@@ -15,9 +15,9 @@ import dataclasses
 from dataclasses import dataclass, field
 from functools import partial
 import math
-from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.stepper import (
     Event,
@@ -28,11 +28,9 @@ from soft_throw_ros.core.stepper import (
     Stepper,
     TIME,
 )
-from soft_throw_ros.twin.engine_fit import EngineEstimate
 from soft_throw_ros.twin.plate_estimator import Onset, PAST, PlateEstimator, PlateStates
-from soft_throw_ros.twin.plate_source import MeasuredPlate, SmoothedSamples
+from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
-    ForkedStepper,
     layer_of,
     PreparedRig,
     stepper_of,
@@ -54,14 +52,10 @@ from soft_throw_ros.twin.results import (
 from soft_throw_ros.twin.throws import OngoingThrow, Tick
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-PlateSource: TypeAlias = EngineEstimate | SmoothedSamples
-"""Source of the states of a plate, with a time `start_ns` and a method `states`."""
+Floats = NDArray[np.float64]
 
-_PREDICTION_ERROR = 0.01
-"""
-Largest half width of the 95 % interval of the ejection speed in the first prediction of a throw,
-over the speed. [-]
-"""
+_PREDICTION_ERROR = 0.03
+"""Largest relative standard error of the ejection speed in the first prediction. [-]"""
 
 LOST = PAST
 """Time without samples after which the plate is lost, because later ones are too old. [ns]"""
@@ -72,74 +66,40 @@ FEWEST_IN_FLIGHT = 8
 MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
 
+_NOISY = 0.05
+"""Relative error of the speed of a certain release beyond which noise may have caused it. [-]"""
+
 _SKIPPED = 0.5
 """Delay between two steps that shows that steps have been skipped, in steps. [-]"""
 
 
-class _Simulation:
-    """A simulation of the throw from its start, by one source of the plate's motion."""
-
-    def __init__(self, forked: ForkedStepper, source: PlateSource | None, start_ns: int) -> None:
-        forked.stepper.reset()
-        self.forked = forked
-        self.source = source  # of the following states; None while the plate is unknown
-        self.start_ns = start_ns  # of the throw [ns]
-        # motion until the first release; None for the smoothed plate
-        self.estimate = source if isinstance(source, EngineEstimate) else None
-        self.times: list[float] = []  # of the states of the plate that the stepper knows
-        self.states: list[list[float]] = []
-        self._last = -1.0  # time of the last state [s]
-
-    @property
-    def time(self) -> float:
-        """Time of the stepper since the start [s]."""
-        return float(self.forked.stepper.state[TIME])
-
-    @property
-    def known(self) -> float:
-        """Time since the start until which the plate is known [s]."""
-        return max(self.forked.stepper.horizon, 0.0)
-
-    def extend(self, complete_ns: float) -> None:
-        """Append the states of the plate that have become known."""
-        if self.source is None:
-            return
-        times, states = self.source.states(self._last, complete_ns)
-        if not times.size:
-            return
-        self.forked.stepper.append_plate_states(times, states)
-        self._last = float(times[-1])
-        if len(self.times) + times.size < MAX_PIECES_AHEAD:
-            self.times += times.tolist()
-            self.states += states.tolist()
-
-
 class MeasuredThrow(OngoingThrow):
     """
-    A throw whose plate is measured, see `OngoingThrow`, by an estimator from the onset on.
+    A throw whose plate is measured, see `OngoingThrow`, by an observer from the onset on.
 
-    Until the release is certain, the throw is simulated with the fitted motion of the engine, and
-    anew from its start when the fit has changed significantly. Afterwards, or as soon as the
-    engine model fails, it is simulated with the smoothed samples alone.
-
-    A new simulation advances by at most `PreparedRig.catch_up` in a step, beside the present one,
-    and replaces that when it has caught up. Therefore the cost of a step does not depend on the
-    length of the throw.
+    The stepper follows the smoothed states that do not change any more. Two forks go on from there
+    in each step, along the latest states and their continuation: one to the present time, and one
+    as far as the projectile is known, or until its release.
     """
 
     def __init__(
         self, prepared: PreparedRig, onset: Onset, estimator: PlateEstimator, *, number: int
     ) -> None:
         config = estimator.config
-        self._plate = MeasuredPlate(onset, estimator, prepared.forecaster)
-        self._present = _Simulation(prepared.forked_steppers[0], None, onset.onset_ns)
-        self._newer: _Simulation | None = None  # one that has not caught up with the present one
+        assert prepared.forked is not None
+        assert prepared.release_weights is not None
+        self._forked = prepared.forked
+        self._forked.stepper.reset()
         super().__init__(
             prepared,
-            self._present.forked.stepper,
+            self._forked.stepper,
             number=number,
             rest_speed=MEASURED_REST_SPEED * config.start_speed,
         )
+        self._onset, self._estimator = onset, estimator
+        self._observer = PlateObserver(config, onset, prepared.release_weights)
+        self._times, self._states = np.empty(0), np.empty((0, 3))  # of the plate, settled
+        self._path = self._times, self._states  # after these, with the continuation
         self._residuals = _ResidualStatistics(
             last_ns=onset.onset_ns,
             longest=1.0 / prepared.rig.engine.frequency,
@@ -150,51 +110,37 @@ class MeasuredThrow(OngoingThrow):
         self._lead: float | None = None  # of the first prediction [s]
         self._last_due_ns = 0  # time of the last step [ns]
         self._time_skipped = 0.0  # of skipped steps [s]
-        if prepared.forecaster is not None:
-            prepared.forecaster.reset()
-
-    @property
-    def engine_is_nominal(self) -> bool:
-        """Whether the motion so far is that of the engine."""
-        return not self._plate.fit.has_failed
 
     @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
-        return layer_of(self._present.forked.display)
+        return layer_of(self._forked.display)
 
     @property
     def _is_certain(self) -> bool:
         """Whether the plate cannot change the release any more."""
         return self._accuracy is not None and self._accuracy.is_certain
 
-    @property
-    def _is_lost_in_noise(self) -> bool:
-        """Whether noise of the smoothed plate may have released the projectile."""
-        return self._present.estimate is None and self._plate.is_noisy
-
     def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
         """Advance as far as the plate is known, and predict from there."""
-        plate, crossing = self._plate, self._prepared.rig.crossing_time
-        if motion.gap > crossing or tick.due_ns - plate.estimator.newest_ns > LOST:
+        estimator, observer = self._estimator, self._observer
+        crossing, window = self._prepared.rig.crossing_time, estimator.config.smoothing_window
+        if motion.gap > crossing or tick.due_ns - estimator.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
-            plate.add(motion)
-            self._choose_simulation()
-        self._count_skipped_time(tick.due_ns)
-        was_released = bool(self.events)
-        known = self._present.known
-        events, residual = self._follow_plate(known, tick.config.max_events)
-        if plate.relies_on_engine and self.events:
-            self._abandon_engine()  # the release is certain, and does not change
-        if self.events and not was_released and self._is_lost_in_noise:
-            self.ended_by, self.events, events = 'noise', [], ()
-        prediction, forecast = self._predict_state(known, tick), self._forecast(known, tick)
+            observer.add(estimator.samples(observer.next_ns, estimator.complete_ns + 1))
+        ahead = observer.newest + crossing
         # a longer extrapolation has no meaning
-        farthest = known + crossing + plate.estimator.config.smoothing_window
-        now = (tick.due_ns - self._present.start_ns) / SECOND
-        display = self._present.forked.display
-        self._advance_fork(display, max(known, min(now, farthest)))
+        now = min((tick.due_ns - self._onset.onset_ns) / SECOND, ahead + window)
+        self._move_plate(max(now, ahead, self._latest_release))
+        self._count_skipped_time(tick.due_ns)
+        events, residual = self._follow_plate(self._stepper.horizon, tick.config.max_events)
+        prediction = self._predict_state(max(ahead, self._stepper.horizon), tick)
+        forecast = self._forecast(ahead, tick)
+        if self.ended_by == 'noise':
+            self.events, events = [], ()
+        display = self._forked.display
+        self._advance_fork(display, max(self._stepper.horizon, now))
         state = State._make(display.state.tolist()[1:])
         return Outputs(
             tick.step,
@@ -206,53 +152,24 @@ class MeasuredThrow(OngoingThrow):
             residual=residual,
         )
 
+    @property
+    def _latest_release(self) -> float:
+        """Latest time of a release that the next prediction needs [s]."""
+        return self._prepared.latest_release if self._lead is None else 0.0
+
+    def _move_plate(self, until: float) -> None:
+        """Append the states of the plate that do not change any more, and store the others."""
+        times, states, settled = self._observer.motion(until)
+        self._path = times[settled:], states[settled:]
+        times, states = times[:settled], states[:settled]
+        self._stepper.append_plate_states(times, states)
+        if settled and len(self._times) + settled < MAX_PIECES_AHEAD:
+            self._times = np.concatenate((self._times, times))
+            self._states = np.concatenate((self._states, states))
+
     def event_ns(self, event: Event, tick: Tick) -> int:  # noqa: ARG002
         """Return the time of an event by the stamps of the samples [ns]."""
-        return self._present.start_ns + round(event.time * SECOND)
-
-    def _choose_simulation(self) -> None:
-        """Simulate the throw on, or anew, by the fitted engine or by smoothed samples."""
-        plate, present, smoothed = self._plate, self._present, self._plate.smoothed
-        if plate.relies_on_engine:
-            newer = plate.newer_estimate(present.estimate) if self._newer is None else None
-            if plate.fit.has_failed or (plate.is_fit_over and newer is None):
-                self._abandon_engine()
-            elif newer is not None:
-                self._simulate_anew(newer)
-        if not plate.relies_on_engine and present.source is not smoothed:
-            # smoothed samples continue a known motion, or begin a simulation of their own
-            is_known = present.source is not None and (self.events or not plate.fit.has_failed)
-            if is_known and (plate.is_fit_over or not plate.is_noisy):
-                smoothed.start_ns, present.source = present.start_ns, smoothed
-            elif not is_known and not self._newer and smoothed.find_start():
-                self._simulate_anew(smoothed)
-        complete_ns = plate.estimator.complete_ns
-        present.extend(complete_ns)
-        if self._newer is not None:
-            self._newer.extend(complete_ns)
-            self._catch_up(self._newer)
-
-    def _abandon_engine(self) -> None:
-        self._plate.relies_on_engine, self._newer = False, None
-
-    def _simulate_anew(self, source: PlateSource) -> None:
-        """Begin a simulation by the forked stepper that the present one does not use."""
-        one, other = self._prepared.forked_steppers
-        spare = other if self._present.forked is one else one
-        self._newer = _Simulation(spare, source, source.start_ns)
-
-    def _catch_up(self, newer: _Simulation) -> None:
-        """Advance a new simulation, and use it when it has caught up with the present one."""
-        present = self._present
-        now = present.time + (present.start_ns - newer.start_ns) / SECOND
-        goal = min(max(now, 0.0), newer.known)
-        self._try_to_advance(
-            newer.forked.stepper,
-            min(newer.time + self._prepared.catch_up, max(goal, newer.time)),
-        )
-        if newer.time >= goal or self.ended_by:
-            self._present, self._newer = newer, None
-            self._stepper, self.events = newer.forked.stepper, []
+        return self._onset.onset_ns + round(event.time * SECOND)
 
     def _count_skipped_time(self, due_ns: int) -> None:
         """Count the time of skipped steps."""
@@ -265,11 +182,11 @@ class MeasuredThrow(OngoingThrow):
         self, known: float, max_events: int
     ) -> tuple[tuple[Event, ...], Residual | None]:
         """Advance as far as the plate is known, and compare with samples of the projectile."""
-        rest, start_ns, residuals = self._plate.onset.rest, self._present.start_ns, self._residuals
+        rest, start_ns, residuals = self._onset.rest, self._onset.onset_ns, self._residuals
         until_ns = start_ns + math.ceil(known * SECOND)
         happened: list[Event] = []
         residual = None
-        samples = self._plate.estimator.samples(residuals.last_ns + 1, until_ns + 1)
+        samples = self._estimator.samples(residuals.last_ns + 1, until_ns + 1)
         if residuals.is_complete:
             samples = samples[-2:]  # the last one may be too late
         for stamp_ns, plate, projectile in samples.tolist():
@@ -292,11 +209,11 @@ class MeasuredThrow(OngoingThrow):
         _, events = self._go_to(known, max_events)
         return (*happened, *events), residual
 
-    def _predict_state(self, known: float, tick: Tick) -> PredictedState:
+    def _predict_state(self, ahead: float, tick: Tick) -> PredictedState:
         """Predict the projectile up to the time that the future plate cannot influence."""
-        fork, ahead = self._present.forked.lookahead, known + self._prepared.rig.crossing_time
+        fork = self._forked.lookahead
         self._advance_fork(fork, ahead)
-        stamp_ns = self._present.start_ns + round(ahead * SECOND)
+        stamp_ns = self._onset.onset_ns + round(ahead * SECOND)
         return PredictedState(
             stamp_ns,
             float(fork.state[PROJECTILE_POSITION]),
@@ -305,87 +222,55 @@ class MeasuredThrow(OngoingThrow):
             stamp_ns - tick.due_ns,
         )
 
-    def _forecast(self, known: float, tick: Tick) -> ThrowResult | None:
+    def _forecast(self, ahead: float, tick: Tick) -> ThrowResult | None:
         """Return the release when it is first known well enough, and when it is certain."""
-        prepared, plate, present = self._prepared, self._plate, self._present
-        is_fit_lost = present.estimate is not None and plate.fit.has_failed and not self.events
-        if self._is_certain or is_fit_lost:
+        fork = self._forked.lookahead
+        if self._is_certain or self.ended_by:
             return None
-        fork = present.forked.lookahead
-        release = fork.events()[0] if fork.event_count else None
-        if release is not None and release.time <= known + prepared.rig.crossing_time:
-            if self._is_lost_in_noise:
+        if not fork.event_count and self._latest_release > ahead:
+            self._try_to_advance(fork, self._latest_release)
+        if not fork.event_count:
+            return None
+        release = fork.events()[0]
+        accuracy = self._assess_accuracy(release, is_certain=release.time <= ahead)
+        error = accuracy.ejection_speed_error / abs(release.velocity)
+        if accuracy.is_certain:
+            if error > _NOISY:
                 self.ended_by = 'noise'
                 return None
-            return self._predict(fork, release, present.estimate, tick, is_certain=True)
-        if not plate.relies_on_engine or plate.fit.estimate is None or self._lead is not None:
+        elif self._lead is not None or error > _PREDICTION_ERROR:
             return None
-        early = plate.forecaster.find_release(
-            plate.fit.estimate,
-            max_error=_PREDICTION_ERROR,
-            duration=prepared.catch_up,
-        )
-        if early is None:
-            return None
-        estimate, release = early
-        return self._predict(plate.forecaster.stepper, release, estimate, tick, is_certain=False)
-
-    def _predict(
-        self,
-        stepper: Stepper,
-        release: Event,
-        estimate: EngineEstimate | None,
-        tick: Tick,
-        *,
-        is_certain: bool,
-    ) -> ThrowResult:
-        """Return the result at a release to come, by a stepper that has reached the release."""
-        peak_speed = self._peak_speed(estimate)
-        self._accuracy = self._assess_accuracy(
-            release, estimate, peak_speed=peak_speed, is_certain=is_certain
-        )
-        lead = release.time - (tick.due_ns - self._start_of(estimate)) / SECOND
+        self._accuracy = accuracy
+        lead = release.time - (tick.due_ns - self._onset.onset_ns) / SECOND
         self._lead = lead if self._lead is None else self._lead
-        start_ns = self._start_of(estimate)
         result = self._make_result(
-            'predicted', tick, stepper, [release],
-            start_ns=start_ns, stamp_of=lambda event: start_ns + round(event.time * SECOND),
-            peak_plate_speed=peak_speed,
+            'predicted', tick, fork, [release],
+            start_ns=self._onset.onset_ns, stamp_of=partial(self.event_ns, tick=tick),
+            peak_plate_speed=self._peak_speed(release),
         )
         return self._with_measurement(result, lead, None)
 
-    def _start_of(self, estimate: EngineEstimate | None) -> int:
-        """Return the start of a throw with the fitted or the smoothed motion [ns]."""
-        return self._present.start_ns if estimate is None else estimate.start_ns
+    def _peak_speed(self, release: Event | None) -> float:
+        """Return the largest speed of the plate until both its peak and the release [m/s]."""
+        times = np.concatenate((self._times, self._path[0]))
+        states = np.concatenate((self._states, self._path[1]))
+        config = self._estimator.config
+        latest = max(1.1 * config.motion.peak_velocity_time, release.time if release else 0.0)
+        is_early = times <= latest
+        return max(peak_speed(times[is_early], states[is_early]), config.start_speed)
 
-    def _peak_speed(self, estimate: EngineEstimate | None) -> float:
-        """Return the largest speed of the plate, by the fit or by the smoothed samples [m/s]."""
-        if estimate is not None:
-            return estimate.plate.peak_velocity
-        speeds = [speed for _, speed, _ in self._present.states]
-        return self._plate.smoothed.peak_speed(self._present.times, speeds)
-
-    def _assess_accuracy(
-        self,
-        release: Event,
-        estimate: EngineEstimate | None,
-        *,
-        peak_speed: float,
-        is_certain: bool,
-    ) -> Accuracy:
-        """Return the accuracy of a release, by an estimate if that was simulated."""
-        plate, estimator = self._plate, self._plate.estimator
-        errors = plate.release_errors(release.time, estimate, peak_speed)
-        speed = release.velocity
-        transfer = (speed / peak_speed) ** 2
+    def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
+        """Return the accuracy of a release."""
+        speed, peak_speed = release.velocity, self._peak_speed(release)
+        errors = self._observer.errors(speed, peak_speed)
+        estimator = self._estimator
         return Accuracy(
-            basis='plate' if estimate is None else 'engine',
             is_certain=is_certain,
             release_time_error=errors.time,
             ejection_speed_error=errors.speed * abs(speed),
-            energy_transfer_error=errors.energy_transfer * transfer,
-            samples=len(estimator.samples(self._present.start_ns)) + estimator.outliers,
-            samples_left_out=estimator.outliers + plate.fit.outliers,
+            energy_transfer_error=errors.energy_transfer * (speed / peak_speed) ** 2,
+            samples=len(estimator.samples(self._onset.onset_ns)) + estimator.outliers,
+            samples_left_out=estimator.outliers + self._observer.outliers,
         )
 
     def _try_to_advance(self, stepper: Stepper, time: float) -> None:
@@ -396,22 +281,19 @@ class MeasuredThrow(OngoingThrow):
             self.ended_by = 'max_events'
 
     def _advance_fork(self, fork: Stepper, time: float) -> None:
-        """Advance a fork of the present simulation to a time."""
-        fork.sync_from(self._stepper)
+        """Advance a fork to a time, along the latest states of the plate."""
+        fork.sync_from(self._stepper, *self._path)
         self._try_to_advance(fork, time)
 
     def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
-        release, estimate = self.first_release, self._present.estimate
-        peak_speed = self._peak_speed(estimate)
+        release = self.first_release
         if stage == 'release' and release is not None:
-            self._accuracy = self._assess_accuracy(
-                release, estimate, peak_speed=peak_speed, is_certain=self._is_certain
-            )
+            self._accuracy = self._assess_accuracy(release, is_certain=self._is_certain)
         result = self._make_result(
             stage, tick, self._stepper, self.events,
-            start_ns=self._present.start_ns, stamp_of=partial(self.event_ns, tick=tick),
-            peak_plate_speed=peak_speed,
+            start_ns=self._onset.onset_ns, stamp_of=partial(self.event_ns, tick=tick),
+            peak_plate_speed=self._peak_speed(release),
         )
         return self._with_measurement(result, self._lead, self._residuals.compare(release))
 
@@ -419,10 +301,10 @@ class MeasuredThrow(OngoingThrow):
         self, result: ThrowResult, lead: float | None, comparison: Comparison | None
     ) -> ThrowResult:
         """Add the faults of the measurement until now, and to a valid result its accuracy."""
-        plate = self._plate
+        onset = self._onset
         disturbances = Disturbances(
-            clock_offset_ns=plate.onset.clock_offset_ns,
-            samples_missing=plate.estimator.missing_since(plate.onset.onset_ns),
+            clock_offset_ns=onset.clock_offset_ns,
+            samples_missing=self._estimator.missing_since(onset.onset_ns),
             time_skipped=self._time_skipped,
         )
         if not result.is_valid:
@@ -437,18 +319,33 @@ class MeasuredThrow(OngoingThrow):
 
     def throw_field(self) -> ThrowField | None:
         """Return the layer over time once, when the plate is known for long enough or lost."""
-        present, release = self._present, self.first_release
-        if self._has_shown_field or not present.times or not (release or self.ended_by):
+        release, times = self.first_release, self._times
+        if self._has_shown_field or not times.size or not (release or self.ended_by):
             return None  # the throw may end before the plate is known
-        known = present.times[-1]
-        length = THROW_FIELD_LENGTH * release.time if release else known
-        if self._plate.relies_on_engine or (length > known and not self.ended_by):
+        length = THROW_FIELD_LENGTH * release.time if release else times[-1]
+        if length > times[-1] and not self.ended_by:
             return None
         self._has_shown_field = True
         stepper = stepper_of(self._prepared.config)
-        stepper.append_plate_states(present.times, present.states)
+        stepper.append_plate_states(times, self._states)
         length = min(length, stepper.horizon)
-        return throw_field_of(stepper, length, start_ns=present.start_ns)
+        return throw_field_of(stepper, length, start_ns=self._onset.onset_ns)
+
+
+def peak_speed(times: Floats, states: Floats) -> float:
+    """Return the largest speed of a plate from its states, with the peak between two of them."""
+    if not times.size:
+        return 0.0
+    best = int(states[:, 1].argmax())
+    speed = float(states[best, 1])
+    other = best + (1 if states[best, 2] > 0.0 else -1)
+    if not 0 <= other < times.size:
+        return speed
+    change = states[best, 2] - states[other, 2]
+    share = states[best, 2] / change if change else 0.0  # of the way to no acceleration
+    return speed + 0.5 * float(states[best, 2] * np.clip(share, 0.0, 1.0) * (
+        times[other] - times[best]
+    ))
 
 
 @dataclass(kw_only=True)

@@ -67,8 +67,6 @@ class PlateStates(NamedTuple):
     states: Floats  # height [m], velocity [m/s], acceleration [m/s2], shape (n, 3)
     errors: Floats  # standard errors of the velocity, shape (n,) [m/s]
     gap: float = 0.0  # longest time between samples on the way here [s]
-    # sums of squares of residuals, over the variance of heights [-], and degrees of freedom [-]
-    misfits: Floats = np.empty((0, 2))
 
 
 class SampledSpan(Enum):
@@ -107,7 +105,6 @@ class Onset:
     onset_ns: int  # time of the start [ns]
     rest: RestBaseline
     samples: tuple[Sample, ...]  # sorted, from a window before the start on
-    engine_is_nominal: bool = True  # whether the last motion was that of the engine
     clock_offset_ns: int = 0  # what was added to the stamps of the samples [ns]
 
 
@@ -292,7 +289,6 @@ class PlateEstimator:
         assert self.origin_ns is not None
         noise = self.config.position_noise
         states, errors = np.empty((times.size, 3)), np.empty(times.size)
-        misfits = np.empty((times.size, 2))
         fit_cubics(
             times,
             seconds_since(self.origin_ns, rows),
@@ -300,10 +296,6 @@ class PlateEstimator:
             0.5 * self.config.smoothing_window,
             states,
             errors,
-            misfits,
         )
-        misfits[:, 0] /= noise**2
         known = np.isfinite(errors)
-        return PlateStates(
-            times[known], states[known], noise * errors[known], misfits=misfits[known]
-        )
+        return PlateStates(times[known], states[known], noise * errors[known])

@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 
-import scipy  # imports its modules at their first use, which takes 0.3 s
+import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.smoothing import FEWEST
-from soft_throw_ros.twin.engine_fit import EngineFit
 from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import (
     Onset,
@@ -21,20 +19,23 @@ from soft_throw_ros.twin.plate_estimator import (
     RestBaseline,
     SampleCounts,
 )
-from soft_throw_ros.twin.plate_source import find_start
+from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
-from soft_throw_ros.twin.sample_buffer import to_samples
+from soft_throw_ros.twin.sample_buffer import Rows, seconds_since, to_samples
 from soft_throw_ros.twin.sensor_checks import SensorChecks, SwappedBodies
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 RISE = 0.125
 """Time until the plate reaches the speed of a start, over its period. [-]"""
 
-MOST_AMPLITUDE = 2.0
-"""Largest ratio of the fitted amplitude and the engine's amplitude, or its reciprocal. [-]"""
-
 _MOST_FOR_START = 128
 """Most samples in the fit of the start, to bound its cost. [-]"""
+
+_MOST_MISFIT = 0.05
+"""Median difference of the samples from a start, over the engine's amplitude, that is one. [-]"""
+
+_START_STEPS = 6
+"""Gauss-Newton steps of this fit. [-]"""
 
 _EARLY_RISE = 0.1
 """Rise of the projectile before the plate, in amplitudes of the engine, that is no noise. [-]"""
@@ -59,23 +60,24 @@ class _JumpDetector:
         """Wait for another rest after a jump."""
         self.is_armed, self.begun = False, math.inf
 
-    def observe(self, time: float, speed: float, error: float, config: MeasurementConfig) -> bool:
-        """Observe a smoothed speed; return whether a jump has begun a window before."""
+    def observe(self, time: float, speed: float, error: float, config: MeasurementConfig) -> None:
+        """Observe a smoothed speed in the direction of a start."""
         if math.isnan(self.last_moving):
             self.last_moving = time
         if self.begun < math.inf:
-            return time >= self.begun + config.smoothing_window
-        if self.is_armed and speed > max(config.start_speed, OUTLIER_SIGMAS * error):
+            if time >= self.begun + config.smoothing_window:  # it was no start
+                self.cancel()
+                self.last_moving = time
+        elif self.is_armed and speed > max(config.start_speed, OUTLIER_SIGMAS * error):
             self.begun = time
         elif abs(speed) > max(0.5 * config.start_speed, _REST_SIGMAS * error):
             self.last_moving = time
             moving_time = time - self.last_quiet
-            self.is_armed = self.is_armed and moving_time * config.plate.frequency <= RISE
+            self.is_armed = self.is_armed and moving_time <= longest_rise(config)
         else:
             self.last_quiet = time
             if time - self.last_moving >= REST_WINDOWS * config.smoothing_window:
                 self.is_armed = True
-        return False
 
 
 class PlateMonitor:
@@ -90,8 +92,7 @@ class PlateMonitor:
     The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
     speed of a start, or four standard errors, and no more when it has been for `RISE` of its
     period. A throw has begun when it goes upwards at that speed, and at six standard errors of
-    it. The time of the start is found at once if the plate moves as the engine should, see
-    `find_engine_start`, and otherwise a window later, see `find_onset`.
+    it, and has a start within the next window, see `find_onset`.
 
     """
 
@@ -102,12 +103,7 @@ class PlateMonitor:
         checks: SensorChecks,
         onset: Onset | None = None,
     ) -> None:
-        # the search for a start imports SciPy, which is too slow during a throw
-        import scipy.optimize  # noqa: F401
-
         self._checks = checks
-        # whether the motion of the last throw was that of the engine
-        self.engine_is_nominal = onset is None or onset.engine_is_nominal
         self.estimator = PlateEstimator(
             config,
             origin_ns=None if onset is None else onset.onset_ns,
@@ -122,7 +118,6 @@ class PlateMonitor:
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and use the parameters `config` from now on."""
         if config != self.estimator.config:
-            self.engine_is_nominal |= config.plate != self.estimator.config.plate
             self._checks.begin(self.estimator.config)
             self.estimator = PlateEstimator(config, counts=self.estimator.counts)
         self._jump = _JumpDetector()
@@ -138,16 +133,13 @@ class PlateMonitor:
         if motion.times.size:
             self._update_state(motion)
         onset = self._detect(motion)
-        if onset is None and self._jump.begun < math.inf and self.engine_is_nominal:
-            begun_ns = self._to_ns(self._jump.begun)
-            onset = find_engine_start(self.estimator, begun_ns)
         if onset is None:
             return motion, None
         self._jump.cancel()
         if self._has_swapped(onset):
             self._checks.report(SwappedBodies())
             return motion, None
-        return motion, replace(onset, engine_is_nominal=self.engine_is_nominal)
+        return motion, onset
 
     def _has_swapped(self, onset: Onset) -> bool:
         """Return whether the projectile has risen before the plate, which no wave can cause."""
@@ -168,23 +160,15 @@ class PlateMonitor:
         if motion.gap > config.smoothing_window:
             self._jump = _JumpDetector()
             return None
-        for time, (height, speed, _), error in zip(
+        is_tried = False  # with all complete samples
+        for time, (_, speed, _), error in zip(
             motion.times.tolist(), motion.states.tolist(), motion.errors.tolist(), strict=True
         ):
-            if not self._jump.observe(time, speed, error, config):
-                continue
-            begun_ns = self._to_ns(self._jump.begun)
-            self._jump.cancel()
-            self._jump.last_moving = time
-            onset = find_onset(
-                self.estimator,
-                begun_ns=begun_ns,
-                time_ns=self._to_ns(time),
-                height=height,
-                speed=speed,
-            )
-            if onset is not None:
-                return onset
+            self._jump.observe(time, config.direction * speed, error, config)
+            if self._jump.begun < math.inf and not is_tried:
+                onset, is_tried = find_onset(self.estimator, self._to_ns(self._jump.begun)), True
+                if onset is not None:
+                    return onset
         return None
 
     def _update_state(self, motion: PlateStates) -> None:
@@ -212,80 +196,54 @@ class PlateMonitor:
         )
 
 
-def find_onset(
-    estimator: PlateEstimator, *, begun_ns: int, time_ns: int, height: float, speed: float
-) -> Onset | None:
-    """Find the start of a plate that was fast at `begun_ns`, if it still rises a window later."""
+def longest_rise(config: MeasurementConfig) -> float:
+    """Return the longest time from a slow motion to the speed of a start [s]."""
+    return max(RISE / config.plate.frequency, 2.0 * config.rise_time)
+
+
+def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
+    """Find the start of a plate that was fast at `begun_ns`, if its motion is that of a start."""
     config = estimator.config
     window_ns = config.smoothing_window_ns
-    rest_ns = begun_ns - window_ns
-    rest = estimator.rest_before(rest_ns)
-    if rest is None or speed <= config.start_speed:
-        return None
-    since = time_since_start(height - rest.plate, speed, config.plate)
-    guess_ns = time_ns - round(since * SECOND)
-    onset_ns = find_start(estimator.samples(rest_ns), guess_ns, rest.plate, config)
-    if len(estimator.samples(onset_ns + 1, onset_ns + window_ns)) < FEWEST - 1:
-        return None
-    return _onset(estimator, onset_ns, rest)
-
-
-def _onset(estimator: PlateEstimator, onset_ns: int, rest: RestBaseline) -> Onset:
-    """Return an onset with enough samples of the rest before it for a fit."""
-    begin_ns = onset_ns - estimator.config.smoothing_window_ns
-    return Onset(
-        onset_ns=onset_ns,
-        rest=rest,
-        samples=tuple(to_samples(estimator.samples(begin_ns))),
-    )
-
-
-def find_engine_start(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
-    """
-    Find the start of a plate that was fast at `begun_ns`, if it moves like the engine so far.
-
-    The samples suffice one or two milliseconds after the start.
-    """
-    config, plate = estimator.config, estimator.config.plate
-    margin_ns = max(config.smoothing_window_ns, round(RISE / plate.frequency * SECOND))
+    margin_ns = max(window_ns, round(longest_rise(config) * SECOND))
     rest = estimator.rest_before(begun_ns - margin_ns)
     samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
     if rest is None or len(samples) < FEWEST:
         return None
     # a slow engine moves for many samples; a subset suffices
-    samples = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
-    acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
-    guess = Onset(
-        onset_ns=begun_ns - round(config.start_speed / acceleration * SECOND),
-        rest=rest,
-        samples=(),
-    )
-    estimate = EngineFit(config, guess).update(samples)
-    if estimate is None:
+    thinned = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
+    onset_ns, size = find_start(thinned, begun_ns, rest, config)
+    moved = estimator.samples(onset_ns + 1, estimator.complete_ns + 1)
+    if len(moved) < FEWEST - 1:
         return None
-    now = (int(samples['stamp_ns'][-1]) - estimate.start_ns) / SECOND
-    ratio = estimate.plate.amplitude / plate.amplitude
-    is_engine_like = 1.0 / MOST_AMPLITUDE < ratio < MOST_AMPLITUDE
-    if not is_engine_like or estimate.plate.velocity(now) < config.start_speed:
+    height, speed, _ = size * config.motion.states_at(seconds_since(onset_ns, moved)).T
+    if (config.direction * speed).max() < config.start_speed:
         return None
-    return _onset(estimator, estimate.start_ns, rest)
+    misfit = float(np.median(np.abs(moved['plate'] - rest.plate - height)))
+    if misfit > max(_MOST_MISFIT * config.plate.amplitude, OUTLIER_SIGMAS * rest.noise):
+        return None
+    before = estimator.samples(onset_ns - window_ns)
+    return Onset(onset_ns=onset_ns, rest=rest, samples=tuple(to_samples(before)))
 
 
-def time_since_start(height: float, speed: float, plate: Underdamped) -> float:
-    r"""
-    Return the time since the start of an underdamped plate of unknown amplitude.
-
-    The ratio of height [m] and speed [m/s] determines the time, at most that of the largest height
-    [s]: without damping it is :math:`\arctan(2 \pi f z / v) / \pi f`.
+def find_start(
+    samples: Rows, begun_ns: int, rest: RestBaseline, config: MeasurementConfig
+) -> tuple[int, float]:
     """
-    highest = math.pi / plate.exponent.imag
-    ratio = max(height, 0.0) / speed
-    if ratio == 0.0:
-        return 0.0
+    Return the start of a plate that was fast at `begun_ns` [ns], and its relative amplitude [-].
 
-    def excess(time: float) -> float:
-        return float(plate.position(time) - ratio * plate.velocity(time))
-
-    # before its largest speed, the plate has risen less than it would have at its present speed
-    low = min(ratio, plate.peak_velocity_time)
-    return float(scipy.optimize.brentq(excess, low, highest, xtol=1e-12))
+    Both are by least squares, in Gauss-Newton steps, with their expected errors as samples.
+    """
+    window = config.smoothing_window
+    since, heights = seconds_since(begun_ns, samples), samples['plate'] - rest.plate
+    start, size = -config.rise_time, 1.0
+    prior = np.array([1.0 / AMPLITUDE_ERROR, 1.0 / window]) ** 2
+    for _ in range(_START_STEPS):
+        height, speed, _ = config.motion.states_at(since - start).T
+        error = np.hypot(rest.noise, size * speed * config.stamp_error)
+        rows = np.stack((height, -size * speed)) / error
+        misfit = rows @ ((heights - size * height) / error) + prior * [1.0 - size, 0.0]
+        change = np.linalg.solve(rows @ rows.T + np.diag(prior), misfit)
+        size += float(change[0])
+        start += float(np.clip(change[1], -0.25 * window, 0.25 * window))
+    return begun_ns + round(start * SECOND), size

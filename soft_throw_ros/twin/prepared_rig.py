@@ -17,11 +17,16 @@ from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.cell_stepper import cells_per_layer, UPDATE_COST
 from soft_throw_ros.core.plate import motion_of
-from soft_throw_ros.core.rig import Engine, Rig
-from soft_throw_ros.core.stepper import EventLimitError, Stepper
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import (
+    EventLimitError,
+    PROJECTILE_FORCE,
+    PROJECTILE_VELOCITY,
+    Stepper,
+)
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import STEP_COST, steps_per_crossing
-from soft_throw_ros.twin.engine_forecast import EngineForecaster
+from soft_throw_ros.twin.plate_observer import ReleaseWeights
 from soft_throw_ros.twin.results import LayerState, State, ThrowField
 
 THROW_FIELD_ROWS = 200
@@ -36,18 +41,31 @@ THROW_FIELD_LENGTH = 1.5
 LONGEST_WINDOW = 0.2
 """Longest smoothing window in periods of the plate; longer ones hide the start. [-]"""
 
-CATCH_UP = 0.25
-"""Part of a step that a simulation of a measured throw from its start may take. [-]"""
 MOST_SHARE = 0.5
 """
-Share of a step that the stepper of a measured throw and its forks may take, in addition to
-`CATCH_UP` and the remaining work of a step. [-]
+Share of a step that the stepper of a measured throw and its forks may take, in addition to the
+remaining work of a step. [-]
 """
 RETURN_TIME = 0.1
 """Duration of the return to rest, unless the period of the throws is too short. [s]"""
 
 _REST = 1e-7
 """Largest height, velocity and acceleration of a commanded plate at rest. [m], [m/s], [m/s2]"""
+
+_JUMP = 1e-6
+"""Jump of the plate's velocity, so small that the layer is linear and stays compressed. [m/s]"""
+
+_CONTACT_GRAVITY = 9.81
+"""Least gravity that holds the projectile on the layer after `_JUMP`. [m/s2]"""
+
+_ANSWERS = 128
+"""Times in a throw at which the answer to `_JUMP` is known. [-]"""
+
+_LONGER = 1.3
+"""Latest release that is predicted, over the ejection time with the expected motion. [-]"""
+
+_NEAR = 0.01
+"""Time before the release at which the force shows its rate, over the ejection time. [-]"""
 
 _LONGEST_CONTACT = 4
 """Oscillation cycles in contact after which the projectile counts as never leaving. [-]"""
@@ -77,9 +95,8 @@ class PreparedRig:
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
-    # with a measured plate two, the first with the stepper
-    forked_steppers: tuple[ForkedStepper, ...] = ()
-    forecaster: EngineForecaster | None = None  # with a measured plate, if the projectile leaves
+    forked: ForkedStepper | None = None  # with a measured plate
+    release_weights: ReleaseWeights | None = None  # likewise
 
     @classmethod
     def from_config(cls, config: TwinConfig) -> PreparedRig:
@@ -94,7 +111,6 @@ class PreparedRig:
         """
         stepper = stepper_of(config)
         is_measured = config.is_measured
-        measured = (stepper, stepper_of(config)) if is_measured else ()
         path, motion = config.motion_file, config.rig.engine.motion
         return cls(
             config=config,
@@ -104,8 +120,8 @@ class PreparedRig:
             rest_layer=layer_of(stepper),
             peak_plate_speed=motion_of(config.rig.engine).peak_velocity,
             throw_field=None if is_measured else _throw_field(stepper),
-            forked_steppers=tuple(map(ForkedStepper.of, measured)),
-            forecaster=_forecaster(config) if is_measured else None,
+            forked=ForkedStepper.of(stepper) if is_measured else None,
+            release_weights=_release_weights(config) if is_measured else None,
         )
 
     @property
@@ -123,10 +139,13 @@ class PreparedRig:
         """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
         return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
 
-    @property
-    def catch_up(self) -> float:
-        """Time of the rig that a simulation from the start may advance in one step [s]."""
-        return CATCH_UP * self.tick / self.stepper.cost
+    @cached_property
+    def latest_release(self) -> float:
+        """Latest time of a release that a fork predicts in a step; 0 for none [s]."""
+        if self.release_weights is None:
+            return 0.0
+        time = _LONGER * self.release_weights.release_time
+        return time if self.stepper.cost * time <= MOST_SHARE * self.tick else 0.0
 
     def period_ticks(self, period: float) -> int:
         """Return the steps from one throw to the next: at least one to throw, one to return."""
@@ -185,20 +204,36 @@ def stepper_of(config: TwinConfig) -> Stepper:
     )
 
 
-def _forecaster(config: TwinConfig) -> EngineForecaster | None:
-    """Return a forecaster with the motion of the engine; None if the projectile does not leave."""
+def _release_weights(config: TwinConfig) -> ReleaseWeights:
+    """
+    Return the weights of the plate in the release; without one, in the speed after half a period.
 
-    def throw(engine: Engine) -> tuple[float, float] | None:
-        rig = dataclasses.replace(config.rig, engine=engine)
-        try:
-            stepper = stepper_of(dataclasses.replace(config, rig=rig, motion='underdamped'))
-        except ValueError:  # a neighbouring rig exceeds the limits of the stepper
-            return None
-        _ejection_time(stepper)
-        events = stepper.events()
-        return (events[0].time, events[0].velocity) if events else None
-
-    return EngineForecaster.of(config.rig.engine, throw, stepper_of(config))
+    By superposition they are the answers of the projectile to a small jump of the velocity.
+    """
+    nominal, rig = stepper_of(dataclasses.replace(config, motion='underdamped')), config.rig
+    _ejection_time(nominal)
+    release = nominal.events()[0] if nominal.event_count else None
+    end = 0.5 / rig.engine.frequency if release is None else release.time
+    nominal.reset()
+    nominal.advance_to((1.0 - _NEAR) * end)
+    force_rate = nominal.state[PROJECTILE_FORCE] / (_NEAR * end)
+    in_contact = dataclasses.replace(rig, gravity=max(rig.gravity, _CONTACT_GRAVITY))
+    stepper = make_stepper(in_contact, is_measured=True)
+    since = np.linspace(0.0, end, _ANSWERS)
+    stepper.append_plate_states(
+        [0.0, 2.0 * end], [[0.0, _JUMP, 0.0], [2.0 * _JUMP * end, _JUMP, 0.0]]
+    )
+    answers = []
+    for time in since.tolist():
+        stepper.advance_to(time)
+        answers.append(stepper.state[PROJECTILE_VELOCITY] / _JUMP)
+    rates = rig.projectile.mass / force_rate * np.gradient(answers, since)
+    peak_time = config.measurement.motion.peak_velocity_time
+    times = np.linspace(0.0, max(end, 1.1 * peak_time), _ANSWERS)
+    left = end - times
+    rows = [np.interp(left, since, row, left=0.0) for row in (answers, rates)]
+    expected = 0.0 if release is None else release.time
+    return ReleaseWeights(times, np.array([*rows, times < peak_time]), expected)
 
 
 def check_settings(settings: Settings, before: TwinConfig | None = None) -> TwinConfig:
@@ -251,7 +286,7 @@ def _require_playable(config: TwinConfig, lead: float) -> None:
     lead, rejects a last velocity, and drops the rest of a motion when the next one arrives.
     """
     path, motion, period = config.motion_file, config.rig.engine.motion, config.throw_period
-    if motion is None or config.time_scale != 1.0:
+    if motion is None or config.motion != 'file' or config.time_scale != 1.0:
         raise ValueError(
             "engine.command needs engine.motion 'file' and time_scale 1, "
             f'got {config.motion!r} and {config.time_scale:g}'

@@ -129,7 +129,6 @@ class Accuracy:
     The uncertainties of layer and projectile are not included, see `uncertainty.*`.
     """
 
-    basis: str  # 'engine' for a fit of the engine's motion, 'plate' for the smoothed plate
     is_certain: bool  # whether the plate cannot change the release any more
     release_time_error: float  # [s]
     ejection_speed_error: float  # [m/s]
@@ -150,8 +149,8 @@ class ThrowResult:
 
     Loads are the largest magnitudes up to the first release, or up to now before the release. The
     `stage` is 'predicted' before the first release of a measured plate: a first result comes when
-    the fit of the engine's motion is accurate enough, a second one when no later motion of the
-    plate can change the release. The stage is 'release' after the release, and 'final' when the
+    its speed is known well enough, a second one when no later motion of the plate can change the
+    release. The stage is 'release' after the release, and 'final' when the
     throw is over. `ended_by` is 'rest', 'max_events', 'period', 'duration' or 'reset'. With a
     measured plate it may also be 'next' (the plate jumps again), 'gap' (no samples for too long)
     or 'noise' (the samples scatter too much). The last two mark a throw that could not be

@@ -327,8 +327,6 @@ class ThrowCycle:
         tick = self._tick(step)
         was_released = bool(throw.events)
         outputs = throw.advance(tick, motion)
-        if self.monitor is not None and isinstance(throw, MeasuredThrow):
-            self.monitor.engine_is_nominal = throw.engine_is_nominal
         self._state = outputs.state
         self._rare_outputs.phases += tuple(
             (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events

@@ -21,6 +21,6 @@ def smooth(at, times, positions, *, window, position_noise):
         np.ascontiguousarray(values, dtype=np.float64) for values in (at, times, positions)
     ]
     count = series[0].size
-    states, errors, misfits = np.empty((count, 3)), np.empty(count), np.empty((count, 2))
-    fit_cubics(*series, 0.5 * window, states, errors, misfits)
+    states, errors = np.empty((count, 3)), np.empty(count)
+    fit_cubics(*series, 0.5 * window, states, errors)
     return Smoothed(states, position_noise * errors)

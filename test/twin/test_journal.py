@@ -144,7 +144,6 @@ def test_encoded_onsets_are_decoded(projectile) -> None:
     onset = Onset(
         onset_ns=10**18,
         rest=RestBaseline(plate=0.3, projectile=projectile, noise=5e-6, error=1e-6),
-        engine_is_nominal=False,
         clock_offset_ns=-7,
         samples=tuple(Sample(10**18 + 7 * k, 0.1 * k) for k in range(9)),
     )

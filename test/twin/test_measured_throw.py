@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -14,25 +13,24 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from numpy.typing import NDArray
 import pytest
 import rigs
-from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
-    Stepper,
-    TIME,
 )
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
-from soft_throw_ros.twin import prepared_rig
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import Run
 
+Floats = NDArray[np.float64]
 ONSET = 0.0512345
 MEASURED = {'engine__motion': 'measured'}
 
@@ -103,7 +101,7 @@ def test_release_is_predicted_more_than_a_crossing_ahead(quiet) -> None:
     assert first.is_ahead
     assert f'{1e3 * first.lead:.2f} ms' in lead_text(first)
     error = first.accuracy.ejection_speed_error
-    assert 1.96 * error < 0.01 * first.first.ejection_speed
+    assert error < 0.03 * first.first.ejection_speed
     assert certain.accuracy.ejection_speed_error < 0.5 * error
 
 
@@ -235,11 +233,9 @@ def test_rate_that_is_too_low_is_reported_with_its_value(rate, request_, reason)
     assert all(f'{rate:.0f} Hz' in text and reason in text for text in run.notices())
 
 
-@pytest.mark.parametrize(('rate', 'engine_is_nominal'), [(2500.0, True), (5000.0, False)])
-def test_outliers_are_ignored(rate, engine_is_nominal) -> None:
+@pytest.mark.parametrize('rate', [2500.0, 5000.0])
+def test_outliers_are_ignored(rate) -> None:
     run = Run(**MEASURED)
-    if not engine_is_nominal:  # the last throw was of another engine
-        run.measure(with_frequency(run.rig, 61.0), noise=5e-6, duration=0.2)
     begin_ns = run.schedule.deadline(run.session.step)
     samples = rigs.measured_throw(run.rig, begin_ns=begin_ns, rate=rate, noise=5e-6)
     since = [(sample.stamp_ns - begin_ns) / SECOND - 0.05 for sample in samples]
@@ -249,7 +245,6 @@ def test_outliers_are_ignored(rate, engine_is_nominal) -> None:
     run.send(samples)
     run.receive()
     release, exact = run.results('release')[-1], simulate(run.rig)
-    assert release.accuracy.basis == ('engine' if engine_is_nominal else 'plate')
     assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=0.05)
     assert release.first.ejection_time == pytest.approx(exact.ejection_time, abs=2e-4)
     assert release.accuracy.samples_left_out >= 2
@@ -307,23 +302,23 @@ def test_results_with_stated_stamp_errors_are_correct() -> None:
         )
         truth, start_ns = simulate(run.rig, max_events=1), run.begin_ns + 0.03 * SECOND
         results = [*run.results('predicted'), *run.results('release')]
-        assert [result.accuracy.basis for result in results] == ['engine'] * len(results)
         assert results[-1].stage == 'release'
         all_deviations += [deviations(result, truth, start_ns) for result in results]
     assert np.abs(all_deviations).max() < 4.0
     assert ((np.abs(all_deviations) < 1.96).mean(axis=0) > 0.85).all()
 
 
-def test_smoothed_throw_that_noise_may_release_is_invalid() -> None:
-    run = Run(**MEASURED, measured__stamp_error=1e-4)
-    for throw in (1, 2):  # the engine is another one
-        run.measure(with_frequency(run.rig, 55.0), noise=5e-6, seed=throw, duration=0.2)
+def test_throw_that_noise_may_release_is_invalid() -> None:
+    run = Run(**MEASURED)
+    for throw in (1, 2):  # stamps scatter by ten times of what is stated
+        change = partial(with_stamp_errors, error=1e-4, seed=throw)
+        run.measure(noise=5e-6, seed=throw, duration=0.2, change=change)
         run.session.reset()
         run.go(3)
         final = run.results('final')[-1]
         assert (final.throw, final.ended_by, final.is_valid) == (throw, 'noise', False)
         values = final.values()
-        assert not {'ejection_time', 'energy_transfer', 'accuracy.basis', 'lead'} & set(values)
+        assert not {'ejection_time', 'energy_transfer', 'accuracy.samples', 'lead'} & set(values)
         assert 'noisy' in throw_text(final)
     assert not run.results('release')
 
@@ -339,7 +334,6 @@ def test_throws_of_another_engine_are_followed_despite_stamp_errors() -> None:
         run.session.reset()
         run.go(3)
     assert [final.is_valid for final in run.results('final')] == [True] * 12
-    assert {result.accuracy.basis for result in run.results('release')} == {'plate'}
 
 
 def test_cause_of_a_residual_is_named_from_the_measurement() -> None:
@@ -369,37 +363,6 @@ def test_cause_of_a_residual_is_named_from_the_measurement() -> None:
     assert [('aged' in text) for text in texts] == [False, False, True]
 
 
-def test_simulations_of_a_throw_are_distributed_over_steps(
-    monkeypatch: pytest.MonkeyPatch
-) -> None:
-    advance_to, results = Stepper.advance_to, []
-    spent: Counter[tuple[int, int]] = Counter()  # by step and stepper [s]
-
-    def count(stepper: Stepper, time: float) -> int:
-        spent[run.session.step, id(stepper)] += time - float(stepper.state[TIME])
-        return advance_to(stepper, time)
-
-    for catch_up in (prepared_rig.CATCH_UP, 1e-3):
-        monkeypatch.setattr(prepared_rig, 'CATCH_UP', catch_up)
-        run = Run(**MEASURED)
-        run.send(rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6))
-        with monkeypatch.context() as patch:
-            patch.setattr(Stepper, 'advance_to', count)
-            run.go(60)
-        results.append((run.results('predicted'), max(spent.values())))
-        spent.clear()
-    (whole, most), (shared, least) = results
-    exact = simulate(Run(**MEASURED).rig)
-    for predictions in (whole, shared):
-        certain = predictions[-1]
-        assert certain.accuracy.is_certain
-        assert certain.is_ahead
-        error = certain.accuracy.ejection_speed_error
-        assert abs(certain.first.ejection_speed - exact.ejection_speed) < 3.0 * error
-    assert most > exact.ejection_time
-    assert least < 0.6 * most  # which is how far the forks go ahead
-
-
 def test_noise_that_hides_a_rest_is_reported_with_its_size() -> None:
     run = Run(**MEASURED)
     run.measure(noise=30e-6, onset=2.0, duration=0.8)
@@ -409,33 +372,80 @@ def test_noise_that_hides_a_rest_is_reported_with_its_size() -> None:
     assert scatter == pytest.approx(30.0, rel=0.25)
 
 
-def test_engine_with_large_residuals_is_not_used() -> None:
+@pytest.mark.parametrize('frequency', [55.0, 70.0])
+def test_another_engine_is_followed(frequency) -> None:
     run = Run(**MEASURED)
-    other = with_frequency(run.rig, 61.0)
-    for throw in (1, 2):
-        run.measure(other, noise=5e-6, seed=throw, duration=0.2)
-        run.session.reset()
-        assert run.results('release')[-1].accuracy.basis == 'plate'
-    assert [result.throw for result in run.results('predicted')].count(2) == 1
-    exact = simulate(other)
-    release = run.results('release')[-1]
-    assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=0.01)
-    assert release.first.ejection_time == pytest.approx(exact.ejection_time, rel=0.02)
-    for throw in (3, 4):  # throw 3 shows that the engine is right again
-        run.measure(noise=5e-6, seed=throw, duration=0.2)
-        run.session.reset()
-    bases = [result.accuracy.basis for result in run.results('release')]
-    assert bases == ['plate', 'plate', 'plate', 'engine']
-
-
-def test_engine_that_is_set_anew_is_used_at_once() -> None:
-    run = Run(**MEASURED)
-    other = with_frequency(run.rig, 61.0)
+    other = with_frequency(run.rig, frequency)
     run.measure(other, noise=5e-6, duration=0.2)
-    run.session.change({'engine.frequency': 61.0})
-    run.session.reset()
-    run.measure(other, noise=5e-6, seed=1, duration=0.2)
-    assert [result.accuracy.basis for result in run.results('release')] == ['plate', 'engine']
+    exact = simulate(other, max_events=1)
+    for result in (run.results('predicted')[-1], run.results('release')[-1]):
+        assert np.abs(deviations(result, exact, run.begin_ns + 0.05 * SECOND)).max() < 3.0
+        assert result.accuracy.ejection_speed_error < 0.01 * exact.ejection_speed
+
+
+def ramp(time: Floats) -> Floats:
+    """Return heights of a plate that accelerates to 0.72 m/s and brakes."""
+    heights = np.zeros_like(time)
+    for begin, change in ((0.0, 0.72), (7e-3, -0.72)):
+        u = (time - begin) / 4.5e-3
+        inside = np.clip(u, 0.0, 1.0)
+        share = 0.5 * inside**2 + (np.cos(2.0 * np.pi * inside) - 1.0) / (4.0 * np.pi**2)
+        heights += change * 4.5e-3 * (share + np.maximum(u - 1.0, 0.0))
+    return heights
+
+
+def test_commanded_motion_is_followed(tmp_path) -> None:
+    path, times = tmp_path / 'ramp.csv', np.linspace(0.0, 0.03, 301)
+    np.savetxt(path, np.stack((times, ramp(times)), axis=1), delimiter=',')
+    for seed in range(5):
+        run = Run(engine__motion_file=str(path), **MEASURED)
+        assert run.session.is_measured
+        run.measure(noise=5e-6, seed=seed, duration=0.08)
+        truth = simulate(run.rig, max_events=1)
+        first, certain = run.results('predicted')
+        assert first.lead > 3e-3
+        for result in (first, certain):
+            found = deviations(result, truth, run.begin_ns + 0.05 * SECOND)
+            assert np.abs(found).max() < 3.0
+    run.assert_repeated()
+
+
+def second_mode(time: Floats) -> Floats:
+    """Return a vibration of 1 % of the amplitude that the throw excites."""
+    since = np.maximum(time, 0.0)
+    return 2e-5 * np.exp(-40.0 * since) * np.sin(2.0 * np.pi * 310.0 * since)
+
+
+@pytest.mark.parametrize(
+    ('add', 'changes'),
+    [
+        (second_mode, {}),
+        (lambda time: 0.0 * time, {'frequency': 1.003, 'amplitude': 0.985}),
+    ],
+)
+def test_errors_hold_for_plates_that_are_no_nominal_engine(add, changes) -> None:
+    rig = Run(**MEASURED).rig
+    engine = replace(
+        rig.engine, **{name: getattr(rig.engine, name) * by for name, by in changes.items()}
+    )
+    times = np.arange(0.0, 0.03, 2e-5)
+    heights = Underdamped.of(engine).position(times) + add(times)
+    motion = SampledMotion.from_positions(times, heights)
+    other = replace(rig, engine=replace(engine, motion=motion))
+    truth, found, leads = simulate(other, max_events=1), [], []
+    for seed in range(20):
+        run = Run(**MEASURED)
+        onset = 0.05 + 1e-3 * seed / 20
+        run.measure(other, noise=5e-6, seed=seed, duration=0.07, onset=onset)
+        predictions = run.results('predicted')
+        leads.append(predictions[0].lead)
+        found += [
+            deviations(item, truth, run.begin_ns + onset * SECOND)
+            for item in (predictions[0], predictions[-1])
+        ]
+    assert ((np.abs(found) < 2.0).mean(axis=0) > 0.85).all()
+    assert np.abs(found).max() < 6.0
+    assert min(leads) > 1.5e-3
 
 
 def deviations_of_a_trial(seed, *, rate, outliers) -> tuple[float, list[Any]]:
@@ -488,10 +498,10 @@ def test_prediction_intervals_have_their_nominal_coverage() -> None:
         *(deviations_of_a_trial(seed, **kinds[seed % 2]) for seed in range(120)),
         strict=True,
     )
-    coverage = (np.abs(np.array(all_deviations)) < 1.96).mean(axis=0)
+    coverage = (np.abs(np.array(all_deviations)) < 2.0).mean(axis=0)
     assert (coverage >= 0.9).all()
-    # errors that are evenly likely between bounds never reach 1.96 of their standard deviations
-    np.testing.assert_allclose(np.sqrt(np.square(all_deviations).mean(axis=0)), 1.0, atol=0.15)
+    # errors are larger than these deviations, because nothing unmodelled accelerates the plate
+    assert (np.sqrt(np.square(all_deviations).mean(axis=0))[1] > 0.4).all()
     assert min(leads) > 1.5e-3
 
 

@@ -4,26 +4,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 import math
 
-from hypothesis import given
-from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.plate_estimator import Onset, SampleCounts
-from soft_throw_ros.twin.plate_monitor import PlateMonitor, time_since_start
+from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
 
 
-def detect(samples: list[Sample], *, engine_is_nominal: bool = False) -> tuple[Onset | None, int]:
+def detect(samples: list[Sample]) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
     monitor = PlateMonitor(MEASUREMENT, SampleCounts(), SensorChecks())
-    monitor.engine_is_nominal = engine_is_nominal
     for count, sample in enumerate(samples, 1):
         monitor.estimator.add_samples([sample], sample.stamp_ns)
         _, onset = monitor.advance(sample.stamp_ns)
@@ -36,18 +31,9 @@ def detect(samples: list[Sample], *, engine_is_nominal: bool = False) -> tuple[O
 def test_start_is_found_within_a_short_delay(start) -> None:
     onset, count = detect(make_samples(400, onset=start))
     assert onset is not None
-    assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(start, abs=5e-6)
+    assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(start, abs=2e-5)
     assert (onset.rest.plate, onset.rest.projectile) == pytest.approx((0.3, 0.5), abs=2e-6)
-    assert count * INTERVAL / SECOND < start + 3.5e-3
-
-
-def test_start_with_a_trusted_engine_is_found_after_a_millisecond() -> None:
-    for seed in range(5):
-        samples = make_samples(400, onset=0.03, noise=5e-6, seed=seed)
-        onset, count = detect(samples, engine_is_nominal=True)
-        assert onset is not None
-        assert count * INTERVAL / SECOND < 0.03 + 1.4e-3
-        assert (onset.onset_ns - BEGIN) / SECOND == pytest.approx(0.03, abs=3e-4)
+    assert count * INTERVAL / SECOND < start + 1.6e-3
 
 
 def test_slow_motion_and_downward_jumps_start_nothing() -> None:
@@ -69,19 +55,6 @@ def test_start_after_a_gap_needs_another_rest() -> None:
     assert detect(samples)[0] is not None
     del samples[120:150]  # up to 10 ms before it
     assert detect(samples)[0] is None
-
-
-@given(
-    zeta=st.floats(0.0, 0.99),
-    share=st.floats(0.01, 0.8),
-    amplitude=st.floats(1e-4, 1e-2),
-)
-def test_time_since_the_start_does_not_depend_on_the_amplitude(zeta, share, amplitude) -> None:
-    plate = Underdamped(frequency=63.2, amplitude=amplitude, damping_ratio=zeta)
-    since = share * plate.peak_velocity_time
-    reference = replace(plate, amplitude=1.0)
-    time = time_since_start(plate.position(since), plate.velocity(since), reference)
-    assert time == pytest.approx(since, rel=1e-6)
 
 
 def test_start_is_found_as_well_as_the_noise_allows() -> None:

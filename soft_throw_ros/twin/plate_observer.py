@@ -1,0 +1,383 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+r"""
+The observer of a measured plate in a throw: a Kalman filter and smoother.
+
+Notes
+-----
+The state is the difference :math:`e` of the plate from its expected motion, its rate, and the
+difference :math:`a` of the amplitude. The difference obeys the equation of motion of the engine,
+Eq. (D1) of the paper, with an unknown acceleration :math:`q`, which is white noise:
+
+.. math:: \ddot e + 2 \zeta \omega \dot e + \omega^2 (e - a) = q
+
+Around a commanded motion both :math:`\zeta` and :math:`\omega` are zero: the plate continues along
+the motion, shifted to its height and speed. Samples are smoothed in the form of Bryson and Frazier
+[1]_, which needs no inverse matrix. Ahead of the samples the filter predicts, which continues the
+motion.
+
+The speed and the time of the release and the largest speed of the plate depend linearly on the
+velocity of the plate. These three integrals are states of the filter too, so that their errors
+are those of the whole path, with all correlations.
+
+A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t`, which adds
+to the noise. A height is an outlier if it is six standard errors off; the third in a row shows
+that the plate moves in another way, and widens the errors of the state.
+
+References
+----------
+.. [1] G. J. Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 18
+   (1973) 65.
+
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.core.kernels import kernel, Record, subroutine
+from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
+from soft_throw_ros.twin.plate_estimator import Onset, state_spacing_ns
+from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
+
+Floats = NDArray[np.float64]
+
+UNMODELLED = 0.04
+"""
+Standard deviation of the change of the speed by unmodelled accelerations in the time 1 / omega,
+over the peak speed of the plate. A second mode of 1 % of the amplitude at 5 f is as large. [-]
+"""
+_COMMANDED = 0.2
+"""The same of a controlled plate around a commanded motion, over that of the engine. [-]"""
+AMPLITUDE_ERROR = 0.025
+"""Relative standard error of the amplitude before the throw. [-]"""
+_SETTLED = 0.5
+"""Age at which a smoothed state does not change any more, over the smoothing window. [-]"""
+_SPACING = 0.125
+"""Time between states of the continuation, over the smoothing window. [-]"""
+_COARSE = 4
+"""Weights of the release that the prediction of its errors passes in a step. [-]"""
+_AVERAGED = 16
+"""Innovations whose mean square shows that more than the stated noise acts. [-]"""
+_FIRST_RATIO = 0.5
+"""Mean square before the first ones, so small that chance rarely makes it larger than 1. [-]"""
+
+_STATES = 6
+"""Difference of height, of velocity, of amplitude, and the three integrals."""
+
+_MEMORY = np.dtype(
+    [
+        ('omega', 'f8'),  # of Eq. (D1) [1/s]
+        ('zeta', 'f8'),
+        ('unmodelled', 'f8'),  # spectral density of q [m2/s3]
+        ('wide', 'f8', (3,)),  # variances of a state of which nothing is known
+        ('time', 'f8'),  # since the start [s]
+        ('state', 'f8', (3,)),
+        ('covariance', 'f8', (_STATES, _STATES)),
+        ('in_a_row', 'i8'),  # outliers until now
+        ('outliers', 'i8'),
+        ('ratio', 'f8'),  # mean square of normalised innovations [-]
+    ],
+    align=True,
+)
+
+STEP = np.dtype(
+    [
+        ('time', 'f8'),
+        ('state', 'f8', (3,)),  # predicted
+        ('covariance', 'f8', (3, 3)),
+        ('gain', 'f8', (3,)),
+        ('pull', 'f8'),  # innovation over its variance
+    ],
+    align=True,
+)
+"""Record of a step of the filter, for the smoother."""
+
+
+class ReleaseErrors(NamedTuple):
+    """Standard errors of a release: of its time [s], and relative ones of speed and alpha [-]."""
+
+    time: float
+    speed: float
+    energy_transfer: float
+
+
+class ReleaseWeights(NamedTuple):
+    """
+    Weights of the velocity of the plate in a release.
+
+    A change of the velocity v by dv changes the speed of the release [m/s], its time [s] and the
+    peak speed [m/s] by the integrals of -dv dw over time, where w are the rows of `weights`.
+    """
+
+    times: Floats  # since the start, shape (n,) [s]
+    weights: Floats  # shape (3, n)
+    release_time: float  # expected, 0 for none [s]
+
+
+@subroutine
+def _transition(s: Record, h: float, f: Floats) -> None:
+    """Write the transition of difference, rate and amplitude over a time."""
+    turn = s.omega * math.sqrt(1.0 - s.zeta * s.zeta)
+    fading = math.exp(-s.zeta * s.omega * h)
+    sine = fading * (math.sin(turn * h) / turn if turn > 0.0 else h)
+    cosine = fading * math.cos(turn * h)
+    f[0, 0], f[0, 1] = cosine + s.zeta * s.omega * sine, sine
+    f[1, 0], f[1, 1] = -s.omega * s.omega * sine, cosine - s.zeta * s.omega * sine
+    f[0, 2], f[1, 2], f[2, 2] = 1.0 - f[0, 0], -f[1, 0], 1.0
+
+
+@subroutine
+def _predict(s: Record, time: float, axis: Floats, weights: Floats) -> None:
+    """Go on to a later time."""
+    h = time - s.time
+    f, g, m = np.eye(_STATES), np.eye(_STATES), np.zeros((_STATES, _STATES))
+    _transition(s, h, f)
+    for n in range(3):  # integrals by the trapezoid rule
+        w = weights[n]
+        weight = 0.5 * (np.interp(s.time, axis, w) - np.interp(time, axis, w))
+        for i in range(3):
+            f[3 + n, i] = weight * f[1, i]
+        f[3 + n, 1] += weight
+        g[3 + n, 1] = weight
+    m[0, 0], m[0, 1], m[1, 1] = h * h * h / 3.0, 0.5 * h * h, h
+    m[1, 0] = m[0, 1]
+    density = s.unmodelled * max(1.0, s.ratio) ** 2
+    s.covariance[:] = _sandwich(f, s.covariance) + density * _sandwich(g, m)
+    x0, x1, x2 = s.state[0], s.state[1], s.state[2]
+    for i in range(3):
+        s.state[i] = f[i, 0] * x0 + f[i, 1] * x1 + f[i, 2] * x2
+    s.time = time
+
+
+@subroutine
+def _sandwich(f: Floats, p: Floats) -> Floats:
+    """Return f p f^T; loops, because the last bits of a library depend on the alignment."""
+    size = f.shape[0]
+    half, out = np.zeros((size, size)), np.zeros((size, size))
+    for i in range(size):
+        for k in range(size):
+            if f[i, k] != 0.0:
+                for j in range(size):
+                    half[i, j] += f[i, k] * p[k, j]
+    for i in range(size):
+        for k in range(size):
+            if f[i, k] != 0.0:
+                for j in range(size):
+                    out[j, i] += half[j, k] * f[i, k]
+    return out
+
+
+@kernel
+def _filter(
+    memory: NDArray[np.void],
+    times: Floats,
+    differences: Floats,
+    variances: Floats,
+    axis: Floats,
+    weights: Floats,
+    steps: NDArray[np.void],
+) -> None:
+    """Go on to each time, and take the measured difference there, unless it is NaN."""
+    s = memory[0]
+    for n in range(times.size):
+        _predict(s, times[n], axis, weights)
+        p, step = s.covariance, steps[n]
+        error = differences[n] - s.state[0]
+        is_used = not np.isnan(error)
+        if is_used and error * error > OUTLIER_SIGMAS**2 * (p[0, 0] + variances[n]):
+            s.in_a_row += 1
+            s.outliers += 1
+            is_used = s.in_a_row >= MAX_OUTLIERS_IN_A_ROW
+            if is_used:
+                for i in range(3):
+                    p[i, i] += s.wide[i]
+        step.time, step.pull = times[n], 0.0
+        step.state[:], step.covariance[:], step.gain[:] = s.state, p[:3, :3], 0.0
+        if not is_used:
+            continue
+        s.in_a_row = 0
+        variance = p[0, 0] + variances[n]
+        step.pull = error / variance
+        gain = p[:, 0] / variance
+        step.gain[:] = gain[:3]
+        for i in range(3):
+            s.state[i] += gain[i] * error
+        for i in range(_STATES):
+            for j in range(_STATES):
+                p[i, j] -= gain[i] * gain[j] * variance
+        s.ratio += (error * step.pull - s.ratio) / _AVERAGED
+
+
+@kernel
+def _smooth(memory: NDArray[np.void], steps: NDArray[np.void], states: Floats) -> None:
+    """Write the smoothed states at all steps."""
+    later, now, f = np.zeros(3), np.zeros(3), np.zeros((3, 3))  # the adjoint state
+    for n in range(steps.size - 1, -1, -1):
+        step = steps[n]
+        now[:] = later
+        for i in range(3):
+            now[0] -= step.gain[i] * later[i]
+        now[0] -= step.pull
+        for i in range(3):
+            states[n, i] = step.state[i]
+            for j in range(3):
+                states[n, i] -= step.covariance[i, j] * now[j]
+        if n > 0:
+            _transition(memory[0], step.time - steps[n - 1].time, f)
+            for i in range(3):
+                later[i] = f[0, i] * now[0] + f[1, i] * now[1] + f[2, i] * now[2]
+
+
+@kernel
+def _coast(memory: NDArray[np.void], times: Floats, states: Floats) -> None:
+    """Write the states at later times without unknown accelerations."""
+    s, f = memory[0], np.zeros((3, 3))
+    for n in range(times.size):
+        _transition(s, times[n] - s.time, f)
+        for i in range(3):
+            states[n, i] = f[i, 0] * s.state[0] + f[i, 1] * s.state[1] + f[i, 2] * s.state[2]
+
+
+class PlateObserver:
+    """
+    The plate in a throw from its onset on, see the module.
+
+    Times are since the onset. States are rows of height above rest [m], velocity [m/s] and
+    acceleration [m/s2].
+    """
+
+    def __init__(
+        self, config: MeasurementConfig, onset: Onset, weights: ReleaseWeights
+    ) -> None:
+        plate = config.plate
+        self._config, self._onset = config, onset
+        self._expected = config.motion
+        self.next_ns = onset.onset_ns + 1  # time from which samples are not used yet [ns]
+        self._weights = weights
+        omega = 2.0 * math.pi * plate.frequency
+        speed, swing = plate.peak_velocity, plate.amplitude * omega
+        is_engine = isinstance(config.motion, Underdamped)
+        unmodelled = UNMODELLED if is_engine else _COMMANDED * UNMODELLED
+        relative = (
+            unmodelled,
+            2.0 * config.frequency_error / plate.frequency,
+            2.0 * config.damping_error,
+        )
+        memory = np.zeros(1, _MEMORY)
+        if is_engine:
+            memory['omega'], memory['zeta'] = omega, plate.damping_ratio
+        memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
+        memory['ratio'] = _FIRST_RATIO
+        memory['wide'] = plate.amplitude**2, swing**2, plate.amplitude**2
+        memory['covariance'][0][range(3), range(3)] = np.square(
+            [onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude]
+        )
+        self._memory = memory
+        self._steps = np.zeros(0, STEP)  # since the last settled state
+        self._spacing = 0.99 * state_spacing_ns(config) * 1e-9  # least, between states [s]
+        self._settled = -1.0  # time of the last settled state [s]
+        self._add(np.zeros(1), np.full(1, np.nan), np.zeros(1))
+
+    @property
+    def outliers(self) -> int:
+        """Number of outliers."""
+        return int(self._memory['outliers'][0])
+
+    @property
+    def newest(self) -> float:
+        """Time of the newest sample [s]."""
+        return float(self._memory['time'][0])
+
+    def add(self, rows: Rows) -> None:
+        """Add later samples."""
+        if not len(rows):
+            return
+        self.next_ns = int(rows['stamp_ns'][-1]) + 1
+        times = seconds_since(self._onset.onset_ns, rows)
+        expected = self._expected.states_at(times)
+        noise = np.hypot(self._onset.rest.noise, expected[:, 1] * self._config.stamp_error)
+        self._add(times, rows['plate'] - self._onset.rest.plate - expected[:, 0], noise**2)
+
+    def _add(self, times: Floats, differences: Floats, variances: Floats) -> None:
+        steps = _run(self._memory, self._weights, times, differences, variances)
+        self._steps = np.concatenate((self._steps, steps))
+
+    def motion(self, until: float) -> tuple[Floats, Floats, int]:
+        """
+        Return times and states by the samples, and their continuation up to a later time.
+
+        They begin after those that were settled in earlier calls. The number of those that are
+        settled now is the third result: they do not change any more.
+        """
+        smoothed = np.empty((len(self._steps), 3))
+        _smooth(self._memory, self._steps, smoothed)
+        chosen, last, newest = [], self._settled, self.newest
+        for n, time in enumerate(self._steps['time'].tolist()):
+            if time >= last + self._spacing or time == newest:
+                chosen.append(n)
+                last = time
+        times = self._steps['time'][chosen]
+        count = math.ceil((until - newest) / (_SPACING * self._config.smoothing_window))
+        later = newest + (until - newest) / max(count, 1) * np.arange(1, count + 1)
+        ahead = np.empty((later.size, 3))
+        _coast(self._memory, later, ahead)
+        settled = int((times <= newest - _SETTLED * self._config.smoothing_window).sum())
+        if settled:
+            self._settled = float(times[settled - 1])
+            self._steps = self._steps[self._steps['time'] > self._settled]
+        times = np.concatenate((times, later))
+        return times, self._states(times, np.concatenate((smoothed[chosen], ahead))), settled
+
+    def _states(self, times: Floats, differences: Floats) -> Floats:
+        """Return the states with differences from the expected motion."""
+        omega, zeta = self._memory['omega'][0], self._memory['zeta'][0]
+        e, rate, a = differences.T
+        states: Floats = self._expected.states_at(times)
+        states[:, :2] += differences[:, :2]
+        states[:, 2] += omega * (omega * (a - e) - 2.0 * zeta * rate)
+        if times.size and times[0] == 0.0:
+            # an onset that is too early must not pull the layer down
+            states[0, 1] = max(states[0, 1], 0.0)
+        return states
+
+    def errors(self, speed: float, peak_speed: float) -> ReleaseErrors:
+        """
+        Return the standard errors of a release with the given speeds [m/s].
+
+        Innovations that are larger than the stated noise explains make the errors larger.
+        """
+        memory, times = self._memory.copy(), self._weights.times[::_COARSE]
+        later = times[times > self.newest]
+        nothing = np.full(later.size, np.nan)
+        _run(memory, self._weights, later, nothing, nothing)
+        variances = memory['covariance'][0].diagonal()[3:] * max(1.0, float(memory['ratio'][0]))
+        speed_error, time_error, peak_error = np.sqrt(variances).tolist()
+        # errors of both speeds count as independent: another motion than expected makes them so
+        alpha = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
+        return ReleaseErrors(time_error, speed_error / abs(speed), alpha)
+
+
+def _run(
+    memory: NDArray[np.void],
+    weights: ReleaseWeights,
+    times: Floats,
+    differences: Floats,
+    variances: Floats,
+) -> NDArray[np.void]:
+    """Run the filter through measured differences; return its steps."""
+    steps = np.zeros(times.size, STEP)
+    _filter(memory, times, differences, variances, weights.times, weights.weights, steps)
+    return steps
+
+
+def warm_up() -> None:
+    """Compile or load the kernels."""
+    memory, steps = np.zeros(1, _MEMORY), np.zeros(1, STEP)
+    _filter(memory, np.ones(1), np.ones(1), np.ones(1), np.ones(1), np.ones((3, 1)), steps)
+    _smooth(memory, steps, np.empty((1, 3)))
