@@ -40,7 +40,6 @@ from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_t
 from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
@@ -92,11 +91,10 @@ class Twin(RealTimeNode):
             TWIN,
             self._on_changed,
             describe=self._describe_change,
-            check=check_settings,
+            check=self.prepare,
             arguments=arguments,
         )
         self._joints = joint_names(self.parameters.settings)
-        self.load_kernels(self.parameters.settings)
         self._serialize_command()
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
@@ -104,7 +102,9 @@ class Twin(RealTimeNode):
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
         self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
-        session = Session(self.parameters.settings, on_entry=self.on_entry)
+        session = Session(
+            self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
+        )
         self.measurement = Measurement(
             self, session, self._joints, now=lambda: self._current_clock().now()
         )
@@ -124,7 +124,7 @@ class Twin(RealTimeNode):
             interval=RECOMMENDATION_INTERVAL,
         )
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
-        self._worker.submit(self.parameters.checked)
+        self._worker.submit(self.parameters.checked.config)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)
         create_service(self, TWIN_SERVICES.apply_recommendation, self._on_apply_recommendation)
@@ -305,11 +305,11 @@ class Twin(RealTimeNode):
         self.session.change(changes, self.parameters.checked)
         if any(affects_recommendation(name) for name in changes):
             self.recommendation = None
-            self._worker.submit(self.parameters.checked)
+            self._worker.submit(self.parameters.checked.config)
 
     def _serialize_command(self) -> None:
         """Serialize the motion of a commanded plate in advance, which is too slow for a tick."""
-        config = self.parameters.checked
+        config = self.parameters.checked.config
         motion = config.rig.engine.motion
         if config.command_lead is not None and motion is not None:
             encode_command(0, motion, self._joints[0], frame_of(self))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-import dataclasses
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
 from soft_throw_ros.twin.plate_estimator import PlateStates
-from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig, stepper_of
+from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
@@ -209,20 +208,3 @@ class ScheduledThrow(OngoingThrow):
             return None
         self._has_shown_field = True
         return field._replace(start_ns=self._start_ns)
-
-
-def time_until_over(prepared: PreparedRig, elapsed: float, *, max_events: int) -> float:
-    """
-    Return the remaining time of a throw that has lasted for `elapsed`, by a second simulation.
-
-    The result is at most `LONGEST_THROW`, and exact to a millisecond or a tick. [s]
-    """
-    # the stepper of the rig is in use by the throw under way
-    another = dataclasses.replace(prepared, stepper=stepper_of(prepared.config))
-    throw = ScheduledThrow(another, number=0)
-    tick = max(prepared.tick, 1e-3)
-    ticks = 0
-    while not throw.ended_by:
-        ticks += 1
-        throw._go_to(ticks * tick, max_events)
-    return max(ticks * tick - elapsed, 0.0)
