@@ -82,6 +82,7 @@ class Twin(RealTimeNode):
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
+        self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -LINE_INTERVAL_NS
         self._logged_throws = 0
         self._rig_beyond_range: tuple[Rig, float] | None = None
@@ -116,10 +117,8 @@ class Twin(RealTimeNode):
         )
         self._worker = LatestOnlyWorker(
             self._recommend,
-            self._on_recommendation,
-            on_failure=lambda config, error: RecommendationState(
-                config=config, reason=f'the search has failed: {error!r}'
-            ),
+            self._on_uncertainty,
+            on_failure=self._on_failed_search,
             log=self.get_logger().error,
             interval=RECOMMENDATION_INTERVAL,
         )
@@ -166,16 +165,29 @@ class Twin(RealTimeNode):
         """Schedule the publication of a line of the journal."""
         self._run_in_executor(lambda: self.outgoing.send(TWIN_TOPICS.journal, line))
 
-    def _on_recommendation(self, recommended: RecommendationState) -> None:
-        self._run_in_executor(lambda: self._publish_recommendation(recommended))
-
     # Worker thread
 
-    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
-        """Wait until the kernels of the search are compiled, and return a recommendation."""
+    def _recommend(
+        self, config: TwinConfig, cancelled: Callable[[], bool]
+    ) -> tuple[Rig, dict[str, float]]:
+        """Publish a recommendation, and return a rig with the uncertainty of its throws."""
         while self.is_compiling and 'design' in missing_parts() and not cancelled():
             time.sleep(_COMPILING_POLL)
-        return recommend_for(config, cancelled)
+        recommended = recommend_for(config, cancelled)
+        if cancelled():
+            return config.rig, {}
+        self._run_in_executor(lambda: self._publish_recommendation(recommended))
+        return config.rig, uncertainty_values(config.rig, config.settings)
+
+    def _on_uncertainty(self, found: tuple[Rig, dict[str, float]]) -> None:
+        self._uncertainty = found
+
+    def _on_failed_search(
+        self, config: TwinConfig, error: Exception
+    ) -> tuple[Rig, dict[str, float]]:
+        state = RecommendationState(config=config, reason=f'the search has failed: {error!r}')
+        self._run_in_executor(lambda: self._publish_recommendation(state))
+        return config.rig, {}
 
     # Executor thread
 
@@ -192,7 +204,7 @@ class Twin(RealTimeNode):
         if outputs.phases:
             send(TWIN_TOPICS.phase, outputs.phases[-1].phase.value)
         if outputs.throw_field is not None:
-            field = outputs.throw_field
+            field = outputs.throw_field()
             send(TWIN_TOPICS.throw_field, field.start_ns, field.points)
             send(TWIN_TOPICS.throw_energies, field.start_ns, field.energies)
         for result in outputs.results:
@@ -202,10 +214,8 @@ class Twin(RealTimeNode):
         """Publish a result as one message, and the numbers of its first release, or NaN."""
         last, self._last_result = self._last_result, result
         send = self.outgoing.send
-        settings = self.parameters.settings
-        beside = {}
-        if not self.is_compiling:  # otherwise this process would compile their kernels, too
-            beside = uncertainty_values(result.rig, settings)
+        rig, uncertainty = self._uncertainty
+        beside = uncertainty if rig == result.rig else {}
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first

@@ -9,7 +9,6 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
-from zlib import crc32
 
 import numpy as np
 from soft_throw_ros.configuration import motions, Settings, TWIN
@@ -155,9 +154,8 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
             energies.append((time, *_energies(stepper)))
         stepper.read_layer(layer)
         strain[row] = layer[3]
-    checksum = crc32(strain.data, crc32(times.data))  # takes a tenth of a millisecond
     heights = np.linspace(0.0, stepper.rig.layer.thickness, FIELD_POINTS)
-    return ThrowField(times, heights, strain, np.array(energies), checksum, start_ns)
+    return ThrowField(times, heights, strain, np.array(energies), start_ns)
 
 
 def _energies(stepper: Stepper) -> tuple[float, float, float, float]:

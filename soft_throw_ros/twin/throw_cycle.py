@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import TypeAlias
@@ -95,7 +95,7 @@ class _RareOutputs:
     # with the time of each change [ns]; None for the deadline of the step
     phases: tuple[tuple[Phase, int | None], ...] = ()
     results: tuple[ThrowResult, ...] = ()
-    throw_field: ThrowField | None = None
+    throw_field: Callable[[], ThrowField] | None = None
     command: PlateCommand | None = None
 
 

@@ -80,8 +80,12 @@ class OngoingThrow(ABC):
         """
 
     @abstractmethod
-    def throw_field(self) -> ThrowField | None:
-        """Return the layer over time once, when it is known for long enough or the throw ends."""
+    def throw_field(self) -> Callable[[], ThrowField] | None:
+        """
+        Return the layer over time once, when it is known for long enough or the throw ends.
+
+        It is a function, which takes milliseconds and may be called in any thread.
+        """
 
     @abstractmethod
     def event_ns(self, event: Event, tick: Tick) -> int:
@@ -199,7 +203,7 @@ class ScheduledThrow(OngoingThrow):
             peak_plate_speed=self._prepared.peak_plate_speed,
         )
 
-    def throw_field(self) -> ThrowField | None:
+    def throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when that time has passed or the throw is over."""
         field = self._prepared.throw_field
         if self._has_shown_field or field is None:
@@ -207,4 +211,4 @@ class ScheduledThrow(OngoingThrow):
         if self._time < field.times[-1] and not self.ended_by:
             return None
         self._has_shown_field = True
-        return field._replace(start_ns=self._start_ns)
+        return partial(field._replace, start_ns=self._start_ns)

@@ -271,7 +271,7 @@ def test_throw_field_is_published_once_per_throw_with_its_start() -> None:
     run = Run()
     run.go(3100)
     shown = [(outputs.throw, outputs.throw_field) for outputs in run.outputs]
-    fields = [(throw, field) for throw, field in shown if field is not None]
+    fields = [(throw, field()) for throw, field in shown if field is not None]
     assert [throw for throw, _ in fields] == [1, 2, 3]
     assert [field.start_ns for _, field in fields] == [
         run.schedule.deadline(step) for step in run.starts()
