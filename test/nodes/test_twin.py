@@ -198,7 +198,7 @@ def test_latched_topics_reach_late_subscribers(thrown) -> None:
     result = msg_to_throw_result(late.hear(TWIN_TOPICS.throw_result)[0].status[0])
     assert result.first.energy_transfer == pytest.approx(3.6366, abs=1e-4)
     assert late.hear(TWIN_TOPICS.energy_transfer)[0].data == result.first.energy_transfer
-    (published,) = (out.throw_field() for out in thrown.twin.outputs if out.throw_field is not None)
+    (published,) = (out.throw_field() for out in thrown.twin.outputs if out.throw_field)
     (field,) = late.hear(TWIN_TOPICS.throw_field)
     t, y, strain = np.moveaxis(points_of(field), -1, 0)
     assert msg_to_time(field.header.stamp) == result.start_ns
