@@ -8,8 +8,7 @@ import math
 import os
 from pathlib import Path
 import re
-import subprocess
-from test.nodes.conftest import DrivenTwin, Listener, MILLISECOND, Ros, SECOND, TIMEOUT
+from test.nodes.conftest import DrivenTwin, Listener, MILLISECOND, Ros, SECOND
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -277,23 +276,6 @@ def test_diagnostics_report_the_timing(thrown) -> None:
     layer = status('layer')
     assert layer.level == DiagnosticStatus.OK
     assert msg_to_values(layer)['max_strain'] == 0.15
-
-
-def test_results_during_compilation_omit_values_that_need_kernels(
-    twin, listener, monkeypatch
-) -> None:
-    # Else the thread that hears signals would compile them, too
-    compiling = subprocess.Popen(['sleep', '60'])
-    monkeypatch.setattr(twin, '_compiling', compiling)
-    listener.listen(TWIN_TOPICS.throw_result)
-    assert listener.trigger(TWIN_SERVICES.throw).success
-    twin.go(100)
-    compiling.kill()
-    compiling.wait(TIMEOUT)
-    assert not twin.is_compiling
-    values = msg_to_values(listener.hear(TWIN_TOPICS.throw_result)[0].status[0])
-    assert values['energy_transfer'] == pytest.approx(3.6366, abs=1e-4)
-    assert not [name for name in values if name.startswith('uncertainty')]
 
 
 # services and parameters
