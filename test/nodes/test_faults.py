@@ -40,7 +40,7 @@ def system(request, start, tmp_path, monkeypatch):
         monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
         monkeypatch.setenv('ROS_STATIC_PEERS', '127.0.0.1')
-    return System(lambda _name, *command, **kwargs: start(*command, **kwargs), tmp_path)
+    return System(start, tmp_path)
 
 
 def kill(system, name):
