@@ -21,7 +21,7 @@ from soft_throw_ros.core.wave_stepper import WaveStepper
 
 pytest.importorskip('matplotlib', reason='the extra [plot]')
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402, I100
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 

@@ -239,24 +239,6 @@ def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
     assert lines('WARN') == []
 
 
-def test_log_begins_with_the_rig_and_ends_with_a_summary(ros, capfd) -> None:
-    twin = ros.node(DrivenTwin, ros_args=('-p', 'throw.period:=0.0', '-r', '__ns:=/rig1'))
-    for part in (
-        'gelatin_16.8mm', '16.8 mm', '7.8 m/s', '1.206 g', 'underdamped', '63.2 Hz', '2 mm',
-        '1000 Hz', '/rig1/twin/joint_states', 'throws on request',
-    ):
-        assert part in twin.describe_start()
-    client = ros.parameters(twin)
-    path = str(Path(__file__).parents[1] / 'data/reference_tracks.csv')
-    assert client.set(engine__motion_file=path) == ['']
-    assert path in twin.describe_start()
-    assert client.set(engine__motion='measured') == ['']
-    assert '/rig1/twin/measured_joint_states' in twin.describe_start()
-    twin.destroy_node()
-    printed = capfd.readouterr().err
-    assert re.search(r'stopped after 0 throws in [\d.]+ s, 0 ticks skipped', printed)
-
-
 def test_diagnostics_report_the_timing(thrown) -> None:
     thrown.parameters.set(layer__thickness=0.01)
 
@@ -410,16 +392,6 @@ def test_applied_changes_set_the_recommended_library_layer() -> None:
     name = recommendation.best.layer
     assert settings['layer.name'] == name != TWIN.defaults()['layer.name']
     assert library().layers[name].items() <= settings.items()
-
-
-@pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
-def test_changes_affect_varied_parameters_only(vary) -> None:
-    settings = {**TWIN.defaults(), 'recommendation.vary': vary}
-    recommendation = recommend_for(TwinConfig.from_settings(settings))
-    names = [name for name in ('thickness', 'wave_speed') if vary in (name, 'both')]
-    assert recommendation.changes() == {
-        f'layer.{name}': getattr(recommendation.best, name) for name in names
-    }
 
 
 def test_recommendation_leaves_a_processor_to_the_ticks(monkeypatch) -> None:
