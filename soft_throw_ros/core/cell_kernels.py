@@ -486,13 +486,24 @@ def _first_root(a, b, c, d):
 
 
 @subroutine
+def _earlier_strain(nodes, j, back):
+    """Compute the strain of a cell some time before the last step."""
+    stretch = _across(nodes, ROW.displacement, j) - back * _across(nodes, ROW.velocity, j)
+    return stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j]
+
+
+@subroutine
 def _compare_last_loads(s, nodes, fraction):
     """Update the maxima of strain and plate force at the first release, within the last step."""
     back, force = (1.0 - fraction) * s.step, s.on_plate_before
     for j in range(s.cells):
-        stretch = _across(nodes, ROW.displacement, j) - back * _across(nodes, ROW.velocity, j)
-        strain = abs(stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j])
+        strain = abs(_earlier_strain(nodes, j, back))
         nodes[ROW.peak_strain, j] = max(nodes[ROW.peak_strain, j], strain)
+    for end in range(2):
+        strain = _earlier_strain(nodes, s.edge_cells[end, 0], back)
+        inner = _earlier_strain(nodes, s.edge_cells[end, 1], back)
+        strain += s.edge_weights[end] * (inner - strain)
+        s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
     force += fraction * (s.on_plate_now - force)
     s.plate_force = max(s.plate_force, abs(force))
 

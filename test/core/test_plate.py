@@ -78,16 +78,6 @@ def test_invalid_samples_of_a_motion_are_refused_with_the_value(times, values, m
         SampledMotion.from_positions(times, values)
 
 
-@pytest.mark.parametrize(
-    ('name', 'bad'),
-    [('frequency', 0.0), ('amplitude', -1.0), ('damping_ratio', 1.0), ('frequency', math.nan)],
-)
-def test_underdamped_refuses_bad_numbers_and_quotes_them(name, bad):
-    values = {'frequency': 63.2, 'amplitude': 2e-3, 'damping_ratio': 0.064, name: bad}
-    with pytest.raises(ValueError, match=f'{name}.*got {bad}'):
-        Underdamped(**values)
-
-
 def test_scaled_motion_is_the_same_in_other_units():
     motion = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
     scaled = motion.scaled(time=2.0, height=3.0)

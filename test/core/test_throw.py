@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import Event, Stepper
+from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.core.throw import (
     ejections,
     simulate,
@@ -33,22 +33,6 @@ def test_projectile_reaches_its_predicted_apex():
     assert path.projectile_position.max() == pytest.approx(throw.apex_height, rel=1e-5)
     in_flight = path.time < throw.events[-1].time
     assert (path.projectile_position >= path.top_position - 1e-12)[in_flight].all()
-
-
-def test_events_of_a_long_throw_are_read_about_twice(monkeypatch):
-    """A projectile bounces thousands of times on a hard layer."""
-    read, events = [0], Stepper.events
-
-    def counted(stepper, *start):
-        new_events = events(stepper, *start)
-        read[0] += len(new_events)
-        return new_events
-
-    monkeypatch.setattr(Stepper, 'events', counted)
-    rig = Rig(engine=Engine(amplitude=3e-4), layer=Layer(thickness=2e-3), gravity=20.0)
-    throw = simulate(rig, max_events=3000)
-    assert len(throw.events) == 3000
-    assert read[0] <= 2.1 * len(throw.events)
 
 
 def test_fields_match_their_axes():
