@@ -11,9 +11,13 @@ from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throws import STRONG_GRAVITY
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion_design import MotionDesign
-from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.recommendation import Recommendation, TOLERATED_LOSS
+from soft_throw_ros.design.recommendation import (
+    MAX_STUCK_FRACTION,
+    Recommendation,
+    TOLERATED_LOSS,
+)
 from soft_throw_ros.design.requests import limits_of, RequestResult
+from soft_throw_ros.design.score import Limits
 from soft_throw_ros.design.uncertainty import PredictionUncertainty
 
 
@@ -45,16 +49,15 @@ def _recommendation_summary(
 ) -> str:
     """Describe the new layer, the gain of energy, the tolerances, and doubts."""
     if best.rig.layer == old:
-        text = (
-            f'no layer within the limits is better than the present one '
-            f'({score_name} {best.score:.2f})'
-        )
+        text = f'keep your layer: none within the limits is better ({score_name} {best.score:.2f})'
     else:
         now = f'{best.now_score:.2f} -> ' if best.now_score else ''
         text = (
-            f'{_changes(best, old, limits)}: {_gain(best.gain)} '
+            f'{_changes(best, old, limits)}: {_gain(best.gain)}{_excuse(best)} '
             f'({score_name} {now}{best.score:.2f})'
         )
+    if best.stuck_fraction > MAX_STUCK_FRACTION:
+        text = f'no release in {100.0 * best.stuck_fraction:.2g} % of all cases; {text}'
     text += (
         f'; +-{1e3 * best.tolerances["thickness"]:.2g} mm or '
         f'+-{best.tolerances["wave_speed"]:.2g} m/s costs {100.0 * TOLERATED_LOSS:g} %'
@@ -104,7 +107,16 @@ def _gain(gain: float) -> str:
         return f'{1.0 + gain:.3g} times the energy'
     if gain >= 0.0:
         return f'{100.0 * gain:.2g} % more energy'
-    return f'{-100.0 * gain:.2g} % less energy, because the present throw exceeds the limits'
+    return f'{-100.0 * gain:.2g} % less energy'
+
+
+def _excuse(best: Recommendation) -> str:
+    """Say why a layer is recommended that throws with less energy."""
+    if best.gain >= 0.0:
+        return ''
+    if best.now_stuck_fraction > MAX_STUCK_FRACTION:
+        return f', but the present layer has no release in {100.0 * best.now_stuck_fraction:.2g} %'
+    return ', because the present layer exceeds the limits'
 
 
 def _aim_summary(best: Aim, settings: Settings) -> str:

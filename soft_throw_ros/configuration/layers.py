@@ -46,7 +46,7 @@ STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_t
 
 _STACK = {'description', 'source', 'stack'}
 _MATERIAL = {'description', 'source', 'density', 'loss_tangent'}
-_OPTIONAL = {'wave_speed', 'youngs_modulus', 'thicknesses', 'diameter'}
+_OPTIONAL = {'wave_speed', 'youngs_modulus', 'thicknesses', 'diameter', 'is_ideal'}
 """Properties in a library: of a stack, of every material, and others of a material."""
 
 
@@ -60,6 +60,7 @@ class Material:
     loss_tangent: float  # at the frequency of the plate [-]
     thicknesses: tuple[float, ...] = ()  # available ones; empty if it is cast in any [m]
     diameter: float | None = None  # if there is only one [m]
+    is_ideal: bool = False  # without the loss of a real material, so not recommended
 
     @property
     def settings(self) -> dict[str, float | str]:
@@ -301,6 +302,7 @@ def _material(name: str, values: Mapping[str, Any]) -> Material:
         loss_tangent=_property(values, 'loss_tangent'),
         thicknesses=tuple(_bounded('thickness', item) for item in thicknesses),
         diameter=_property(values, 'diameter') if 'diameter' in values else None,
+        is_ideal=values.get('is_ideal') is True,
     )
 
 

@@ -18,8 +18,8 @@ from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import last_release, rig_with
-from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.score import Limits
 
 _MAX_AMPLITUDE = TWIN.by_name['engine.amplitude'].high
 """Amplitude at which the search ends. [m]"""

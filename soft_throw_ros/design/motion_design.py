@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
 from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.score import Limits
 
 
 @dataclass(frozen=True, kw_only=True)

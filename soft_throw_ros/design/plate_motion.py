@@ -58,7 +58,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Rig, Stack
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
 from soft_throw_ros.core.throws import SEARCH_CELLS
-from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.score import Limits
 
 Floats = NDArray[np.float64]
 

@@ -14,9 +14,10 @@ from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim, aim
 from soft_throw_ros.design.motion_design import design_motion, MotionDesign
-from soft_throw_ros.design.objective import Limits, OBJECTIVES
 from soft_throw_ros.design.plate_motion import PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
+from soft_throw_ros.design.score import Limits, OBJECTIVES
+from soft_throw_ros.design.uncertainty import Uncertainties
 
 RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
 
@@ -64,6 +65,7 @@ def solve_request(
         objective=OBJECTIVES[request['objective']](settings),
         limits=limits,
         materials=library(str(settings['layer.library'])).materials if is_from_library else None,
+        uncertainties=Uncertainties.from_settings(settings),
         cancelled=cancelled,
     )
 

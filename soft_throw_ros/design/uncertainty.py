@@ -21,6 +21,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import SEARCH_CELLS, throw_many
+from soft_throw_ros.core.throws import SEARCH_CELLS, throw_many, Throws
 
 Floats = NDArray[np.float64]
 
@@ -39,11 +40,18 @@ COVERAGE = 0.95
 _SAMPLE = 1000
 """Number of throws of a prediction."""
 
+_FEW = 200
+"""Number of throws that estimate a share without a release to 1 %."""
+
 _JUMP = 0.1
 """Gap without any throw that counts as a jump, in parts of the range of ejection times. [-]"""
 
 _ROOT = 1.1347241384015194
 """Root of x^6 = x + 1, for the five uncertain values."""
+
+
+CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
+"""All combinations of the largest errors of the five uncertain values, up and down."""
 
 
 class Variants(NamedTuple):
@@ -236,10 +244,7 @@ def prediction_uncertainty(
     (7.455, 7.846)
 
     """
-    uncertainties = uncertainties or Uncertainties()
-    variants = uncertainties.variants(rig, quasi_random_offsets(_SAMPLE))
-    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
-    throws = throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)
+    throws = _throws(rig, uncertainties or Uncertainties(), _SAMPLE, cancelled)
     is_released = throws.ejection_speed > 0.0
     if not is_released.any():
         raise ThrowUnresolvedError('the projectile does not leave within the uncertainties')
@@ -252,3 +257,29 @@ def prediction_uncertainty(
         jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
         stuck_fraction=1.0 - float(is_released.mean()),
     )
+
+
+def stuck_fraction(
+    rig: Rig, uncertainties: Uncertainties, *, cancelled: Cancelled | None = None
+) -> float:
+    """
+    Compute the share of the throws within the uncertainties without a release [-].
+
+    It is 0 if an uncertainty is as large as the uncertain value, because then nothing is known.
+    """
+    if rig.gravity == 0.0:
+        return 0.0
+    try:
+        throws = _throws(rig, uncertainties, _FEW, cancelled)
+    except ValueError:
+        return 0.0
+    return 1.0 - float((throws.ejection_speed > 0.0).mean())
+
+
+def _throws(
+    rig: Rig, uncertainties: Uncertainties, count: int, cancelled: Cancelled | None
+) -> Throws:
+    """Compute some throws all over the uncertainties."""
+    variants = uncertainties.variants(rig, quasi_random_offsets(count))
+    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
+    return throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)

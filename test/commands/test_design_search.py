@@ -13,8 +13,8 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Projectile, Rig
 from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import aim
-from soft_throw_ros.design.objective import Limits, robust, versatile
 from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.design.score import Limits, robust, versatile
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
 COMMAND = (design.main,)

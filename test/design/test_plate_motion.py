@@ -13,12 +13,12 @@ from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, Stack
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.motion_design import design_motion
-from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.plate_motion import (
     find_best_motion,
     PlateLimits,
 )
 from soft_throw_ros.design.prediction import predict
+from soft_throw_ros.design.score import Limits
 
 ENGINE, TIGHT = PlateLimits.of(Engine()), Limits(max_strain=1e-4)
 KNOWN = [
