@@ -20,7 +20,8 @@ from soft_throw_ros.commands.output import (
     CommandParser,
     print_result,
     slow_notice,
-    write_predictions,
+    strain_warnings,
+    write_columns,
     written_file,
 )
 from soft_throw_ros.configuration import motions
@@ -39,7 +40,6 @@ _LIMITS = ('plate_speed', 'plate_acceleration', 'plate_travel')
 
 def add_arguments(parser: CommandParser) -> None:
     """Add the arguments of the task."""
-    parser.usage = '%(prog)s [OPTION ...]'
     parser.add_json_option()
     parser.add_argument(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
@@ -88,7 +88,8 @@ def _lines(design: MotionDesign) -> Iterator[str]:
             'plate_acceleration': peaks.acceleration,
             'plate_travel': peaks.travel,
         }
-    yield from write_predictions(columns, design.rig.layer.linear_range)
+    yield from write_columns(columns)
+    yield from strain_warnings(design.rig.layer.linear_range, columns)
     if design.limits == PlateLimits.of(design.present.engine):
         yield (
             'The limits of the plate are those of the present motion; set others by '

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 
 from soft_throw_ros.configuration import Settings
@@ -18,7 +19,6 @@ from soft_throw_ros.design.recommendation import (
 )
 from soft_throw_ros.design.requests import limits_of, RequestResult
 from soft_throw_ros.design.score import Limits
-from soft_throw_ros.design.uncertainty import PredictionUncertainty
 
 
 def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
@@ -148,17 +148,17 @@ def motion_summary(design: MotionDesign) -> str:
     return text
 
 
-def uncertainty_text(uncertainty: PredictionUncertainty) -> str:
-    """Describe the intervals of a prediction."""
-    time, speed = uncertainty.ejection_time, uncertainty.ejection_speed
-    transfer = uncertainty.energy_transfer
-    text = (
-        f'{1e3 * time.low:.3f} to {1e3 * time.high:.3f} ms, '
-        f'{speed.low:.4f} to {speed.high:.4f} m/s, '
-        f'alpha {transfer.low:.3f} to {transfer.high:.3f}'
+def uncertainty_text(values: Mapping[str, float]) -> str:
+    """Describe the intervals of a prediction, given as `PredictionUncertainty.values`."""
+    scales = {'ejection_time': (1e3, '.3f'), 'ejection_speed': (1.0, '.4f'),
+              'energy_transfer': (1.0, '.3f')}
+    time, speed, transfer = (
+        ' to '.join(f'{scale * values[f"{name}.{end}"]:{digits}}' for end in ('low', 'high'))
+        for name, (scale, digits) in scales.items()
     )
-    if uncertainty.jumps:
+    text = f'{time} ms, {speed} m/s, alpha {transfer}'
+    if values['jumps']:
         text += ', with a jump between'
-    if uncertainty.stuck_fraction > 0.0:
-        text += f'; no release in {100.0 * uncertainty.stuck_fraction:.2g} % of all cases'
+    if values['stuck_fraction'] > 0.0:
+        text += f'; no release in {100.0 * values["stuck_fraction"]:.2g} % of all cases'
     return text

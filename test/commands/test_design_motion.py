@@ -29,7 +29,7 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     speed = float(command.row(printed, 'ejection speed V_e')[-1])
     assert float(command.row(printed, 'energy transfer alpha')[-1]) > 4.1
     assert all(path.stat().st_size > 1000 for path in files)
-    assert throw.main(['--motion', str(files[0]), '-p', 'gravity:=0']) == 0
+    assert throw.main(['--verbose', '--motion', str(files[0]), '-p', 'gravity:=0']) == 0
     assert float(command.row(capsys.readouterr().out, 'ejection speed V_e')[-2]) == speed
     # read by an independent parser
     types = get_typestore(Stores.ROS2_JAZZY).types

@@ -248,10 +248,7 @@ def test_limit_that_is_not_active_does_not_change_the_answer(gravity_ratio):
 
 def test_layer_that_may_hold_the_projectile_is_not_preferred():
     rig = heavy_rig(1.404, mass=3.96e-3)
-    limits = Limits(thickness_min=0.01, wave_speed_min=3.0, wave_speed_max=30.0)
-    free, safe = (
-        recommend(rig, limits=limits, uncertainties=item) for item in (NONE, Uncertainties())
-    )
+    free, safe = (recommend(rig, uncertainties=item) for item in (NONE, Uncertainties()))
     assert stuck_fraction(free.rig, Uncertainties()) > MAX_STUCK_FRACTION >= safe.stuck_fraction
     assert safe.now_score < safe.score < free.score
 
