@@ -11,7 +11,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throws import STRONG_GRAVITY
 from soft_throw_ros.design.aiming import Aim
-from soft_throw_ros.design.motion_design import MotionDesign
+from soft_throw_ros.design.motion import MotionDesign
 from soft_throw_ros.design.recommendation import (
     MAX_STUCK_FRACTION,
     Recommendation,

@@ -67,11 +67,6 @@ def run_command(
     args : list of str, optional
         Arguments; those of the process by default.
 
-    Raises
-    ------
-    SystemExit
-        With exit code 2 after printing an error.
-
     """
     arguments = parser.parse_args(args)
     try:

@@ -71,12 +71,6 @@ def read(
     is_required : bool
         Whether the file must have parameters of the node.
 
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read, has no parameters of the node, or has a refused value; the
-        message has the name of the file.
-
     """
     everything = read_file(path)
     sources = select(everything, node)
@@ -105,11 +99,6 @@ def start(
         Sources of the values, as far as they are known.
     table : Table
         Parameters of the node.
-
-    Raises
-    ------
-    ParameterError
-        If a value is refused; the message has the source.
 
     """
     requests: dict[int, dict[str, Value]] = {}
@@ -144,15 +133,7 @@ def is_foreign(name: str) -> bool:
 
 
 def read_arguments(arguments: Sequence[str]) -> list[Source]:
-    """
-    Return the sources in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`).
-
-    Raises
-    ------
-    ParameterError
-        If a file cannot be read; the message has its name.
-
-    """
+    """Return the sources in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`)."""
     sources: list[Source] = []
     order, in_file, inside = 0, True, False
     for flag, argument in pairwise(arguments):

@@ -105,11 +105,6 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
     materials : callable
         Returns the known materials; called only if a sheet names one.
 
-    Raises
-    ------
-    ParameterError
-        Quoting the sheet that is wrong.
-
     Examples
     --------
     >>> materials = library().materials
@@ -193,12 +188,6 @@ def library(path: str | Path = '') -> Library:
     path : path_like
         The other file, read again after a change; empty for the installed library only.
 
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read, or differs from the format in `config/layers.yaml`; the message
-        names file, material, value and rule.
-
     """
     if not str(path):
         return _library('', 0)
@@ -244,15 +233,7 @@ def _layers_of(material: Material) -> dict[str, Mapping[str, float | str]]:
 
 
 def whole(sheets: Sequence[Layer]) -> dict[str, float]:
-    """
-    Return the values of a whole stack by the names of their parameters.
-
-    Raises
-    ------
-    ParameterError
-        If the stack is too thin or too thick.
-
-    """
+    """Return the values of a whole stack by the names of their parameters."""
     stack = Stack(sheets=tuple(sheets))
     _, low, high = BOUNDS['thickness']
     if not low <= stack.thickness <= high:

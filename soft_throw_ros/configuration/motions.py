@@ -77,11 +77,6 @@ def read(path: str | Path) -> SampledMotion:
         file: the joint `plate` of its JointState messages, preferably measured ones, in the
         first throw.
 
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read or has no motion of a plate; the message has file and line.
-
     """
     name = str(path)
     try:

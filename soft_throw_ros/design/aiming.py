@@ -73,16 +73,6 @@ def aim(
     cancelled : callable, optional
         As for `throw_many`.
 
-    Raises
-    ------
-    ValueError
-        If not exactly one target is given, it is not positive, the plate moves by a file, or the
-        target is a height and there is no gravity.
-    ThrowUnresolvedError
-        If no amplitude reaches the target within the limits.
-    SearchCancelledError
-        If `cancelled` returns True.
-
     Notes
     -----
     With gravity the speed may jump where a later swing of the plate throws; the amplitude is

@@ -109,11 +109,6 @@ def check_axis(name: str, values: ArrayLike) -> Floats:
     values : array_like, shape (n,)
         Increasing. [SI]
 
-    Raises
-    ------
-    ValueError
-        If there is no such axis, or a value is not allowed.
-
     """
     if name not in AXES:
         raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
@@ -200,11 +195,6 @@ class Landscape:
         path : Path
             Name of the file.
 
-        Raises
-        ------
-        OSError
-            If the file cannot be written.
-
         """
         labels = {name.replace('.', '_'): AXES[name] for name in self.axes} | dict(RESULTS)
         arrays = [*self.axes.values(), *(getattr(self, name) for name in RESULTS)]
@@ -256,11 +246,6 @@ def compute_landscape(
     Returns
     -------
     Landscape
-
-    Raises
-    ------
-    ValueError
-        If an axis, a value or an option is refused.
 
     Notes
     -----

@@ -64,11 +64,6 @@ def predict(rig: Rig) -> PredictedThrow:
     rig : Rig
         Rig with any layer.
 
-    Raises
-    ------
-    ThrowUnresolvedError
-        If the projectile does not leave, or only after more crossings than are followed.
-
     Examples
     --------
     >>> throw = predict(Rig())

@@ -204,17 +204,6 @@ def recommend(
     Recommendation
         The present layer if no other is better, and the thinner one of equals.
 
-    Raises
-    ------
-    ValueError
-        If a choice is unknown, the layer is not of one material, or an uncertainty is as large as
-        its value.
-    ThrowUnresolvedError
-        If no throw with a layer within the limits can be computed: too many crossings, gravity
-        holds the projectile, or every layer exceeds strain or acceleration.
-    SearchCancelledError
-        If `cancelled` returns True.
-
     Notes
     -----
     The score is within 0.1 % of the best, as seen in random rigs, objectives and limits beside

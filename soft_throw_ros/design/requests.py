@@ -13,8 +13,7 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim, aim
-from soft_throw_ros.design.motion_design import design_motion, MotionDesign
-from soft_throw_ros.design.plate_motion import PlateLimits
+from soft_throw_ros.design.motion import design_motion, MotionDesign, PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
 from soft_throw_ros.design.score import Limits, OBJECTIVES
 from soft_throw_ros.design.uncertainty import Uncertainties
@@ -37,15 +36,9 @@ def solve_request(
     cancelled : callable, optional
         Called every few tenths of a second; returns whether to give up.
 
-    Raises
-    ------
-    ValueError
-        If the request is impossible; the message has the reason.
-    SearchCancelledError
-        If `cancelled` returns True.
-
     """
     rig, request, limits = rig or rig_of(settings), _request(settings), limits_of(settings)
+    uncertainties = Uncertainties.from_settings(settings)
     if request['objective'] == 'aim':
         height, speed = request['target_height'] or None, request['target_speed'] or None
         return aim(rig, height=height, speed=speed, limits=limits, cancelled=cancelled)
@@ -57,7 +50,9 @@ def solve_request(
             )
         now = vars(PlateLimits.of(rig.engine))
         plate = PlateLimits(**{name: request.get(f'plate_{name}') or now[name] for name in now})
-        return design_motion(rig, plate, limits=limits, cancelled=cancelled)
+        return design_motion(
+            rig, plate, limits=limits, uncertainties=uncertainties, cancelled=cancelled
+        )
     is_from_library = request['vary'] == 'library'
     return recommend(
         rig,
@@ -65,7 +60,7 @@ def solve_request(
         objective=OBJECTIVES[request['objective']](settings),
         limits=limits,
         materials=library(str(settings['layer.library'])).materials if is_from_library else None,
-        uncertainties=Uncertainties.from_settings(settings),
+        uncertainties=uncertainties,
         cancelled=cancelled,
     )
 

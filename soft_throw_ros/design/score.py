@@ -42,11 +42,6 @@ class Limits:
     max_acceleration : float
         Largest magnitude of the projectile's acceleration. [m/s2]
 
-    Raises
-    ------
-    ValueError
-        If a limit is not positive, or a smallest one is not below the largest.
-
     """
 
     thickness_min: float = 1e-3
@@ -148,11 +143,6 @@ class Score:
     cells, cancelled : optional
         Arguments of `throw_many`.
 
-    Raises
-    ------
-    ValueError
-        If an uncertainty is as large as the uncertain value.
-
     """
 
     def __init__(
@@ -195,11 +185,6 @@ class Score:
         ndarray, shape (n,)
             0 for layers that throw nothing or exceed a limit; where the score is below `needed`,
             any number between them. [-]
-
-        Raises
-        ------
-        SearchCancelledError
-            If `cancelled` returns True.
 
         """
         layers = np.broadcast_arrays(*np.atleast_1d(thickness, wave_speed))

@@ -100,11 +100,6 @@ class Uncertainties:
     frequency, damping_ratio : float
         Standard errors of the plate. [Hz], [-]
 
-    Raises
-    ------
-    ValueError
-        If a value is negative or not finite, or `mass` is not below 1.
-
     References
     ----------
     .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
@@ -137,11 +132,6 @@ class Uncertainties:
             The nominal rig.
         offsets : ndarray, shape (n, 5)
             Offsets from -1 to 1, in the order of the fields. [-]
-
-        Raises
-        ------
-        ValueError
-            If an uncertainty is as large as the value.
 
         """
         for name, uncertain in (
@@ -227,15 +217,6 @@ def prediction_uncertainty(
         The nominal rig, and a callback as for `throw_many`.
     uncertainties : Uncertainties, optional
         Uncertainties of the rig; by default those of the paper.
-
-    Raises
-    ------
-    ValueError
-        If an uncertainty is as large as the uncertain value.
-    ThrowUnresolvedError
-        If the projectile does not leave in any of the throws.
-    SearchCancelledError
-        If `cancelled` returns True.
 
     Examples
     --------
