@@ -7,7 +7,7 @@ from __future__ import annotations
 from soft_throw_ros.commands import design_map, design_motion, design_search
 from soft_throw_ros.commands.output import CommandParser, run_command
 
-_TASKS = {
+TASKS = {
     'recommend': (
         design_search.add_recommend_arguments, design_search.run_recommend, 'recommend a layer',
     ),
@@ -28,7 +28,7 @@ def main(args: list[str] | None = None) -> int:
     """Run the task named by the first argument with the other arguments; return its exit code."""
     parser = CommandParser(description=__doc__)
     tasks = parser.add_subparsers(dest='task', metavar='TASK', required=True)
-    for name, (add_arguments, run, purpose) in _TASKS.items():
+    for name, (add_arguments, run, purpose) in TASKS.items():
         task = tasks.add_parser(name, help=purpose, description=f'{purpose.capitalize()}.')
         task.usage = '%(prog)s [OPTION ...]'
         add_arguments(task)

@@ -22,19 +22,7 @@ from soft_throw_ros.design.score import Limits
 
 
 def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
-    """
-    Describe an answer in a sentence.
-
-    Parameters
-    ----------
-    best : Recommendation, Aim or MotionDesign
-        The answer to the settings.
-    rig : Rig
-        The present rig.
-    settings : mapping of str to value
-        Complete settings of the twin.
-
-    """
+    """Describe the answer to the settings of a present rig in a sentence."""
     if isinstance(best, Aim):
         return _aim_summary(best, settings)
     if isinstance(best, MotionDesign):

@@ -54,20 +54,7 @@ def run_command(
     run: Callable[[argparse.Namespace], int],
     args: list[str] | None = None,
 ) -> int:
-    """
-    Parse the arguments of a command and run it.
-
-    Parameters
-    ----------
-    parser : CommandParser
-        Parser of the command.
-    run : callable
-        Function that runs the command and returns the exit code. A ValueError from it is
-        reported as an error of usage.
-    args : list of str, optional
-        Arguments; those of the process by default.
-
-    """
+    """Parse the arguments of a command and run it; a ValueError is reported as one of usage."""
     arguments = parser.parse_args(args)
     try:
         return run(arguments)
@@ -234,14 +221,9 @@ _ROWS = (
 
 def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator[str]:
     """
-    Yield the lines of a table of throws; rows without numbers are omitted.
+    Yield the lines of a table of throws by their heads; rows without numbers are omitted.
 
-    Parameters
-    ----------
-    columns : mapping of str to mapping or None
-        Numbers by their keys, under column heads; words of a head that are joined by `_` are
-        written below each other.
-
+    Words of a head that are joined by `_` are written below each other.
     """
     words = [head.split('_') for head in columns]
     for heads in itertools.zip_longest(*words, fillvalue=''):

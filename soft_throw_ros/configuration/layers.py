@@ -98,13 +98,6 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
     A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
     tangent, in SI units.
 
-    Parameters
-    ----------
-    text : str
-        The sheets.
-    materials : callable
-        Returns the known materials; called only if a sheet names one.
-
     Examples
     --------
     >>> materials = library().materials
@@ -183,11 +176,7 @@ def library(path: str | Path = '') -> Library:
     """
     Return the installed library, with the materials of another file added.
 
-    Parameters
-    ----------
-    path : path_like
-        The other file, read again after a change; empty for the installed library only.
-
+    The other file is read again after a change.
     """
     if not str(path):
         return _library('', 0)

@@ -62,16 +62,8 @@ def aim(
     """
     Find the smallest amplitude that reaches a height or a speed.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig; its amplitude is not used.
-    height, speed : float, optional
-        Rise of the projectile above its rest position [m], or speed at the last release [m/s].
-    limits : Limits, optional
-        Largest strain and acceleration; `core.material.LARGEST_STRAIN` is never exceeded.
-    cancelled : callable, optional
-        As for `throw_many`.
+    The height [m] is above the rest position, the speed [m/s] that of the last release. Besides
+    the limits of strain and acceleration, `LARGEST_STRAIN` is never exceeded.
 
     Notes
     -----
@@ -89,9 +81,7 @@ def aim(
             f'give either a height or a speed as target, got height {height}, speed {speed}'
         )
     if rig.engine.motion:
-        raise ValueError(
-            'aiming needs a plate whose amplitude can be set, got a motion from a file'
-        )
+        raise ValueError('aiming needs a plate without a motion file, whose amplitude can be set')
     if height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
     target = checks.require_positive('target', speed if height is None else height)

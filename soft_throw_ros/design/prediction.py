@@ -59,11 +59,6 @@ def predict(rig: Rig) -> PredictedThrow:
     """
     Predict one throw of a rig.
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig with any layer.
-
     Examples
     --------
     >>> throw = predict(Rig())

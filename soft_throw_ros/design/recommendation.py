@@ -55,29 +55,19 @@ _ALTERNATIVES = ('now', 'by_thickness', 'by_wave_speed')
 
 
 class BestRatios(NamedTuple):
-    r"""Mass ratio, speed ratio, and their release without gravity and loss [-]."""
+    r""":math:`\zeta, \mu, \kappa`, and the release without gravity and loss [-]."""
 
     damping_ratio: float
-    r"""Damping ratio of the plate, :math:`\zeta`."""
     mass_ratio: float
-    r"""Mass of the projectile over that of the layer, :math:`\mu`."""
     speed_ratio: float
-    r"""Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`."""
     ejection_phase: float
-    """Ejection time in plate periods, :math:`t_e f`."""
     energy_transfer: float
-    r"""Energy transfer, :math:`\alpha`."""
 
 
 @functools.lru_cache(maxsize=64)
 def best_ratios(damping_ratio: float) -> BestRatios:
     r"""
     Find the mass and speed ratio that transfer the most energy without limits.
-
-    Parameters
-    ----------
-    damping_ratio : float
-        Damping ratio of the plate, :math:`\zeta`. [-]
 
     Notes
     -----
@@ -255,7 +245,8 @@ def recommend(
             if (share := stuck_fraction_of(other)) <= MAX_STUCK_FRACTION:
                 best, stuck = other, share
                 break
-    now_score = search._replace(limits=Limits()).evaluate(present.space, rig).score
+    score = Score(rig, search.objective, cancelled=cancelled)
+    now_score = float(score(rig.layer.thickness, rig.layer.wave_speed)[0])
     throws = {name: predict(items[0].rig) for name, items in by.items() if items}
     return Recommendation(
         **vars(predict(best.rig)),

@@ -25,17 +25,10 @@ def solve_request(
     settings: Settings, *, rig: Rig | None = None, cancelled: Cancelled | None = None
 ) -> RequestResult:
     """
-    Recommend a layer or a motion, or aim, by the settings of the request.
+    Recommend a layer or a motion, or aim, by the complete settings of the twin.
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin; the rig, `recommendation.*` and `uncertainty.*` are used.
-    rig : Rig, optional
-        The rig that the settings describe, if it exists already.
-    cancelled : callable, optional
-        Called every few tenths of a second; returns whether to give up.
-
+    `rig` is the rig that the settings describe, if it exists already. A ValueError has the reason
+    why a request is impossible; SearchCancelledError follows when `cancelled` returns True.
     """
     rig, request, limits = rig or rig_of(settings), _request(settings), limits_of(settings)
     uncertainties = Uncertainties.from_settings(settings)

@@ -91,26 +91,17 @@ class Uncertainties:
     """
     Largest errors of a rig, up or down; the defaults are those of [1]_.
 
-    Parameters
-    ----------
-    wave_speed, thickness : float
-        Standard errors of the layer. [m/s], [m]
-    mass : float
-        Relative error of the projectile's mass; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm. [-]
-    frequency, damping_ratio : float
-        Standard errors of the plate. [Hz], [-]
-
     References
     ----------
     .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
 
     """
 
-    wave_speed: float = 0.3
-    thickness: float = 0.1e-3
-    mass: float = 0.01
-    frequency: float = 0.1
-    damping_ratio: float = 0.003
+    wave_speed: float = 0.3  # of the layer [m/s]
+    thickness: float = 0.1e-3  # [m]
+    mass: float = 0.01  # relative; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm [-]
+    frequency: float = 0.1  # of the plate [Hz]
+    damping_ratio: float = 0.003  # [-]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -123,17 +114,7 @@ class Uncertainties:
         return cls(**{item.name: settings[f'uncertainty.{item.name}'] for item in fields(cls)})
 
     def variants(self, rig: Rig, offsets: Floats) -> Variants:
-        """
-        Return n throws of rigs with errors, given as shares of the uncertainties.
-
-        Parameters
-        ----------
-        rig : Rig
-            The nominal rig.
-        offsets : ndarray, shape (n, 5)
-            Offsets from -1 to 1, in the order of the fields. [-]
-
-        """
+        """Return throws of rigs with errors: shares from -1 to 1, shape (n, 5), as the fields."""
         for name, uncertain in (
             ('thickness', rig.layer.thickness),
             ('wave_speed', rig.layer.wave_speed),
@@ -209,14 +190,7 @@ def prediction_uncertainty(
     cancelled: Cancelled | None = None,
 ) -> PredictionUncertainty:
     """
-    Compute the intervals of the first release of a throw.
-
-    Parameters
-    ----------
-    rig, cancelled
-        The nominal rig, and a callback as for `throw_many`.
-    uncertainties : Uncertainties, optional
-        Uncertainties of the rig; by default those of the paper.
+    Compute the intervals of the first release, by default with the uncertainties of the paper.
 
     Examples
     --------

@@ -22,27 +22,19 @@ def cliff(thickness, wave_speed, _needed=0.0):
 
 
 @pytest.mark.parametrize('top', [(0.02, 9.0), (2.3e-3, 41.0)])
-def test_top_of_a_hill_is_found(top):
+def test_narrow_hill_that_is_higher_than_a_wide_one_is_found(top):
     def score(*layers):
-        return hill(*layers, top=top)
+        return np.maximum(0.95 * hill(*layers), hill(*layers, top=top, width=0.15))
 
-    best = maximise(score, LAYERS, step=0.1)
+    best = maximise(score, LAYERS, step=0.06)
     assert best[:2] == pytest.approx(top, rel=1e-4)
-    assert best.score == pytest.approx(1.0, rel=1e-8)
+    assert best.score == pytest.approx(1.0, rel=1e-7)
 
 
 def test_edge_of_a_cliff_is_found_from_above():
     best = maximise(cliff, LAYERS, step=0.1)
     assert best.score == pytest.approx(1.0, rel=1e-3)
     assert best.wave_speed / best.thickness < 500.0
-
-
-def test_narrow_hill_that_is_higher_than_a_wide_one_is_found():
-    def score(*layers):
-        wide = 0.95 * hill(*layers)
-        return np.maximum(wide, hill(*layers, top=(4e-3, 30.0), width=0.15))
-
-    assert maximise(score, LAYERS, step=0.06)[:2] == pytest.approx((4e-3, 30.0), rel=1e-4)
 
 
 @pytest.mark.parametrize('fixed', [0, 1])
