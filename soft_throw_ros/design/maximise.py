@@ -127,9 +127,11 @@ def maximise(
 
     def at(points: Floats, needed: Floats | float = 0.0) -> Floats:
         """Compute scores at points, the logarithms of thickness and wave speed."""
-        columns = (np.clip(np.exp(points[..., i].ravel()), *box[i]) for i in range(2))
+        thickness, wave_speed = (
+            np.clip(np.exp(points[..., i].ravel()), *box[i]) for i in range(2)
+        )
         needed = np.broadcast_to(needed, points.shape[:-1]).ravel()
-        return score(*columns, needed).reshape(points.shape[:-1])
+        return score(thickness, wave_speed, needed).reshape(points.shape[:-1])
 
     axes = [np.linspace(low[i], high[i], sizes[i]) for i in range(2)]
     grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)

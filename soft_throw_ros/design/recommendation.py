@@ -278,8 +278,8 @@ def _tolerances(
         for _ in range(3):  # each time between the last one that is tolerated and the next one
             values[name] = getattr(layer, name) * (1.0 + np.append(-changes, changes))
             is_bad = (score(**values, needed=least) < least).reshape(2, -1).any(axis=0)
-            last = int(is_bad.argmax()) - 1 if is_bad.any() else changes.size - 2
-            changes = np.linspace(*changes[[max(last, 0), max(last, 0) + 1]], 9)
+            last = max(int(is_bad.argmax()) - 1, 0) if is_bad.any() else changes.size - 2
+            changes = np.linspace(changes[last], changes[last + 1], 9)
         tolerances[name] = getattr(layer, name) * float(changes[0])
     return tolerances
 

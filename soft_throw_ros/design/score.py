@@ -187,12 +187,12 @@ class Score:
             any number between them. [-]
 
         """
-        layers = np.broadcast_arrays(*np.atleast_1d(thickness, wave_speed))
-        scores = np.full(layers[0].shape, math.inf)
+        thickness, wave_speed = np.broadcast_arrays(*np.atleast_1d(thickness, wave_speed))
+        scores = np.full(thickness.shape, math.inf)
         for variants in map(self._order.__getitem__, _STAGES):
             rows = np.flatnonzero(scores >= needed)
             if variants.size and rows.size:
-                transfers = self._transfers(*(item[rows] for item in layers), variants)
+                transfers = self._transfers(thickness[rows], wave_speed[rows], variants)
                 scores[rows] = np.minimum(scores[rows], transfers.min(axis=1))
         if variants.size and rows.size:  # begin with the throw that is most often the worst
             worst = np.bincount(variants[transfers.argmin(axis=1)], minlength=self._order.size)
