@@ -67,13 +67,6 @@ def test_json_has_everything_in_si(command):
     assert np.ptp(np.array(motion['rig']['engine']['motion']['states'])[:, 0]) <= 0.0100001
 
 
-@pytest.mark.parametrize(('law', 'is_warned'), [('linear', True), ('neo_hookean', False)])
-def test_table_warns_beyond_the_linear_range_of_the_law_only(command, law, is_warned):
-    law = ('-p', f'layer.stress_strain_law:={law}')
-    printed = command.run(*QUICK, *law, '--amplitude', '3e-3')
-    assert ('leaves the linear range (now, best motion' in printed) is is_warned
-
-
 @pytest.mark.slow
 def test_recorded_motion_is_improved(command):
     printed = command.run(*QUICK, '--motion', DATA / 'reference_tracks.csv')
