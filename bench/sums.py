@@ -16,8 +16,8 @@ from soft_throw_ros.core.closed_form import first_release, first_releases
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.core.wave_stepper import WaveStepper
-from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.recommendation import recommend
+from soft_throw_ros.design.score import Limits
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
 

@@ -138,8 +138,6 @@ def _read_axis(text: str) -> tuple[str, Floats]:
 
 def _summary(landscape: Landscape) -> Iterator[str]:
     """Describe the largest energy transfer and its position in a few lines."""
-    size = ' x '.join(str(values.size) for values in landscape.axes.values())
-    yield f'{size} throws, {landscape.release} release'
     optimum = landscape.optimum
     if optimum is None:
         yield 'the projectile is released nowhere on the map'
@@ -152,9 +150,9 @@ def _summary(landscape: Landscape) -> Iterator[str]:
             f'largest alpha {optimum.energy_transfer:.4f} at {position}; '
             f't_e f {optimum.ejection_phase:.4f}'
         )
+    size = ' x '.join(str(values.size) for values in landscape.axes.values())
     lost = int(np.isnan(landscape.energy_transfer).sum())
-    if lost:
-        yield f'{lost} throws without a release, or with one that cannot be resolved'
+    yield f'{size} throws, {landscape.release} release; {lost} have none that can be resolved'
 
 
 def _shown_axis(name: str) -> tuple[str, float]:

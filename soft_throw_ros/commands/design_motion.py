@@ -20,15 +20,15 @@ from soft_throw_ros.commands.output import (
     CommandParser,
     print_result,
     slow_notice,
-    write_predictions,
+    strain_warnings,
+    write_columns,
     written_file,
 )
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.motion_design import MotionDesign
-from soft_throw_ros.design.plate_motion import PlateLimits
+from soft_throw_ros.design.motion import MotionDesign, PlateLimits
 from soft_throw_ros.design.prediction import PredictedThrow
 from soft_throw_ros.design.requests import solve_request
 import yaml
@@ -39,7 +39,6 @@ _LIMITS = ('plate_speed', 'plate_acceleration', 'plate_travel')
 
 def add_arguments(parser: CommandParser) -> None:
     """Add the arguments of the task."""
-    parser.usage = '%(prog)s [OPTION ...]'
     parser.add_json_option()
     parser.add_argument(
         '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
@@ -69,10 +68,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _cases(design: MotionDesign) -> Iterator[tuple[str, Rig, PredictedThrow]]:
-    """Yield the name, the rig and the throw of the present motion and of the best one."""
+    """Yield the name, the rig and the throw of the present motion, of the best, and its worst."""
     if design.now is not None:
         yield 'now', design.present, design.now
     yield 'best_motion', design.rig, design
+    if design.worst is not None:
+        yield 'worst_case', design.rig, design.worst
 
 
 def _lines(design: MotionDesign) -> Iterator[str]:
@@ -88,7 +89,8 @@ def _lines(design: MotionDesign) -> Iterator[str]:
             'plate_acceleration': peaks.acceleration,
             'plate_travel': peaks.travel,
         }
-    yield from write_predictions(columns, design.rig.layer.linear_range)
+    yield from write_columns(columns)
+    yield from strain_warnings(design.rig.layer.linear_range, columns)
     if design.limits == PlateLimits.of(design.present.engine):
         yield (
             'The limits of the plate are those of the present motion; set others by '
@@ -114,7 +116,8 @@ def draw(design: MotionDesign, path: Path) -> None:
     figure = Figure(figsize=(9.6, 4.2), layout='constrained')
     above, below = figure.subplots(1, 2, sharex=True)
     times = np.linspace(0.0, max(design.motion.end_time, 1.2 * design.ejection_time), 1001)
-    for (name, rig, throw), width in zip(_cases(design), (1.2, 2.4), strict=False):
+    cases = [case for case in _cases(design) if case[2] is not design.worst]
+    for (name, rig, throw), width in zip(cases, (1.2, 2.4), strict=False):
         motion = motion_of(rig.engine)
         label = f'{name.replace("_", " ")}: {throw.ejection_speed:.3g} m/s'
         above.plot(1e3 * times, 1e3 * motion.position(times), label=label, lw=width)

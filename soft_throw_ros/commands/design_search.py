@@ -23,21 +23,20 @@ from soft_throw_ros.commands.output import (
     CommandParser,
     print_result,
     slow_notice,
-    write_predictions,
+    strain_warnings,
+    table_line,
+    write_columns,
 )
 from soft_throw_ros.configuration import Entry, rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import OBJECTIVES, RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.recommendation import Recommendation, Vary
 from soft_throw_ros.design.requests import RequestResult, solve_request
-from soft_throw_ros.design.uncertainty import (
-    prediction_uncertainty,
-    PredictionUncertainty,
-    Uncertainties,
-)
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
 Columns = dict[str, Mapping[str, float] | None]
 """Predictions by the titles of their columns."""
@@ -72,7 +71,6 @@ def add_aim_arguments(parser: CommandParser) -> None:
 def _add_arguments(
     parser: CommandParser, title: str, names: Iterable[str], *entries: Entry
 ) -> None:
-    parser.usage = '%(prog)s [OPTION ...]'
     parser.add_json_option()
     add_options(parser, names, title=title, entries=entries)
     add_rig_options(parser)
@@ -106,38 +104,37 @@ def run_aim(arguments: argparse.Namespace) -> int:
 def _print_answer(settings: Settings, name: str, as_json: bool) -> None:
     """Compute a recommendation or an aim, and print the result."""
     with slow_notice('design'):
-        best = solve_request(settings)
-        uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
-        summary = summary_of(best, rig_of(settings), settings)
+        best, rig = solve_request(settings), rig_of(settings)
+        intervals = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
+        summary, uncertainty = summary_of(best, rig, settings), intervals.values()
         parameters = (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS, *RECOMMENDATION_PARAMETERS)
         data = {
             'parameters': {key: settings[key] for key in parameters},
             name: {**vars(best), 'summary': summary},
-            'uncertainty': uncertainty.values(),
+            'uncertainty': uncertainty,
         }
-        print_result(
-            data, chain([summary, ''], _lines(settings, best, uncertainty)), as_json=as_json
-        )
+        lines = chain([summary, ''], _lines(rig, best, uncertainty))
+        print_result(data, lines, as_json=as_json)
 
 
 def _lines(
-    settings: Settings, best: RequestResult, uncertainty: PredictionUncertainty
+    rig: Rig, best: RequestResult, uncertainty: Mapping[str, float]
 ) -> Iterator[str]:
     """Compare the throws of an answer, and describe the intervals of the proposed one."""
-    more: Iterator[str] = iter(())
-    if isinstance(best, Aim):
-        columns = _aim_columns(settings, best)
-    else:
-        assert isinstance(best, Recommendation)  # other requests are refused
-        columns, more = _recommendation_columns(best), _recommendation_lines(best)
-    yield from write_predictions(columns, best.rig.layer.linear_range)
+    columns = (
+        _aim_columns(rig, best) if isinstance(best, Aim) else _recommendation_columns(best)
+    )
+    yield from write_columns(columns)
+    yield from strain_warnings(best.rig.layer.linear_range, columns)
     yield f'With the uncertainties (uncertainty.*): {uncertainty_text(uncertainty)}'
-    yield from more
+    if candidates := getattr(best, 'candidates', ()):
+        yield from ('', table_line('from the library', 'mm', ['score']))
+        for item in candidates:
+            yield table_line(item.layer, f'{1e3 * item.thickness:.1f}', [f'{item.score:.3f}'])
 
 
-def _aim_columns(settings: Settings, best: Aim) -> Columns:
+def _aim_columns(rig: Rig, best: Aim) -> Columns:
     """Return the present throw and the aimed one."""
-    rig = rig_of(settings)
     columns: Columns = {'now': None}
     with contextlib.suppress(ThrowUnresolvedError):  # the present rig does not throw
         now, last = predict(rig), last_release(rig)
@@ -147,20 +144,12 @@ def _aim_columns(settings: Settings, best: Aim) -> Columns:
     return columns
 
 
-def _recommendation_columns(best: Recommendation) -> Columns:
+def _recommendation_columns(best: RequestResult) -> Columns:
     """Return the throws of the present layer and of the recommended ones."""
+    assert isinstance(best, Recommendation)  # other requests are refused
     columns: Columns = {'now': vars(best.now) if best.now else None, 'recommended': vars(best)}
     for name in ('thickness', 'wave_speed'):
         alternative = getattr(best, f'by_{name}')
         if name != best.vary and alternative is not None:
             columns[f'by_{name}'] = vars(alternative)
     return columns
-
-
-def _recommendation_lines(best: Recommendation) -> Iterator[str]:
-    """List the best layers of the library."""
-    if best.candidates:
-        width = max(22, *(len(item.layer) for item in best.candidates))
-        yield from ('', f'{"from the library":{width}}{"mm":>6}{"score":>11}')
-        for item in best.candidates:
-            yield f'{item.layer:{width}}{1e3 * item.thickness:6.1f}{item.score:11.3f}'

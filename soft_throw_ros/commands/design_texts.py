@@ -4,33 +4,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throws import STRONG_GRAVITY
 from soft_throw_ros.design.aiming import Aim
-from soft_throw_ros.design.motion_design import MotionDesign
-from soft_throw_ros.design.objective import Limits
-from soft_throw_ros.design.recommendation import Recommendation, TOLERATED_LOSS
+from soft_throw_ros.design.motion import MotionDesign
+from soft_throw_ros.design.recommendation import (
+    MAX_STUCK_FRACTION,
+    Recommendation,
+    TOLERATED_LOSS,
+)
 from soft_throw_ros.design.requests import limits_of, RequestResult
-from soft_throw_ros.design.uncertainty import PredictionUncertainty
+from soft_throw_ros.design.score import Limits
 
 
 def summary_of(best: RequestResult, rig: Rig, settings: Settings) -> str:
-    """
-    Describe an answer in a sentence.
-
-    Parameters
-    ----------
-    best : Recommendation, Aim or MotionDesign
-        The answer to the settings.
-    rig : Rig
-        The present rig.
-    settings : mapping of str to value
-        Complete settings of the twin.
-
-    """
+    """Describe the answer to the settings of a present rig in a sentence."""
     if isinstance(best, Aim):
         return _aim_summary(best, settings)
     if isinstance(best, MotionDesign):
@@ -45,16 +37,15 @@ def _recommendation_summary(
 ) -> str:
     """Describe the new layer, the gain of energy, the tolerances, and doubts."""
     if best.rig.layer == old:
-        text = (
-            f'no layer within the limits is better than the present one '
-            f'({score_name} {best.score:.2f})'
-        )
+        text = f'keep your layer: none within the limits is better ({score_name} {best.score:.2f})'
     else:
         now = f'{best.now_score:.2f} -> ' if best.now_score else ''
         text = (
-            f'{_changes(best, old, limits)}: {_gain(best.gain)} '
+            f'{_changes(best, old, limits)}: {_gain(best.gain)}{_excuse(best)} '
             f'({score_name} {now}{best.score:.2f})'
         )
+    if best.stuck_fraction > MAX_STUCK_FRACTION:
+        text = f'no release in {100.0 * best.stuck_fraction:.2g} % of all cases; {text}'
     text += (
         f'; +-{1e3 * best.tolerances["thickness"]:.2g} mm or '
         f'+-{best.tolerances["wave_speed"]:.2g} m/s costs {100.0 * TOLERATED_LOSS:g} %'
@@ -104,7 +95,16 @@ def _gain(gain: float) -> str:
         return f'{1.0 + gain:.3g} times the energy'
     if gain >= 0.0:
         return f'{100.0 * gain:.2g} % more energy'
-    return f'{-100.0 * gain:.2g} % less energy, because the present throw exceeds the limits'
+    return f'{-100.0 * gain:.2g} % less energy'
+
+
+def _excuse(best: Recommendation) -> str:
+    """Say why a layer is recommended that throws with less energy."""
+    if best.gain >= 0.0:
+        return ''
+    if best.now_stuck_fraction > MAX_STUCK_FRACTION:
+        return f', but the present layer has no release in {100.0 * best.now_stuck_fraction:.2g} %'
+    return ', because the present layer exceeds the limits'
 
 
 def _aim_summary(best: Aim, settings: Settings) -> str:
@@ -136,17 +136,17 @@ def motion_summary(design: MotionDesign) -> str:
     return text
 
 
-def uncertainty_text(uncertainty: PredictionUncertainty) -> str:
-    """Describe the intervals of a prediction."""
-    time, speed = uncertainty.ejection_time, uncertainty.ejection_speed
-    transfer = uncertainty.energy_transfer
-    text = (
-        f'{1e3 * time.low:.3f} to {1e3 * time.high:.3f} ms, '
-        f'{speed.low:.4f} to {speed.high:.4f} m/s, '
-        f'alpha {transfer.low:.3f} to {transfer.high:.3f}'
+def uncertainty_text(values: Mapping[str, float]) -> str:
+    """Describe the intervals of a prediction, given as `PredictionUncertainty.values`."""
+    scales = {'ejection_time': (1e3, '.3f'), 'ejection_speed': (1.0, '.4f'),
+              'energy_transfer': (1.0, '.3f')}
+    time, speed, transfer = (
+        ' to '.join(f'{scale * values[f"{name}.{end}"]:{digits}}' for end in ('low', 'high'))
+        for name, (scale, digits) in scales.items()
     )
-    if uncertainty.jumps:
+    text = f'{time} ms, {speed} m/s, alpha {transfer}'
+    if values['jumps']:
         text += ', with a jump between'
-    if uncertainty.stuck_fraction > 0.0:
-        text += f'; no release in {100.0 * uncertainty.stuck_fraction:.2g} % of all cases'
+    if values['stuck_fraction'] > 0.0:
+        text += f'; no release in {100.0 * values["stuck_fraction"]:.2g} % of all cases'
     return text

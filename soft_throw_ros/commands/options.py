@@ -144,11 +144,6 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
 
     If the plate of the file is measured, use the motion of `engine.*` instead.
 
-    Raises
-    ------
-    ParameterError
-        If a value is refused; the message names the option or the file.
-
     """
     values = vars(arguments)
     request = {name: values[name] for name in TWIN.by_name if name in values}
@@ -200,17 +195,7 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
 
 @contextlib.contextmanager
 def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
-    """
-    Yield the executor that the options select, or None for this process.
-
-    Raises
-    ------
-    ValueError
-        If the scheduler does not answer, or Dask is not installed.
-    WorkersLostError
-        If a worker process was killed, or the connection to the scheduler is lost.
-
-    """
+    """Yield the executor that the options select, or None for this process."""
     if arguments.dask is not None:
         with _open_dask(arguments.dask) as executor:
             yield executor

@@ -54,25 +54,7 @@ def run_command(
     run: Callable[[argparse.Namespace], int],
     args: list[str] | None = None,
 ) -> int:
-    """
-    Parse the arguments of a command and run it.
-
-    Parameters
-    ----------
-    parser : CommandParser
-        Parser of the command.
-    run : callable
-        Function that runs the command and returns the exit code. A ValueError from it is
-        reported as an error of usage.
-    args : list of str, optional
-        Arguments; those of the process by default.
-
-    Raises
-    ------
-    SystemExit
-        With exit code 2 after printing an error.
-
-    """
+    """Parse the arguments of a command and run it; a ValueError is reported as one of usage."""
     arguments = parser.parse_args(args)
     try:
         return run(arguments)
@@ -239,56 +221,41 @@ _ROWS = (
 
 def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator[str]:
     """
-    Yield the lines of a table of throws; rows without numbers are omitted.
+    Yield the lines of a table of throws by their heads; rows without numbers are omitted.
 
-    Parameters
-    ----------
-    columns : mapping of str to mapping or None
-        Numbers by their keys, under column heads; words of a head that are joined by `_` are
-        written below each other.
-
+    Words of a head that are joined by `_` are written below each other.
     """
     words = [head.split('_') for head in columns]
     for heads in itertools.zip_longest(*words, fillvalue=''):
-        yield _line('', '', heads)
+        yield table_line('', '', heads)
     for row in _ROWS:
         cells = [_cell((numbers or {}).get(row.key), row.scale) for numbers in columns.values()]
         if any(cell != '-' for cell in cells):
-            yield _line(row.title, row.unit, cells)
+            yield table_line(row.title, row.unit, cells)
 
 
-def write_predictions(
-    columns: Mapping[str, Mapping[str, float] | None], max_strain: float
+def strain_warnings(
+    max_strain: float, columns: Mapping[str, Mapping[str, float] | None]
 ) -> Iterator[str]:
-    """
-    Yield the lines of a table of throws, and a warning of strains beyond the linear range.
-
-    The limit `max_strain` is that of the linear range [-].
-    """
-    yield from write_columns(columns)
-    yield from strain_warnings(max_strain, {
-        head.replace('_', ' '): numbers['peak_strain'] for head, numbers in columns.items()
-        if numbers
-    })
-
-
-def strain_warnings(max_strain: float, peaks: Mapping[str, float]) -> Iterator[str]:
-    """Yield the warnings of peak strains that exceed a range, or all that a layer can do [-]."""
-    impossible = [source for source, peak in peaks.items() if peak >= 1.0]
-    beyond = [source for source, peak in peaks.items() if max_strain < peak < 1.0]
-    if beyond:
+    """Yield warnings of throws whose strain exceeds a range, or all that a layer can do [-]."""
+    peaks = {
+        head.replace('_', ' '): (numbers or {}).get('peak_strain', 0.0)
+        for head, numbers in columns.items()
+    }
+    if beyond := [head for head, peak in peaks.items() if max_strain < peak < 1.0]:
         yield (
             f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range '
             f'({", ".join(beyond)}): a real layer will deviate from this prediction.'
         )
-    if impossible:
+    if impossible := [head for head, peak in peaks.items() if peak >= 1.0]:
         yield (
             f'Strain of 100 % or more is impossible ({", ".join(impossible)}): a layer cannot be '
             'compressed by its whole thickness.'
         )
 
 
-def _line(title: str, unit: str, cells: Iterable[str]) -> str:
+def table_line(title: str, unit: str, cells: Iterable[str]) -> str:
+    """Return a line of a table."""
     line = f'{title:22}{unit:>6}' + ''.join(f'{cell:>{_WIDTH}}' for cell in cells)
     return line.rstrip()
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Predict one throw, as a table or as JSON.
+Predict one throw: the answer in a line, all of it with `--verbose`, or as JSON.
 
 The options are the parameters of the twin, with the same ranges.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
-from typing import TypedDict
+from typing import Any
 
 from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.commands.options import (
@@ -26,7 +26,7 @@ from soft_throw_ros.commands.output import (
     strain_warnings,
     write_columns,
 )
-from soft_throw_ros.configuration import rig_of, Settings, Value
+from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Rig
@@ -36,39 +36,25 @@ from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertaint
 ModelResult = Mapping[str, float]
 """Predictions by name, in SI units."""
 
-
-class Prediction(TypedDict):
-    """Output of `--json`."""
-
-    parameters: dict[str, Value]
-    rig: dict[str, float]
-    throw: ModelResult | None
-    spring: ModelResult | None
-    uncertainty: dict[str, float | bool] | None
-    notes: dict[str, str]
-    leaves_linear_range: bool
+Prediction = dict[str, Any]
+"""Output of `--json`, see `predict`."""
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0, or 1 without a throw."""
-    return run_command(_parser(), _run, args)
-
-
-def _parser() -> CommandParser:
-    parser = CommandParser(
-        description='Predict one throw.',
-        usage='%(prog)s [OPTION ...]',
-    )
+    parser = CommandParser(description='Predict one throw.', usage='%(prog)s [OPTION ...]')
     parser.add_json_option()
+    parser.add_argument('--verbose', action='store_true', help='print all predictions')
     add_rig_options(parser)
-    return parser
+    return run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     settings = read_settings(arguments)
     with slow_notice('throw'):
         prediction = predict(settings)
-    print_result(prediction, _table(prediction), as_json=arguments.json)
+    lines = _lines(prediction, arguments.verbose)
+    print_result(prediction, lines, as_json=arguments.json)
     return 0 if prediction['throw'] else 1
 
 
@@ -79,33 +65,26 @@ def predict(settings: Settings) -> Prediction:
     Parameters
     ----------
     settings : mapping of str to value
-        Complete settings of the twin; only rig, uncertainties and `max_strain` matter.
+        Complete settings of the twin; only rig and uncertainties matter.
 
     Returns
     -------
-    Prediction
+    dict
         All values are in SI units. `parameters` are the settings, `rig` has the ratios and times
         that govern a throw, `throw` the whole throw, `spring` the release from a layer without
         mass (App. A), and `uncertainty` the 95 % intervals of the first release. A part that does
-        not support this throw is None, and its note contains the reason. `leaves_linear_range` is
-        true if the strain is too large for a linear layer.
+        not support this throw is None, and its note in `notes` contains the reason.
+        `leaves_linear_range` is true if the strain is too large for a linear layer.
 
     """
     rig = rig_of(settings)
-    throws: dict[str, ModelResult | None] = {}
+    parts: dict[str, Mapping[str, float] | None] = {}
     notes: dict[str, str] = {}
-    for name, (simulated, note) in _THROWS.items():
+    for name, (compute, note) in _PARTS.items():
         try:
-            throws[name], notes[name] = simulated(rig), note
+            parts[name], notes[name] = compute(rig, settings), note
         except (ValueError, RuntimeError) as error:  # this rig is not supported
-            throws[name], notes[name] = None, f'none, {error}'
-    uncertainty = None
-    try:
-        intervals = prediction_uncertainty(rig, Uncertainties.from_settings(settings))
-        uncertainty = intervals.values()
-        notes['uncertainty'] = f'95 % of throws: {uncertainty_text(intervals)}'
-    except ValueError as error:
-        notes['uncertainty'] = f'none, {error}'
+            parts[name], notes[name] = None, f'none, {error}'
     return {
         'parameters': {
             name: settings[name]
@@ -119,16 +98,14 @@ def predict(settings: Settings) -> Prediction:
             'crossing_time': rig.crossing_time,
             'relaxation_time': rig.relaxation_time,
         },
-        'throw': throws['throw'],
-        'spring': throws['spring'],
-        'uncertainty': uncertainty,
+        **parts,
         'notes': notes,
-        'leaves_linear_range': (throws['throw'] or {}).get('peak_strain', 0.0)
+        'leaves_linear_range': (parts['throw'] or {}).get('peak_strain', 0.0)
         > rig.layer.linear_range,
     }
 
 
-def _spring(rig: Rig) -> ModelResult:
+def _spring(rig: Rig, _settings: Settings) -> ModelResult:
     """Predict the first release from a layer without mass by the formula of App. A."""
     engine = rig.engine
     if engine.motion:
@@ -150,7 +127,7 @@ _OF_THROW = (
 """Predictions with the name of an attribute of `Throw`."""
 
 
-def _simulated(rig: Rig) -> ModelResult:
+def _simulated(rig: Rig, _settings: Settings) -> ModelResult:
     """Simulate a throw to its end."""
     throw = simulate(rig)
     projectile, release = rig.projectile, throw.first_release
@@ -176,25 +153,39 @@ def _simulated(rig: Rig) -> ModelResult:
     return result
 
 
-_THROWS: Mapping[str, tuple[Callable[[Rig], ModelResult], str]] = {
+def _uncertainty(rig: Rig, settings: Settings) -> ModelResult:
+    """Compute the intervals of the first release."""
+    return prediction_uncertainty(rig, Uncertainties.from_settings(settings)).values()
+
+
+_PARTS: Mapping[str, tuple[Callable[[Rig, Settings], ModelResult], str]] = {
     'throw': (_simulated, 'whole throw of a rigid projectile, as the twin computes it'),
     'spring': (_spring, 'layer without mass and loss, harmonic plate, no gravity (App. A)'),
+    'uncertainty': (_uncertainty, '95 % of all throws within uncertainty.*'),
 }
-"""Columns of the table, each with its function and a note."""
+"""Parts of a prediction, each with its function and a note."""
 
 
-def _table(prediction: Prediction) -> Iterator[str]:
-    """Yield the lines of a table with the result of `predict`."""
-    rig = prediction['rig']
-    yield (
-        f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
-        f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
-    )
-    yield ''
-    yield from write_columns({'throw': prediction['throw'], 'spring': prediction['spring']})
-    yield ''
-    for name, note in prediction['notes'].items():
-        yield f'{name}: {note}'
-    if prediction['throw']:
-        limit = rig_of(prediction['parameters']).layer.linear_range
-        yield from strain_warnings(limit, {'throw': prediction['throw']['peak_strain']})
+def _lines(prediction: Prediction, is_verbose: bool) -> Iterator[str]:
+    """Yield the answer, its uncertainty and warnings, and everything else if asked for."""
+    throw, uncertainty = prediction['throw'], prediction['uncertainty']
+    if throw:
+        yield (
+            f'released at {1e3 * throw["ejection_time"]:.4g} ms, '
+            f'{throw["ejection_speed"]:.5g} m/s, alpha {throw["energy_transfer"]:.4g}'
+        )
+    else:
+        yield f'no throw: {prediction["notes"]["throw"].removeprefix("none, ")}'
+    if uncertainty:
+        yield f'With the uncertainties (uncertainty.*): {uncertainty_text(uncertainty)}'
+    limit = rig_of(prediction['parameters']).layer.linear_range
+    yield from strain_warnings(limit, {'throw': throw})
+    if is_verbose:
+        rig = prediction['rig']
+        yield ''
+        yield (
+            f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
+            f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
+        )
+        yield from write_columns({'throw': throw, 'spring': prediction['spring']})
+        yield from (f'{name}: {note}' for name, note in prediction['notes'].items())

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+import csv
 import math
 import re
 from types import MappingProxyType
@@ -19,8 +20,8 @@ Floats = NDArray[np.float64]
 MIN_STEP = 1e-12
 """Smallest increase of time between two rows. [s]"""
 
-_SEPARATORS = (';', '\t', ',')
-_MISSING = ('', 'nan')
+_MISSING = ('', 'nan', 'na', 'n/a')
+_MICRO = str.maketrans({'\N{MICRO SIGN}': 'u', '\N{GREEK SMALL LETTER MU}': 'u'})
 
 
 class Column(NamedTuple):
@@ -46,12 +47,9 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     """
     Yield the number and the cells of each line with data.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        Cells separated by semicolons, tabs or commas, whichever the first line with data has, or
-        else by blanks. Empty lines, comments after `#`, and the line `sep=;` of spreadsheets are
-        skipped. Unless commas separate cells, one may be the decimal sign.
+    Semicolons, tabs or commas separate cells, whichever the first line with data has, or else
+    blanks. Empty lines, comments after `#`, and the line `sep=;` of spreadsheets are skipped.
+    Unless commas separate cells, one may be the decimal sign.
 
     Examples
     --------
@@ -59,17 +57,20 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     [(2, ['t [s]', 'z [m]']), (3, ['0.5', '1e-3'])]
 
     """
-    separator: str | None = ''
+    separator = ''
     for number, line in enumerate(lines, 1):
         text = line.strip(' \r\n\ufeff')
         if not text.strip() or text.startswith('#') or re.fullmatch('sep=.', text):
             continue
-        if separator == '':
-            separator = next((sign for sign in _SEPARATORS if sign in text), None)
-        cells = text.split(separator)
+        separator = separator or next((sign for sign in ';\t,' if sign in text), ' ')
+        if separator == ' ':
+            cells = text.split()
+        else:
+            (cells,) = csv.reader([text], delimiter=separator, skipinitialspace=True)
         if separator != ',':
             cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
-        yield number, [cell.strip().strip('"\'') for cell in cells]
+        if any(cells := [cell.strip().strip('"\'') for cell in cells]):
+            yield number, cells
 
 
 def _parse_label(cell: str) -> tuple[str, str]:
@@ -83,14 +84,14 @@ def _parse_label(cell: str) -> tuple[str, str]:
 
     """
     name, _, unit = re.sub(r'[\[(]', '\n', cell, count=1).partition('\n')
-    return name.strip().lower(), unit.rstrip(' )]').replace('\N{MICRO SIGN}', 'u')
+    return name.strip().lower(), unit.rstrip(' )]').translate(_MICRO)
 
 
 def read_columns(
     lines: Iterable[str], name: str, columns: Mapping[str, Column]
 ) -> dict[str, Floats]:
     """
-    Read columns of numbers.
+    Read columns of numbers in SI units; raise ValueError with the number of the line.
 
     Parameters
     ----------
@@ -103,39 +104,31 @@ def read_columns(
     columns : mapping of str to Column
         The first one is the time, which increases. The first two are required.
 
-    Returns
-    -------
-    dict of str to ndarray, shape (n,)
-        Values of the columns of the text, in SI units.
-
-    Raises
-    ------
-    ValueError
-        With the number of the line, if something is wrong.
-
     """
-    rows = list(read_rows(lines))
+    try:
+        rows = list(read_rows(lines))
+    except csv.Error as error:
+        raise ValueError(f'{name}: {error}') from None
     time, second, *_ = columns
     if not rows:
         raise ValueError(f'{name}: is empty; columns {time} and {second} are needed')
-    (first, head), *_ = rows
+    first, head = rows[0]
     if all(float_of(cell) is None for cell in head):
         del rows[0]
         sources = _find_columns(head, columns, f'{name}:{first}')
     else:
-        bare = [
-            (key, column.units[column.default_unit])
-            for key, column in columns.items()
-            if not column.needs_label
-        ]
-        sources = {key: (n, unit) for n, (key, unit) in enumerate(bare[: len(head)])}
+        bare = [item for item in columns.items() if not item[1].needs_label]
+        sources = {
+            key: (n, column.units[column.default_unit])
+            for n, (key, column) in enumerate(bare[: len(head)])
+        }
     if not rows:
         raise ValueError(f'{name}:{first}: names columns, but no line with numbers follows')
     if second not in sources:
         raise ValueError(
             f'{name}:{first}: must have columns {time} and {second}, got {quote(head[0])} alone'
         )
-    table: dict[str, list[float]] = {key: [] for key in sources}
+    table = []
     for number, cells in rows:
         where = f'{name}:{number}'
         if len(cells) == len(head) + 1 and not cells[-1]:
@@ -146,14 +139,18 @@ def read_columns(
                 f'{where}: must have {len(head)} values as line {first} has, '
                 f'got {len(cells)}{hint}'
             )
-        for key, (index, unit) in sources.items():
-            table[key].append(_number(cells[index], unit, f'{where}: {key}', columns[key]))
-        last = table[time][-2:]
-        if last[-1] - last[0] < MIN_STEP and len(last) > 1:
-            raise ValueError(
-                f'{where}: {time} must increase, got {last[-1]:g} after {last[0]:g}'
-            )
-    return {key: np.array(values) for key, values in table.items()}
+        table.append([
+            _number(cells[index], unit, f'{where}: {key}', columns[key])
+            for key, (index, unit) in sources.items()
+        ])
+    result = dict(zip(sources, np.array(table).T, strict=True))
+    times = result[time]
+    if (back := np.flatnonzero(np.diff(times) < MIN_STEP)).size:
+        n = int(back[0]) + 1
+        raise ValueError(
+            f'{name}:{rows[n][0]}: {time} must increase, got {times[n]:g} after {times[n - 1]:g}'
+        )
+    return result
 
 
 def _number(text: str, unit: float, subject: str, column: Column) -> float:

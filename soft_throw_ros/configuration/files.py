@@ -60,23 +60,6 @@ def read(
     has, are ignored, so that a file of `ros2 param dump` can be read. So are parameters of other
     nodes in a section for several nodes.
 
-    Parameters
-    ----------
-    path : path_like
-        A YAML file.
-    node : str
-        Full name of the node, which is matched with the wildcards of the file as in ROS.
-    table : Table
-        Parameters of the node.
-    is_required : bool
-        Whether the file must have parameters of the node.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read, has no parameters of the node, or has a refused value; the
-        message has the name of the file.
-
     """
     everything = read_file(path)
     sources = select(everything, node)
@@ -96,20 +79,6 @@ def start(
     Each file is one request, and so is each row of `-p`; requests are applied in their order.
     Therefore `-p layer.thickness:=...` turns a named layer of a file into a custom one. A value of
     a file that is present already is no change, so that one line of a complete file can be edited.
-
-    Parameters
-    ----------
-    values : mapping of str to value
-        Values that replace the defaults.
-    sources : dict of str to Source
-        Sources of the values, as far as they are known.
-    table : Table
-        Parameters of the node.
-
-    Raises
-    ------
-    ParameterError
-        If a value is refused; the message has the source.
 
     """
     requests: dict[int, dict[str, Value]] = {}
@@ -144,15 +113,7 @@ def is_foreign(name: str) -> bool:
 
 
 def read_arguments(arguments: Sequence[str]) -> list[Source]:
-    """
-    Return the sources in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`).
-
-    Raises
-    ------
-    ParameterError
-        If a file cannot be read; the message has its name.
-
-    """
+    """Return the sources in ROS arguments (`--ros-args -p NAME:=VALUE --params-file FILE`)."""
     sources: list[Source] = []
     order, in_file, inside = 0, True, False
     for flag, argument in pairwise(arguments):

@@ -46,7 +46,7 @@ STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_t
 
 _STACK = {'description', 'source', 'stack'}
 _MATERIAL = {'description', 'source', 'density', 'loss_tangent'}
-_OPTIONAL = {'wave_speed', 'youngs_modulus', 'thicknesses', 'diameter'}
+_OPTIONAL = {'wave_speed', 'youngs_modulus', 'thicknesses', 'diameter', 'is_ideal'}
 """Properties in a library: of a stack, of every material, and others of a material."""
 
 
@@ -60,6 +60,7 @@ class Material:
     loss_tangent: float  # at the frequency of the plate [-]
     thicknesses: tuple[float, ...] = ()  # available ones; empty if it is cast in any [m]
     diameter: float | None = None  # if there is only one [m]
+    is_ideal: bool = False  # without the loss of a real material, so not recommended
 
     @property
     def settings(self) -> dict[str, float | str]:
@@ -96,18 +97,6 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
 
     A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
     tangent, in SI units.
-
-    Parameters
-    ----------
-    text : str
-        The sheets.
-    materials : callable
-        Returns the known materials; called only if a sheet names one.
-
-    Raises
-    ------
-    ParameterError
-        Quoting the sheet that is wrong.
 
     Examples
     --------
@@ -187,17 +176,7 @@ def library(path: str | Path = '') -> Library:
     """
     Return the installed library, with the materials of another file added.
 
-    Parameters
-    ----------
-    path : path_like
-        The other file, read again after a change; empty for the installed library only.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read, or differs from the format in `config/layers.yaml`; the message
-        names file, material, value and rule.
-
+    The other file is read again after a change.
     """
     if not str(path):
         return _library('', 0)
@@ -243,15 +222,7 @@ def _layers_of(material: Material) -> dict[str, Mapping[str, float | str]]:
 
 
 def whole(sheets: Sequence[Layer]) -> dict[str, float]:
-    """
-    Return the values of a whole stack by the names of their parameters.
-
-    Raises
-    ------
-    ParameterError
-        If the stack is too thin or too thick.
-
-    """
+    """Return the values of a whole stack by the names of their parameters."""
     stack = Layer.of_sheets(sheets)
     _, low, high = BOUNDS['thickness']
     if not low <= stack.thickness <= high:
@@ -301,6 +272,7 @@ def _material(name: str, values: Mapping[str, Any]) -> Material:
         loss_tangent=_property(values, 'loss_tangent'),
         thicknesses=tuple(_bounded('thickness', item) for item in thicknesses),
         diameter=_property(values, 'diameter') if 'diameter' in values else None,
+        is_ideal=values.get('is_ideal') is True,
     )
 
 

@@ -67,21 +67,10 @@ def read(path: str | Path) -> SampledMotion:
     """
     Read the motion of a plate from a file, see `recorded_motion.motion_from_record`.
 
-    Parameters
-    ----------
-    path : path_like
-        A CSV file, see `read_columns`, with a time [s] and a height [m] in each line. A first line
-        may name the columns, and other columns are skipped then: `t` or `time`, and `z`,
-        `height`, `position` or `plate`, with an optional unit in brackets; with the columns
-        `velocity` and `acceleration`, the motion is exact. Or a bag, as a folder or an `.mcap`
-        file: the joint `plate` of its JointState messages, preferably measured ones, in the
-        first throw.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read or has no motion of a plate; the message has file and line.
-
+    The file is a CSV of times and heights, see `_COLUMNS` for its labels; with the columns
+    `velocity` and `acceleration`, the motion is exact. Or it is a bag, as a folder or an `.mcap`
+    file: the joint `plate` of its JointState messages, preferably measured ones, in the first
+    throw. ParameterError has file and line.
     """
     name = str(path)
     try:

@@ -36,12 +36,6 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     times, heights : array_like, shape (n,)
         Times increase; before the start the plate may rest for any time. [s], [m]
 
-    Raises
-    ------
-    ValueError
-        If fewer than `MIN_SAMPLES` are given or left after the start, a value is not
-        finite, times do not increase, or the plate does not move, or moves at the end.
-
     Notes
     -----
     Fits SciPy's smoothing spline, whose smoothness is chosen by generalised cross-validation [1]_

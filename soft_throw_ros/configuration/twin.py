@@ -40,7 +40,7 @@ OBJECTIVES: Mapping[str, str] = {
     'robust': 'the most in the worst case of the uncertainties',
     'versatile': 'the most in the worst of several throws',
 }
-"""Objectives and their meanings; `design.objective` has the functions."""
+"""Objectives and their meanings; `design.score` has the functions."""
 
 _RIG = Rig()
 

@@ -16,16 +16,7 @@ _MAX_BYTES = 1 << 18
 
 
 def read_yaml(path: str | Path) -> dict[Any, Any]:
-    """
-    Return the mapping in a file, which may be empty.
-
-    Raises
-    ------
-    ParameterError
-        In one line with the name of the file, if it cannot be read, is no YAML, or has an alias,
-        which ROS takes as little.
-
-    """
+    """Return the mapping in a file, which may be empty."""
     try:
         text = read_regular_file(path, max_bytes=_MAX_BYTES).decode()
         has_alias = any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text))

@@ -18,8 +18,8 @@ from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import last_release, rig_with
-from soft_throw_ros.design.objective import Limits
 from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.score import Limits
 
 _MAX_AMPLITUDE = TWIN.by_name['engine.amplitude'].high
 """Amplitude at which the search ends. [m]"""
@@ -62,26 +62,8 @@ def aim(
     """
     Find the smallest amplitude that reaches a height or a speed.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig; its amplitude is not used.
-    height, speed : float, optional
-        Rise of the projectile above its rest position [m], or speed at the last release [m/s].
-    limits : Limits, optional
-        Largest strain and acceleration; `core.material.LARGEST_STRAIN` is never exceeded.
-    cancelled : callable, optional
-        As for `throw_many`.
-
-    Raises
-    ------
-    ValueError
-        If not exactly one target is given, it is not positive, the plate moves by a file, or the
-        target is a height and there is no gravity.
-    ThrowUnresolvedError
-        If no amplitude reaches the target within the limits.
-    SearchCancelledError
-        If `cancelled` returns True.
+    The height [m] is above the rest position, the speed [m/s] that of the last release. Besides
+    the limits of strain and acceleration, `LARGEST_STRAIN` is never exceeded.
 
     Notes
     -----
@@ -99,9 +81,7 @@ def aim(
             f'give either a height or a speed as target, got height {height}, speed {speed}'
         )
     if rig.engine.motion:
-        raise ValueError(
-            'aiming needs a plate whose amplitude can be set, got a motion from a file'
-        )
+        raise ValueError('aiming needs a plate without a motion file, whose amplitude can be set')
     if height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
     target = checks.require_positive('target', speed if height is None else height)

@@ -99,22 +99,7 @@ _WITH_RATIOS = ('engine.damping_ratio', 'engine.amplitude', 'gravity', 'layer.lo
 
 
 def check_axis(name: str, values: ArrayLike) -> Floats:
-    """
-    Return the values of an axis, as floats.
-
-    Parameters
-    ----------
-    name : str
-        One of `AXES`.
-    values : array_like, shape (n,)
-        Increasing. [SI]
-
-    Raises
-    ------
-    ValueError
-        If there is no such axis, or a value is not allowed.
-
-    """
+    """Return the values of one of `AXES` as floats, shape (n,), which must increase [SI]."""
     if name not in AXES:
         raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
     array = checks.require_all(name, values, 'not_negative')
@@ -180,32 +165,8 @@ class Landscape:
         )
         return first, second
 
-    @property
-    def attributes(self) -> dict[str, str | float]:
-        """Description of the landscape for files: everything but the arrays, in a flat mapping."""
-        return {
-            'title': f'{self.release.capitalize()} release over {" and ".join(self.axes)}',
-            'source': f'soft_throw_ros {soft_throw_ros.__version__}',
-            'release': self.release,
-            'density_ratio': self.density_ratio,
-            **{name.replace('.', '_'): value for name, value in rig_values(self.rig).items()},
-        }
-
     def save(self, path: Path) -> None:
-        """
-        Write NetCDF 3, which xarray, MATLAB and others read; the file is complete or not there.
-
-        Parameters
-        ----------
-        path : Path
-            Name of the file.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be written.
-
-        """
+        """Write NetCDF 3, which xarray and MATLAB read; the file is complete or not there."""
         labels = {name.replace('.', '_'): AXES[name] for name in self.axes} | dict(RESULTS)
         arrays = [*self.axes.values(), *(getattr(self, name) for name in RESULTS)]
         axes = list(labels)[:2]
@@ -213,7 +174,15 @@ class Landscape:
             atomic_file(path) as unfinished,
             netcdf_file(unfinished, 'w', mmap=False, version=2) as data,
         ):
-            for name, value in {'Conventions': 'CF-1.11', **self.attributes}.items():
+            attributes = {
+                'Conventions': 'CF-1.11',
+                'title': f'{self.release.capitalize()} release over {" and ".join(self.axes)}',
+                'source': f'soft_throw_ros {soft_throw_ros.__version__}',
+                'release': self.release,
+                'density_ratio': self.density_ratio,
+                **{name.replace('.', '_'): value for name, value in rig_values(self.rig).items()},
+            }
+            for name, value in attributes.items():
                 setattr(data, name, value)
             for name, values in zip(axes, arrays, strict=False):
                 data.createDimension(name, values.size)
@@ -234,33 +203,21 @@ def compute_landscape(
     progress: Progress | None = None,
 ) -> Landscape:
     r"""
-    Compute a landscape.
+    Compute a landscape over two of `AXES`.
 
     Parameters
     ----------
     rig : Rig
         Rig of all throws, apart from the axes.
     axes : mapping of str to array_like
-        Two of `AXES` with their values, increasing. x, C, mu and kappa replace the values of the
-        rig, and go with each other and with the plate's amplitude and damping, the loss tangent,
-        and gravity.
+        Increasing values of two axes. x, C, mu and kappa replace the values of the rig, and go
+        with each other and with `_WITH_RATIOS`.
     release : {'first', 'last'}
         The first one, or the last one before the projectile falls back for good.
     density_ratio : float, optional
         Projectile over layer, for the axes x and C; that of the rig if not given. [-]
-    executor : Executor, optional
-        Executor of blocks of throws; the caller if not given. The choice does not change results.
-    progress : callable, optional
-        Called with the number of throws since the last call.
-
-    Returns
-    -------
-    Landscape
-
-    Raises
-    ------
-    ValueError
-        If an axis, a value or an option is refused.
+    executor, progress : optional
+        Executor of blocks of throws, and a callback with the number of throws done.
 
     Notes
     -----

@@ -59,16 +59,6 @@ def predict(rig: Rig) -> PredictedThrow:
     """
     Predict one throw of a rig.
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig with any layer.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If the projectile does not leave, or only after more crossings than are followed.
-
     Examples
     --------
     >>> throw = predict(Rig())

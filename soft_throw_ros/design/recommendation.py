@@ -4,13 +4,13 @@
 Recommend the layer of a rig that throws best by an objective.
 
 The first release counts, because it is more predictable than later ones. The search is described
-in `soft_throw_ros.design.optimise`.
+in `soft_throw_ros.design.maximise`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 import functools
 import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
@@ -21,22 +21,22 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throws import SEARCH_CELLS
-from soft_throw_ros.design.objective import LayerScore, Limits, Objective, peak
-from soft_throw_ros.design.optimise import find_best_layer, LayerRange, Optimum
+from soft_throw_ros.core.throws import require_uniform, SEARCH_CELLS, STRONG_GRAVITY
+from soft_throw_ros.design.maximise import Box, maximise, Optimum
 from soft_throw_ros.design.prediction import predict, PredictedThrow
-from soft_throw_ros.design.search_space import search_spaces, SearchSpace
+from soft_throw_ros.design.score import Limits, Objective, peak, Score
+from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 
 TOLERATED_LOSS = 0.02
 """Part of the score that may be lost within the tolerance of a parameter. [-]"""
 
-_SMALLEST_CHANGE, _LARGEST_CHANGE = 2.0**-8, 0.5
-"""Relative changes of a parameter between which the search for its tolerance begins. [-]"""
+MAX_STUCK_FRACTION = 0.05
+"""Share of throws without a release, within the uncertainties, of a layer to recommend. [-]"""
 
-_HALVINGS = 8
-"""Number of bisections of a tolerance, which leave an error of 0.4 %."""
+_CHANGES = np.geomspace(1e-3, 0.5, 24)
+"""Relative changes of a parameter that are tried for its tolerance, 30 % apart. [-]"""
 
 _EQUAL = 1e-9
 """Relative difference of scores that count as equal; then the present layer is kept. [-]"""
@@ -55,29 +55,19 @@ _ALTERNATIVES = ('now', 'by_thickness', 'by_wave_speed')
 
 
 class BestRatios(NamedTuple):
-    r"""Mass ratio, speed ratio, and their release without gravity and loss [-]."""
+    r""":math:`\zeta, \mu, \kappa`, and the release without gravity and loss [-]."""
 
     damping_ratio: float
-    r"""Damping ratio of the plate, :math:`\zeta`."""
     mass_ratio: float
-    r"""Mass of the projectile over that of the layer, :math:`\mu`."""
     speed_ratio: float
-    r"""Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`."""
     ejection_phase: float
-    """Ejection time in plate periods, :math:`t_e f`."""
     energy_transfer: float
-    r"""Energy transfer, :math:`\alpha`."""
 
 
 @functools.lru_cache(maxsize=64)
 def best_ratios(damping_ratio: float) -> BestRatios:
     r"""
     Find the mass and speed ratio that transfer the most energy without limits.
-
-    Parameters
-    ----------
-    damping_ratio : float
-        Damping ratio of the plate, :math:`\zeta`. [-]
 
     Notes
     -----
@@ -100,8 +90,8 @@ def best_ratios(damping_ratio: float) -> BestRatios:
         projectile=Projectile(mass=1.0),
         gravity=0.0,
     )
-    layers = LayerRange(thickness=(1.5, 6.0), wave_speed=(15.0, 75.0))
-    best = find_best_layer(LayerScore(rig, peak), layers, step=0.06, tolerance=1e-7)
+    layers = Box(thickness=(1.5, 6.0), wave_speed=(15.0, 75.0))
+    best = maximise(Score(rig, peak), layers, step=0.06, tolerance=1e-7)
     assert best is not None  # without gravity every layer throws
     mass_ratio, speed_ratio = 1.0 / best.thickness, best.wave_speed / best.thickness
     phase = first_release(
@@ -130,10 +120,14 @@ class Recommendation(PredictedThrow):
     """Name of the recommended layer in the library, if it was picked there."""
     score: float
     """Energy transfer that counts for the objective. [-]"""
+    stuck_fraction: float
+    """Share of the throws within the uncertainties that do not release the projectile. [-]"""
     now: PredictedThrow | None
     """The rig as it is; None if it does not throw."""
     now_score: float
     """Score of the rig as it is, 0 if it does not throw. [-]"""
+    now_stuck_fraction: float
+    """The stuck fraction of the rig as it is. [-]"""
     by_thickness: PredictedThrow | None
     """The best layer if only the thickness may change; None if none throws within the limits."""
     by_wave_speed: PredictedThrow | None
@@ -168,6 +162,7 @@ def recommend(
     objective: Objective | None = None,
     limits: Limits | None = None,
     materials: Mapping[str, Material] | None = None,
+    uncertainties: Uncertainties | None = None,
     cancelled: Cancelled | None = None,
 ) -> Recommendation:
     """
@@ -183,11 +178,14 @@ def recommend(
     vary : {'thickness', 'wave_speed', 'both', 'library'}
         Part of the layer that may change.
     objective : Objective, optional
-        Score to maximise, as in `objective.OBJECTIVES`; the energy of the throw if not given.
+        Score to maximise, as in `score.OBJECTIVES`; the energy of the throw if not given.
     limits : Limits, optional
         Limits of the layer and its loads. They do not apply to parameters that may not change.
     materials : mapping of str to Material, optional
-        The library, if `vary` is 'library'.
+        The library, if `vary` is 'library'; idealised materials are not recommended.
+    uncertainties : Uncertainties, optional
+        Errors within which at most `MAX_STUCK_FRACTION` of the throws may have no release, if a
+        layer allows that; those of the paper if not given.
     cancelled : callable, optional
         Called every few tenths of a second; returns whether to give up.
 
@@ -196,21 +194,10 @@ def recommend(
     Recommendation
         The present layer if no other is better, and the thinner one of equals.
 
-    Raises
-    ------
-    ValueError
-        If a choice is unknown, the layer is not of one material, or an uncertainty is as large as
-        its value.
-    ThrowUnresolvedError
-        If no throw with a layer within the limits can be computed: too many crossings, gravity
-        holds the projectile, or every layer exceeds strain or acceleration.
-    SearchCancelledError
-        If `cancelled` returns True.
-
     Notes
     -----
     The score is within 0.1 % of the best, as seen in random rigs, objectives and limits beside
-    fine grids; except as said in `soft_throw_ros.design.optimise`. All numbers returned but those
+    fine grids; except as said in `soft_throw_ros.design.maximise`. All numbers returned but those
     of `BestRatios` are with gravity and loss.
 
     Examples
@@ -222,41 +209,58 @@ def recommend(
     """
     if vary not in get_args(Vary):
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
-    search = _Search(objective or peak, limits or Limits(), cancelled)
-    alternatives: dict[str, _Candidate] = {}
-    for name in ('thickness', 'wave_speed'):
-        for alternative in search.rank(search_spaces(rig, name, search.limits, {})):
-            alternatives[name] = alternative
-    if vary in ('thickness', 'wave_speed'):
-        ranked = [alternatives[vary]] if vary in alternatives else []
-    else:
-        spaces = search_spaces(rig, vary, search.limits, materials or {})
-        ranked = search.rank(spaces, [item.rig.layer for item in alternatives.values()])
+    limits, uncertainties = limits or Limits(), uncertainties or Uncertainties()
+    search = _Search(objective or peak, limits, cancelled)
+    by = {
+        name: search.rank(_spaces(rig, name, limits, {})) for name in ('thickness', 'wave_speed')
+    }
+    spaces = _spaces(rig, vary, limits, materials or {})
+    ranked = by[vary] if vary in by else search.rank(
+        spaces, [item.rig.layer for items in by.values() for item in items]
+    )
+    candidates = tuple(
+        LibraryCandidate(item.space.name, item.rig.layer.thickness, item.score)
+        for item in ranked
+        if vary == 'library'
+    )
+    box = Box(limits.thickness, limits.wave_speed) if vary == 'library' else spaces[0].box
+    present = search.evaluate(_Space(rig, box), rig)
+    if present.score > 0.0:
+        is_best = not ranked or present.score >= (1.0 - _EQUAL) * ranked[0].score
+        ranked = [present, *ranked] if is_best else [*ranked, present]
     if not ranked:
         raise ThrowUnresolvedError(
             f'no layer{" from the library" if vary == "library" else ""} throws with {vary} '
-            f'within {search.limits}; gravity is {rig.gravity_ratio:.2g} of the largest '
+            f'within {limits}; gravity is {rig.gravity_ratio:.2g} of the largest '
             'acceleration of the plate'
         )
-    best = ranked[0]
-    score_now = LayerScore(rig, search.objective, cancelled=cancelled)
-    now = float(score_now(rig.layer.thickness, rig.layer.wave_speed)[0])
-    by = {name: predict(item.rig) for name, item in alternatives.items()}
+
+    def stuck_fraction_of(item: _Candidate) -> float:
+        return stuck_fraction(item.rig, uncertainties, cancelled=cancelled)
+
+    best, stuck = ranked[0], stuck_fraction_of(ranked[0])
+    if stuck > MAX_STUCK_FRACTION:
+        others = [*ranked[1:], *search._replace(uncertainties=uncertainties).rank(spaces)]
+        for other in sorted(others, key=lambda item: -item.score):
+            if (share := stuck_fraction_of(other)) <= MAX_STUCK_FRACTION:
+                best, stuck = other, share
+                break
+    score = Score(rig, search.objective, cancelled=cancelled)
+    now_score = float(score(rig.layer.thickness, rig.layer.wave_speed)[0])
+    throws = {name: predict(items[0].rig) for name, items in by.items() if items}
     return Recommendation(
         **vars(predict(best.rig)),
         rig=best.rig,
         vary=vary,
         layer=best.space.name,
         score=best.score,
-        now=predict(rig) if now > 0.0 else None,
-        now_score=now,
-        by_thickness=by.get('thickness'),
-        by_wave_speed=by.get('wave_speed'),
-        candidates=tuple(
-            LibraryCandidate(item.space.name, item.rig.layer.thickness, item.score)
-            for item in ranked
-            if vary == 'library'
-        ),
+        stuck_fraction=stuck,
+        now=predict(rig) if now_score > 0.0 else None,
+        now_score=now_score,
+        now_stuck_fraction=stuck_fraction_of(present),
+        by_thickness=throws.get('thickness'),
+        by_wave_speed=throws.get('wave_speed'),
+        candidates=candidates,
         tolerances=_tolerances(best.rig, search.objective, cancelled),
     )
 
@@ -265,54 +269,98 @@ def _tolerances(
     rig: Rig, objective: Objective, cancelled: Cancelled | None
 ) -> dict[str, float]:
     """Return the changes of thickness and wave speed that cost `TOLERATED_LOSS` [SI]."""
-    score = LayerScore(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
-    thickness, wave_speed = rig.layer.thickness, rig.layer.wave_speed
-    least = (1.0 - TOLERATED_LOSS) * float(score(thickness, wave_speed)[0])
-
-    def is_tolerated(of_thickness: float, of_speed: float) -> bool:
-        signs = np.array([-1.0, 1.0])
-        scores = score(
-            thickness * (1.0 + of_thickness * signs), wave_speed * (1.0 + of_speed * signs)
-        )
-        return bool(scores.min() >= least)
-
-    return {
-        'thickness': thickness * _largest(lambda change: is_tolerated(change, 0.0)),
-        'wave_speed': wave_speed * _largest(lambda change: is_tolerated(0.0, change)),
-    }
+    score = Score(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
+    layer, tolerances = rig.layer, {}
+    least = (1.0 - TOLERATED_LOSS) * float(score(layer.thickness, layer.wave_speed)[0])
+    for name in ('thickness', 'wave_speed'):
+        values = {'thickness': layer.thickness, 'wave_speed': layer.wave_speed}
+        changes = np.append(0.0, _CHANGES)
+        for _ in range(3):  # each time between the last one that is tolerated and the next one
+            values[name] = getattr(layer, name) * (1.0 + np.append(-changes, changes))
+            is_bad = (score(**values, needed=least) < least).reshape(2, -1).any(axis=0)
+            last = max(int(is_bad.argmax()) - 1, 0) if is_bad.any() else changes.size - 2
+            changes = np.linspace(changes[last], changes[last + 1], 9)
+        tolerances[name] = getattr(layer, name) * float(changes[0])
+    return tolerances
 
 
-def _largest(is_tolerated: Callable[[float], bool]) -> float:
-    """Find the largest relative change up to which all are tolerated, by bisection [-]."""
-    low, high = 0.0, _SMALLEST_CHANGE
-    while is_tolerated(high):
-        if high >= _LARGEST_CHANGE:
-            return high
-        low, high = high, 2.0 * high
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_tolerated(middle) else (low, middle)
-    return low
+class _Space(NamedTuple):
+    """A rig whose layer may vary within a box, and the name of a layer of the library."""
+
+    rig: Rig
+    box: Box
+    name: str = ''
+
+
+def _spaces(
+    rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material]
+) -> list[_Space]:
+    """List the spaces of a request, of the library one for each material or for its sheets."""
+    layer = require_uniform(rig).layer
+    if vary != 'library':
+        thickness = limits.thickness if vary != 'wave_speed' else (layer.thickness,) * 2
+        speeds = limits.wave_speed if vary != 'thickness' else (layer.wave_speed,) * 2
+        return [_Space(rig, Box(thickness, speeds))]
+    spaces = []
+    for material in materials.values():
+        speed = material.wave_speed
+        if material.is_ideal or not limits.wave_speed_min <= speed <= limits.wave_speed_max:
+            continue
+        smallest, largest = limits.thickness
+        sheets = [(item, item) for item in material.thicknesses if smallest <= item <= largest]
+        for low, high in sheets if material.thicknesses else [limits.thickness]:
+            sheet = replace(
+                layer,
+                thickness=low if low == high else layer.thickness,
+                wave_speed=speed,
+                density=material.density,
+                loss_tangent=material.loss_tangent,
+                diameter=material.diameter or layer.diameter,
+            )
+            box = Box((low, high), (speed, speed))
+            spaces.append(_Space(replace(rig, layer=sheet), box, material.layer_name(low)))
+    return spaces
+
+
+def _grid_step(space: _Space, limits: Limits) -> float:
+    """
+    Return the step of the grid of a search, in logarithms [-].
+
+    A stepper takes thirty times as long as the closed form. Under strong gravity the maxima are
+    too narrow for its coarse grid, with limits of loads or not.
+    """
+    step, gravity = 0.06, space.rig.gravity_ratio
+    if STRONG_GRAVITY < gravity < 1.0:
+        step = 0.09
+    elif gravity < 1.0 and (space.rig.layer.needs_cells or limits.of_loads):
+        step = 0.12
+    has_one_axis = any(low == high for low, high in space.box)
+    return 0.1 * step if has_one_axis else step
 
 
 class _Candidate(NamedTuple):
     """The best layer of a space."""
 
-    space: SearchSpace
+    space: _Space
     rig: Rig
     score: float
 
 
 class _Search(NamedTuple):
-    """The objective, the limits and the cancellation callback of a search."""
+    """The arguments of `Score` that all layers of a search share."""
 
     objective: Objective
     limits: Limits
     cancelled: Cancelled | None
+    uncertainties: Uncertainties | None = None
 
-    def rank(
-        self, spaces: list[SearchSpace], starts: Sequence[Layer] = ()
-    ) -> list[_Candidate]:
+    def evaluate(self, space: _Space, rig: Rig) -> _Candidate:
+        """Score a layer of a space with all cells; 0 outside the space."""
+        layer = (rig.layer.thickness, rig.layer.wave_speed)
+        is_inside = space.box.contains(*layer)
+        return _Candidate(space, rig, float(self._score(space)(*layer)[0]) if is_inside else 0.0)
+
+    def rank(self, spaces: list[_Space], starts: Sequence[Layer] = ()) -> list[_Candidate]:
         """
         Find the best layers of some spaces, the best first; `starts` are layers to search near.
 
@@ -324,47 +372,42 @@ class _Search(NamedTuple):
             if (best := self._search(space, starts)) is not None
         ]
         optima = sorted(optima, key=lambda optimum: -optimum[1].score)[:_MAX_CANDIDATES]
-        candidates = filter(None, (self._finish(space, best) for space, best in optima))
-        return sorted(candidates, key=lambda candidate: -candidate.score)
-
-    def _score(self, space: SearchSpace, cells: int | None = None) -> LayerScore:
-        """Return the score of layers of a space."""
-        return LayerScore(
-            space.rig, self.objective, self.limits, cells=cells, cancelled=self.cancelled
+        candidates = [self._finish(space, best) for space, best in optima]
+        return sorted(
+            (item for item in candidates if item.score > 0.0), key=lambda item: -item.score
         )
 
-    def _search(self, space: SearchSpace, starts: Sequence[Layer]) -> Optimum | None:
+    def _score(self, space: _Space, cells: int | None = None) -> Score:
+        """Return the score of layers of a space."""
+        return Score(
+            space.rig, self.objective, self.limits, uncertainties=self.uncertainties,
+            cells=cells, cancelled=self.cancelled,
+        )
+
+    def _search(self, space: _Space, starts: Sequence[Layer]) -> Optimum | None:
         """Find the best layer of a space, coarsely and with few cells if it has loss."""
         has_cells = space.rig.layer.needs_cells
-        first = [(layer.thickness, layer.wave_speed) for layer in (space.rig.layer, *starts)]
-        score = self._score(space, SEARCH_CELLS if has_cells else None)
-        return find_best_layer(
-            score,
-            space.layers,
-            step=space.grid_step(loads=self.limits.of_loads, throws=score.throws_per_layer),
-            starts=[layer for layer in first if space.layers.contains(*layer)],
+        first = [(layer.thickness, layer.wave_speed) for layer in starts]
+        return maximise(
+            self._score(space, SEARCH_CELLS if has_cells else None),
+            space.box,
+            step=_grid_step(space, self.limits),
+            starts=[layer for layer in first if space.box.contains(*layer)],
             tolerance=5e-4 if has_cells else 1e-4,
         )
 
-    def _finish(self, space: SearchSpace, best: Optimum | None) -> _Candidate | None:
-        """Score a layer with all cells, and prefer the present layer if it is as good."""
-        score, present = self._score(space), space.rig.layer
-        if best is not None and present.needs_cells:
-            best = _refine(score, best, space.layers)
-        if not space.is_single and space.layers.contains(present.thickness, present.wave_speed):
-            now = float(score(present.thickness, present.wave_speed)[0])
-            if now > 0.0 and (best is None or now >= (1.0 - _EQUAL) * best.score):
-                best = Optimum(present.thickness, present.wave_speed, now)
-        return None if best is None else _Candidate(space, space.rig_with(best), best.score)
-
-
-def _refine(score: LayerScore, best: Optimum, layers: LayerRange) -> Optimum | None:
-    """Search near a layer with all cells if its score with all cells is lower."""
-    exact = float(score(best.thickness, best.wave_speed)[0])
-    if exact >= (1.0 - _COARSE_ERROR) * best.score:
-        return best._replace(score=exact)
-    nearby = LayerRange(*(
-        (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
-        for (low, high), value in zip(layers, best, strict=False)
-    ))
-    return find_best_layer(score, nearby, step=_NEARBY, starts=[best[:2]], tolerance=1e-3)
+    def _finish(self, space: _Space, best: Optimum) -> _Candidate:
+        """Score a layer with all cells, and search near it if its score is lower than it was."""
+        layer = replace(space.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
+        exact = self.evaluate(space, replace(space.rig, layer=layer))
+        if not layer.needs_cells or exact.score >= (1.0 - _COARSE_ERROR) * best.score:
+            return exact
+        nearby = Box(*(
+            (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
+            for (low, high), value in zip(space.box, best, strict=False)
+        ))
+        best = maximise(
+            self._score(space), nearby, step=_NEARBY, starts=[best[:2]], tolerance=1e-3
+        ) or best._replace(score=0.0)
+        layer = replace(layer, thickness=best.thickness, wave_speed=best.wave_speed)
+        return _Candidate(space, replace(space.rig, layer=layer), best.score)

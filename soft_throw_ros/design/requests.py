@@ -13,10 +13,10 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim, aim
-from soft_throw_ros.design.motion_design import design_motion, MotionDesign
-from soft_throw_ros.design.objective import Limits, OBJECTIVES
-from soft_throw_ros.design.plate_motion import PlateLimits
+from soft_throw_ros.design.motion import design_motion, MotionDesign, PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
+from soft_throw_ros.design.score import Limits, OBJECTIVES
+from soft_throw_ros.design.uncertainty import Uncertainties
 
 RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
 
@@ -25,26 +25,13 @@ def solve_request(
     settings: Settings, *, rig: Rig | None = None, cancelled: Cancelled | None = None
 ) -> RequestResult:
     """
-    Recommend a layer or a motion, or aim, by the settings of the request.
+    Recommend a layer or a motion, or aim, by the complete settings of the twin.
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin; the rig, `recommendation.*` and `uncertainty.*` are used.
-    rig : Rig, optional
-        The rig that the settings describe, if it exists already.
-    cancelled : callable, optional
-        Called every few tenths of a second; returns whether to give up.
-
-    Raises
-    ------
-    ValueError
-        If the request is impossible; the message has the reason.
-    SearchCancelledError
-        If `cancelled` returns True.
-
+    `rig` is the rig that the settings describe, if it exists already. A ValueError has the reason
+    why a request is impossible; SearchCancelledError follows when `cancelled` returns True.
     """
     rig, request, limits = rig or rig_of(settings), _request(settings), limits_of(settings)
+    uncertainties = Uncertainties.from_settings(settings)
     if request['objective'] == 'aim':
         height, speed = request['target_height'] or None, request['target_speed'] or None
         return aim(rig, height=height, speed=speed, limits=limits, cancelled=cancelled)
@@ -56,7 +43,9 @@ def solve_request(
             )
         now = vars(PlateLimits.of(rig.engine))
         plate = PlateLimits(**{name: request.get(f'plate_{name}') or now[name] for name in now})
-        return design_motion(rig, plate, limits=limits, cancelled=cancelled)
+        return design_motion(
+            rig, plate, limits=limits, uncertainties=uncertainties, cancelled=cancelled
+        )
     is_from_library = request['vary'] == 'library'
     return recommend(
         rig,
@@ -64,6 +53,7 @@ def solve_request(
         objective=OBJECTIVES[request['objective']](settings),
         limits=limits,
         materials=library(str(settings['layer.library'])).materials if is_from_library else None,
+        uncertainties=uncertainties,
         cancelled=cancelled,
     )
 

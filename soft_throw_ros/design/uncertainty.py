@@ -21,6 +21,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import SEARCH_CELLS, throw_many
+from soft_throw_ros.core.throws import SEARCH_CELLS, throw_many, Throws
 
 Floats = NDArray[np.float64]
 
@@ -39,11 +40,18 @@ COVERAGE = 0.95
 _SAMPLE = 1000
 """Number of throws of a prediction."""
 
+_FEW = 200
+"""Number of throws that estimate a share without a release to 1 %."""
+
 _JUMP = 0.1
 """Gap without any throw that counts as a jump, in parts of the range of ejection times. [-]"""
 
 _ROOT = 1.1347241384015194
 """Root of x^6 = x + 1, for the five uncertain values."""
+
+
+CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
+"""All combinations of the largest errors of the five uncertain values, up and down."""
 
 
 class Variants(NamedTuple):
@@ -83,31 +91,17 @@ class Uncertainties:
     """
     Largest errors of a rig, up or down; the defaults are those of [1]_.
 
-    Parameters
-    ----------
-    wave_speed, thickness : float
-        Standard errors of the layer. [m/s], [m]
-    mass : float
-        Relative error of the projectile's mass; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm. [-]
-    frequency, damping_ratio : float
-        Standard errors of the plate. [Hz], [-]
-
-    Raises
-    ------
-    ValueError
-        If a value is negative or not finite, or `mass` is not below 1.
-
     References
     ----------
     .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
 
     """
 
-    wave_speed: float = 0.3
-    thickness: float = 0.1e-3
-    mass: float = 0.01
-    frequency: float = 0.1
-    damping_ratio: float = 0.003
+    wave_speed: float = 0.3  # of the layer [m/s]
+    thickness: float = 0.1e-3  # [m]
+    mass: float = 0.01  # relative; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm [-]
+    frequency: float = 0.1  # of the plate [Hz]
+    damping_ratio: float = 0.003  # [-]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -120,22 +114,7 @@ class Uncertainties:
         return cls(**{item.name: settings[f'uncertainty.{item.name}'] for item in fields(cls)})
 
     def variants(self, rig: Rig, offsets: Floats) -> Variants:
-        """
-        Return n throws of rigs with errors, given as shares of the uncertainties.
-
-        Parameters
-        ----------
-        rig : Rig
-            The nominal rig.
-        offsets : ndarray, shape (n, 5)
-            Offsets from -1 to 1, in the order of the fields. [-]
-
-        Raises
-        ------
-        ValueError
-            If an uncertainty is as large as the value.
-
-        """
+        """Return throws of rigs with errors: shares from -1 to 1, shape (n, 5), as the fields."""
         for name, uncertain in (
             ('thickness', rig.layer.thickness),
             ('wave_speed', rig.layer.wave_speed),
@@ -211,23 +190,7 @@ def prediction_uncertainty(
     cancelled: Cancelled | None = None,
 ) -> PredictionUncertainty:
     """
-    Compute the intervals of the first release of a throw.
-
-    Parameters
-    ----------
-    rig, cancelled
-        The nominal rig, and a callback as for `throw_many`.
-    uncertainties : Uncertainties, optional
-        Uncertainties of the rig; by default those of the paper.
-
-    Raises
-    ------
-    ValueError
-        If an uncertainty is as large as the uncertain value.
-    ThrowUnresolvedError
-        If the projectile does not leave in any of the throws.
-    SearchCancelledError
-        If `cancelled` returns True.
+    Compute the intervals of the first release, by default with the uncertainties of the paper.
 
     Examples
     --------
@@ -236,10 +199,7 @@ def prediction_uncertainty(
     (7.455, 7.846)
 
     """
-    uncertainties = uncertainties or Uncertainties()
-    variants = uncertainties.variants(rig, quasi_random_offsets(_SAMPLE))
-    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
-    throws = throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)
+    throws = _throws(rig, uncertainties or Uncertainties(), _SAMPLE, cancelled)
     is_released = throws.ejection_speed > 0.0
     if not is_released.any():
         raise ThrowUnresolvedError('the projectile does not leave within the uncertainties')
@@ -252,3 +212,29 @@ def prediction_uncertainty(
         jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
         stuck_fraction=1.0 - float(is_released.mean()),
     )
+
+
+def stuck_fraction(
+    rig: Rig, uncertainties: Uncertainties, *, cancelled: Cancelled | None = None
+) -> float:
+    """
+    Compute the share of the throws within the uncertainties without a release [-].
+
+    It is 0 if an uncertainty is as large as the uncertain value, because then nothing is known.
+    """
+    if rig.gravity == 0.0:
+        return 0.0
+    try:
+        throws = _throws(rig, uncertainties, _FEW, cancelled)
+    except ValueError:
+        return 0.0
+    return 1.0 - float((throws.ejection_speed > 0.0).mean())
+
+
+def _throws(
+    rig: Rig, uncertainties: Uncertainties, count: int, cancelled: Cancelled | None
+) -> Throws:
+    """Compute some throws all over the uncertainties."""
+    variants = uncertainties.variants(rig, quasi_random_offsets(count))
+    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
+    return throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)

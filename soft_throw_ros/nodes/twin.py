@@ -344,6 +344,8 @@ class Twin(RealTimeNode):
         if recommended.best is None:
             raise RequestRejected(recommended.describe())
         changes = recommended.changes()
+        if not changes:
+            return 'the present layer is the best one and stays'
         self.parameters.apply(changes)
         values = ', '.join(f'{name} {shown(value)}' for name, value in changes.items())
         return f'{values}, from the next throw or ~/reset on'

@@ -381,3 +381,4 @@ def warm_up() -> None:
     memory, steps = np.zeros(1, _MEMORY), np.zeros(1, STEP)
     _filter(memory, np.ones(1), np.ones(1), np.ones(1), np.ones(1), np.ones((3, 1)), steps)
     _smooth(memory, steps, np.empty((1, 3)))
+    _coast(memory, np.ones(1), np.empty((1, 3)))

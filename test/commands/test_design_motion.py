@@ -13,7 +13,7 @@ from soft_throw_ros.configuration import motions
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.design.plate_motion import PlateLimits
+from soft_throw_ros.design.motion import PlateLimits
 from soft_throw_ros.design.prediction import predict
 import yaml
 
@@ -26,10 +26,10 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     files = [tmp_path / f'best.{ending}' for ending in ('csv', 'yaml', 'png')]
     printed = command.run(*QUICK, '--output', *files)
     assert printed.startswith('with the same motor, ')
-    speed = float(command.row(printed, 'ejection speed V_e')[-1])
-    assert float(command.row(printed, 'energy transfer alpha')[-1]) > 4.1
+    speed = float(command.row(printed, 'ejection speed V_e')[1])
+    assert float(command.row(printed, 'energy transfer alpha')[1]) > 4.1
     assert all(path.stat().st_size > 1000 for path in files)
-    assert throw.main(['--motion', str(files[0]), '-p', 'gravity:=0']) == 0
+    assert throw.main(['--verbose', '--motion', str(files[0]), '-p', 'gravity:=0']) == 0
     assert float(command.row(capsys.readouterr().out, 'ejection speed V_e')[-2]) == speed
     # read by an independent parser
     types = get_typestore(Stores.ROS2_JAZZY).types
@@ -65,13 +65,6 @@ def test_json_has_everything_in_si(command):
     assert motion['limits']['travel'] == 0.01
     assert motion['now']['ejection_speed'] == predict(Rig(gravity=0.0)).ejection_speed
     assert np.ptp(np.array(motion['rig']['engine']['motion']['states'])[:, 0]) <= 0.0100001
-
-
-@pytest.mark.parametrize(('law', 'is_warned'), [('linear', True), ('neo_hookean', False)])
-def test_table_warns_beyond_the_linear_range_of_the_law_only(command, law, is_warned):
-    law = ('-p', f'layer.stress_strain_law:={law}')
-    printed = command.run(*QUICK, *law, '--amplitude', '3e-3')
-    assert ('leaves the linear range (now, best motion)' in printed) is is_warned
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Projectile, Rig
 from soft_throw_ros.core.throws import last_release
 from soft_throw_ros.design.aiming import aim
-from soft_throw_ros.design.objective import Limits, robust, versatile
 from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.design.score import Limits, robust, versatile
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
 COMMAND = (design.main,)
@@ -52,7 +52,7 @@ def test_table_compares_the_recommended_and_the_present_layer(command):
         expected = [getattr(each, name) for each in (now, best, best.by_wave_speed)]
         shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx([scale * value for value in expected], rel=1e-5)
-    assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
+    assert uncertainty_text(prediction_uncertainty(best.rig).values()) in printed
 
 
 def test_json_has_everything_to_the_last_digit(command):
@@ -168,7 +168,7 @@ def test_table_has_the_present_throw_and_the_aim(command):
     for title, expected in columns.items():
         shown = list(map(float, command.row(printed, title)))
         assert shown == pytest.approx(expected, rel=1e-5)
-    assert uncertainty_text(prediction_uncertainty(best.rig)) in printed
+    assert uncertainty_text(prediction_uncertainty(best.rig).values()) in printed
 
 
 def test_target_speed_replaces_the_default_height(command):

@@ -9,6 +9,7 @@ import sys
 
 import pytest
 from soft_throw_ros.commands import throw
+from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.configuration.layers import default_file, library
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Layer, Rig
@@ -53,25 +54,24 @@ def test_internal_loss_shows_its_heat(command):
     assert throw_['heat'] > 0.0
 
 
-def test_table_has_the_columns_of_the_json(command):
-    lines = command.run().splitlines()
-    printed = command.json()
-    assert lines[2].split() == ['throw', 'spring']
+def test_answer_comes_first_and_the_table_on_request(command):
+    printed, table = command.json(), command.run('--verbose')
+    assert table.startswith(command.run().partition('\n')[0])
+    assert 'ejection time t_e' not in command.run()
     for title, name, scale in (
         ('energy transfer alpha', 'energy_transfer', 1.0),
         ('ejection time t_e', 'ejection_time', 1e3),
     ):
-        numbers = [float(text) for text in command.row('\n'.join(lines), title)[-2:]]
+        numbers = [float(text) for text in command.row(table, title)]
         expected = [scale * printed[column][name] for column in ('throw', 'spring')]
         assert numbers == pytest.approx(expected, rel=5e-6)
 
 
 def test_uncertainty_of_the_rig_is_shown(command):
     options = ['-p', 'uncertainty.thickness:=1e-3', '-p', 'uncertainty.mass:=0']
-    printed = command.json(*options)
-    expected = prediction_uncertainty(Rig(), Uncertainties(thickness=1e-3, mass=0.0))
-    assert printed['uncertainty'] == expected.values()
-    assert printed['notes']['uncertainty'] in command.run(*options)
+    expected = prediction_uncertainty(Rig(), Uncertainties(thickness=1e-3, mass=0.0)).values()
+    assert command.json(*options)['uncertainty'] == expected
+    assert uncertainty_text(expected) in command.run(*options)
 
 
 def test_options_replace_values_of_the_file(command, write):
@@ -102,9 +102,9 @@ def test_refused_arguments_are_quoted(command, args, message):
 
 
 def test_plate_that_gravity_holds_is_explained_with_exit_code_1(command):
-    printed = command.json('--amplitude', 1e-5, code=1)
-    assert printed['throw'] is None
-    assert re.search('acceleration.* below gravity', printed['notes']['throw'])
+    assert command.json('--amplitude', 1e-5, code=1)['throw'] is None
+    printed = command.run('--amplitude', 1e-5, code=1)
+    assert re.match('no throw: .*acceleration.* below gravity', printed)
 
 
 @pytest.mark.parametrize(

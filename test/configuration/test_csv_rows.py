@@ -20,7 +20,7 @@ def read(text):
 @pytest.mark.parametrize(
     'text',
     [
-        't [ms],z [mm],note\n0,1,10\n2,3,10\n',
+        't [ms],z [mm],"a, note"\n0,1,"1,0"\n,,\n2,3,10\n',
         'time (ms);height (mm)\n0;1,0\n2;3,0\n',
         'sep=;\n# a comment\n\nt [ms]; z [mm]\n0; 1e0;\n2; 3;\n',
         '\ufeff"t [ms]"\t"z [mm]"\n0\t1\n2\t3\n',
@@ -41,7 +41,7 @@ def test_column_that_needs_a_label_is_skipped_without_one():
 
 
 def test_missing_values_are_nan_where_gaps_are_allowed():
-    assert np.isnan(read('t,z\n0,\n1,nan\n2,3\n')['z']).tolist() == [True, True, False]
+    assert np.isnan(read('t,z\n0,\n1,NA\n2,3\n')['z']).tolist() == [True, True, False]
 
 
 def test_rows_have_the_numbers_of_their_lines():

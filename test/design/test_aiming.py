@@ -13,7 +13,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import last_release, rig_with
 from soft_throw_ros.design.aiming import aim
-from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design.score import Limits
 
 EXACT = 1e-4
 

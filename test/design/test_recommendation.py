@@ -12,23 +12,23 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throws import throw_many
-from soft_throw_ros.design.objective import LayerScore, Limits, peak, robust, versatile
 from soft_throw_ros.design.recommendation import (
     best_ratios,
+    MAX_STUCK_FRACTION,
     predict,
     PredictedThrow,
     recommend,
     TOLERATED_LOSS,
 )
-from soft_throw_ros.design.search_space import search_spaces
-from soft_throw_ros.design.uncertainty import Uncertainties
+from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
+from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
 
 MATERIALS = library().materials
 LOSSY = {'dragon': MATERIALS['dragon_skin_10']}
 KINDS = ('peak', 'robust', 'versatile', 'limits', 'library')
+NONE = Uncertainties(wave_speed=0.0, thickness=0.0, mass=0.0, frequency=0.0, damping_ratio=0.0)
 LOST = 1e-3
 """Fraction of the best score that a recommendation may lose."""
 
@@ -81,21 +81,27 @@ def random_request(kind, random, *, loss_tangent=0.0):
         load = str(random.choice(['strain', 'acceleration']))
         lower = random.uniform(0.93, 1.0) * getattr(free, f'peak_{load}')
         limits = replace(limits, **{f'max_{load}': lower})
-    few = {name: MATERIALS[name] for name in ('gelatin', 'ecoflex_00-30', 'sorbothane_30')}
+    few = {name: MATERIALS[name] for name in ('gelatin_3pct', 'ecoflex_00-30', 'sorbothane_30')}
     return rig, {'vary': vary, 'objective': objective, 'limits': limits, 'materials': few}
 
 
 def best_of_a_grid(rig, *, vary, objective, limits, materials, size):
     """Return the highest score of a grid, `size` both ways or 20 times as many on a line."""
+    if vary == 'library':
+        layers = [
+            (replace(rig.layer, wave_speed=item.wave_speed, density=item.density,
+                     loss_tangent=item.loss_tangent), limits.thickness, (item.wave_speed,) * 2)
+            for item in materials.values()
+        ]
+    else:
+        speeds = limits.wave_speed if vary == 'both' else (rig.layer.wave_speed,) * 2
+        layers = [(rig.layer, limits.thickness, speeds)]
     best = 0.0
-    for space in search_spaces(rig, vary, limits, materials):
-        varies = sum(low < high for low, high in space.layers)
-        count = size if varies == 2 else 20 * size
-        thicknesses, wave_speeds = (
-            np.geomspace(low, high, count if low < high else 1) for low, high in space.layers
-        )
-        score = LayerScore(space.rig, objective, limits)
-        for wave_speed in wave_speeds:
+    for layer, thickness, speeds in layers:
+        varies = speeds[0] < speeds[1]
+        thicknesses = np.geomspace(*thickness, size if varies else 20 * size)
+        score = Score(replace(rig, layer=layer), objective, limits)
+        for wave_speed in np.geomspace(*speeds, size if varies else 1):
             best = max(best, score(thicknesses, wave_speed).max())
     return best
 
@@ -103,7 +109,7 @@ def best_of_a_grid(rig, *, vary, objective, limits, materials, size):
 def assert_as_good_as_brute_force(rig, *, size, limits, **request):
     """Assert that a recommendation is within its limits, and as good as the best of a grid."""
     brute = best_of_a_grid(rig, limits=limits, **request, size=size)
-    best = recommend(rig, limits=limits, **request)
+    best = recommend(rig, limits=limits, uncertainties=NONE, **request)
     assert best.score >= (1.0 - LOST) * brute > 0.0
     assert best.peak_strain <= limits.max_strain * (1.0 + 1e-9)
     assert best.peak_acceleration <= limits.max_acceleration * (1.0 + 1e-9)
@@ -176,10 +182,6 @@ def test_recommended_layer_has_its_promised_energy_transfer(seed, vary):
     prediction = predict(replace(rig, layer=best.rig.layer))
     assert all(value == getattr(best, name) for name, value in vars(prediction).items())
     assert best.score == best.energy_transfer
-    speed = math.sqrt(best.energy_transfer) * Underdamped.of(rig.engine).peak_velocity
-    assert best.ejection_speed == pytest.approx(speed, rel=1e-9)
-    assert best.kinetic_energy == pytest.approx(0.5 * rig.projectile.mass * speed**2, rel=1e-9)
-    assert best.plate_work > best.kinetic_energy
     assert best.thickness == rig.layer.thickness or vary != 'wave_speed'
     assert best.wave_speed == rig.layer.wave_speed or vary != 'thickness'
     # The present layer is within the limits, so no recommendation is worse
@@ -192,20 +194,12 @@ def test_recommended_layer_has_its_promised_energy_transfer(seed, vary):
     assert again.energy_transfer == pytest.approx(best.energy_transfer, rel=1e-5)
 
 
-def test_layer_for_several_light_projectiles_is_thick_and_gives_each_nearly_alpha_4():
-    """The paper states this value for layers with fast waves."""
-    light = partial(versatile, masses=(0.3e-3, 0.6e-3, 1.2e-3), frequencies=(63.2,))
-    best = recommend(Rig(gravity=0.0), objective=light, limits=Limits(thickness_max=0.1))
-    assert best.score > 3.8
-    assert best.thickness > 1.5 * Rig().layer.thickness
-
-
 def test_robust_layer_is_better_in_the_worst_case_only():
     rig = Rig()
     objective = partial(robust, uncertainties=Uncertainties(wave_speed=1.5, thickness=1e-3))
     best = recommend(rig, vary='thickness')
     safe = recommend(rig, vary='thickness', objective=objective)
-    assert safe.score > LayerScore(best.rig, objective)(best.thickness, best.wave_speed)[0]
+    assert safe.score > Score(best.rig, objective)(best.thickness, best.wave_speed)[0]
     assert safe.energy_transfer <= best.energy_transfer * (1.0 + 1e-9)
     assert safe.now_score < safe.now.energy_transfer
 
@@ -241,43 +235,49 @@ def test_search_follows_a_ridge_between_two_throws():
         kappa = best.wave_speed / best.thickness * np.linspace(0.93, 1.07, 281)[:, None]
         inside = (thickness * kappa <= limits.wave_speed_max).ravel()
         layers = np.broadcast_arrays(thickness, thickness * kappa)
-        along = LayerScore(rig, objective)(*(item.ravel()[inside] for item in layers))
+        along = Score(rig, objective)(*(item.ravel()[inside] for item in layers))
         assert best.score >= (1.0 - LOST) * along.max()
 
 
-@pytest.mark.parametrize('gravity_ratio', [0.4, 0.7, 0.95])
-@pytest.mark.parametrize('seed', range(2))
-def test_limit_that_is_not_active_does_not_change_the_answer(gravity_ratio, seed):
-    rig = random_rig(np.random.default_rng(seed))
-    acceleration = rig.engine.speed_scale * rig.engine.angular_frequency
-    rig = replace(rig, gravity=gravity_ratio * acceleration)
-    limited = recommend(rig, limits=Limits(max_strain=10.0))
-    assert limited.score == pytest.approx(recommend(rig).score, rel=1e-6)
+@pytest.mark.parametrize('gravity_ratio', [0.4, 0.95, 1.404])
+def test_limit_that_is_not_active_does_not_change_the_answer(gravity_ratio):
+    rig = heavy_rig(gravity_ratio, mass=3.96e-3)
+    limited = recommend(rig, limits=Limits(max_strain=10.0), uncertainties=NONE)
+    assert limited.score == pytest.approx(recommend(rig, uncertainties=NONE).score, rel=1e-6)
 
 
-def test_limit_that_is_not_active_costs_nothing():
+def test_layer_that_may_hold_the_projectile_is_not_preferred():
     rig = heavy_rig(1.404, mass=3.96e-3)
-    limited = recommend(rig, limits=Limits(max_strain=10.0))
-    assert limited.score == pytest.approx(recommend(rig).score, rel=LOST)
-    # At an edge, a slightly smaller value lets gravity hold the projectile for longer.
-    assert min(limited.tolerances['thickness'] / limited.thickness,
-               limited.tolerances['wave_speed'] / limited.wave_speed) < 1e-3
+    free, safe = (recommend(rig, uncertainties=item) for item in (NONE, Uncertainties()))
+    assert stuck_fraction(free.rig, Uncertainties()) > MAX_STUCK_FRACTION >= safe.stuck_fraction
+    assert safe.now_score < safe.score < free.score
 
 
-# contents of the recommendation
+def test_present_layer_is_kept_if_the_library_has_no_better_one():
+    best = recommend(Rig(), vary='library', materials=LOSSY)
+    assert best.rig == Rig()
+    assert (best.layer, best.gain) == ('', 0.0)
 
 
-def test_every_result_in_the_table_belongs_to_a_recommendation_or_an_aim():
-    best = recommend(Rig())
-    results = [entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result]
-    assert len(results) <= 9
-    for name in results:
-        assert name == 'amplitude' or getattr(best, name) is not None
+def test_present_layer_beyond_the_limits_is_compared_with_a_worse_one():
+    best = recommend(Rig(), vary='thickness', limits=Limits(thickness_max=5e-3))
+    assert best.now.thickness > best.thickness
+    assert -1.0 < best.gain < 0.0
+
+
+def test_ideal_materials_are_not_recommended():
+    names = ('gelatin', 'ecoflex_00-30')
+    rig = Rig(layer=Layer(thickness=1e-3))
+    best = recommend(rig, vary='library', materials={name: MATERIALS[name] for name in names})
+    assert MATERIALS['gelatin'].is_ideal
+    assert [item.layer for item in best.candidates] == [best.layer] == ['ecoflex_00-30']
 
 
 def test_values_are_flat_and_complete():
     best = recommend(Rig(), vary='wave_speed')
     values = best.values()
+    results = {entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result}
+    assert results <= {'amplitude', *vars(best)}
     assert values['wave_speed'] == values['by_wave_speed.wave_speed'] == best.wave_speed
     assert values['now.energy_transfer'] == predict(Rig()).energy_transfer
     assert 0.0 < values['tolerance.thickness'] < best.thickness

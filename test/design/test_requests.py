@@ -9,10 +9,10 @@ from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.twin import OBJECTIVES
 from soft_throw_ros.core.batch import SearchCancelledError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design import objective
-from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.design import score
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.requests import limits_of, solve_request
+from soft_throw_ros.design.score import Limits
 from soft_throw_ros.design.uncertainty import Uncertainties
 from twin_runs import complete_settings
 
@@ -63,4 +63,4 @@ def test_every_limit_counts():
 
 
 def test_every_objective_in_the_table_is_a_function():
-    assert OBJECTIVES.keys() == objective.OBJECTIVES.keys()
+    assert OBJECTIVES.keys() == score.OBJECTIVES.keys()

@@ -23,7 +23,7 @@ from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.design.motion_design import design_motion
+from soft_throw_ros.design.motion import design_motion
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit

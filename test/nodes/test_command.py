@@ -15,7 +15,7 @@ from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.design.plate_motion import find_best_motion, PlateLimits
+from soft_throw_ros.design.motion import find_best_motion, PlateLimits
 from soft_throw_ros.nodes.conversions import msg_to_time
 
 ENGINE = PlateLimits.of(Engine())

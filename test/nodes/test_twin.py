@@ -386,7 +386,7 @@ def test_failed_recommendation_names_the_two_limits(ros, twin, listener) -> None
 
 
 def test_applied_changes_set_the_recommended_library_layer() -> None:
-    settings = {**TWIN.defaults(), 'engine.frequency': 31.1, 'recommendation.vary': 'library'}
+    settings = {**TWIN.defaults(), 'layer.thickness': 2e-3, 'recommendation.vary': 'library'}
     recommendation = recommend_for(TwinConfig.from_settings(settings))
     settings |= TWIN.change(settings, recommendation.changes())
     name = recommendation.best.layer

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-import itertools
 import math
 from typing import TypeAlias
 
@@ -18,15 +17,15 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import throw_many
-from soft_throw_ros.design.uncertainty import Uncertainties, Variants
+from soft_throw_ros.design.uncertainty import CORNERS, Uncertainties, Variants
 
 Floats = NDArray[np.float64]
 
 Objective: TypeAlias = Callable[[Rig], Variants]
 """The throws of a rig that score its layer: the score is their lowest energy transfer."""
 
-_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
-"""All combinations of the largest errors of the five uncertain values, up and down."""
+_STAGES = (slice(0, 1), slice(1, 5), slice(5, None))
+"""Throws of a layer in stages; a layer that is worse than another is not computed to the end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +41,6 @@ class Limits:
         Largest magnitude of the strain anywhere in the layer. [-]
     max_acceleration : float
         Largest magnitude of the projectile's acceleration. [m/s2]
-
-    Raises
-    ------
-    ValueError
-        If a limit is not positive, or a smallest one is not below the largest.
 
     """
 
@@ -94,7 +88,7 @@ def robust(rig: Rig, *, uncertainties: Uncertainties | None = None) -> Variants:
     The uncertainties are those of the paper if not given. A layer that could be off by its whole
     thickness or wave speed throws nothing.
     """
-    return (uncertainties or Uncertainties()).variants(rig, _CORNERS)
+    return (uncertainties or Uncertainties()).variants(rig, CORNERS)
 
 
 def versatile(
@@ -131,9 +125,9 @@ OBJECTIVES: Mapping[str, Callable[[Settings], Objective]] = {
 """Objectives by the value of `recommendation.objective`, made from the settings of the twin."""
 
 
-class LayerScore:
+class Score:
     """
-    Scores of layers for an objective: the function that a search maximises.
+    Scores of layers for an objective: the function that `maximise` maximises.
 
     Parameters
     ----------
@@ -144,13 +138,10 @@ class LayerScore:
     limits : Limits, optional
         Limits of the loads, which hold for every throw that counts; the search itself keeps
         those of thickness and wave speed.
+    uncertainties : Uncertainties, optional
+        Errors at whose corners the projectile has to leave, too.
     cells, cancelled : optional
         Arguments of `throw_many`.
-
-    Raises
-    ------
-    ValueError
-        If an uncertainty is as large as the uncertain value.
 
     """
 
@@ -160,17 +151,25 @@ class LayerScore:
         objective: Objective,
         limits: Limits | None = None,
         *,
+        uncertainties: Uncertainties | None = None,
         cells: int | None = None,
         cancelled: Cancelled | None = None,
     ) -> None:
-        self.rig = rig
+        self._rig = rig
         self._limits = limits or Limits()
         self._cells = cells
         self._cancelled = cancelled
         self._variants = objective(rig)
-        self.throws_per_layer = self._variants.mass.size
+        self._counted = self._variants.mass.size
+        if uncertainties is not None:
+            others = uncertainties.variants(rig, CORNERS)
+            pairs = zip(self._variants, others, strict=True)
+            self._variants = Variants(*map(np.concatenate, pairs))
+        self._order = np.arange(self._variants.mass.size)
 
-    def __call__(self, thickness: ArrayLike, wave_speed: ArrayLike) -> Floats:
+    def __call__(
+        self, thickness: ArrayLike, wave_speed: ArrayLike, needed: ArrayLike = 0.0
+    ) -> Floats:
         """
         Compute the lowest energy transfer of the throws that count.
 
@@ -178,30 +177,42 @@ class LayerScore:
         ----------
         thickness, wave_speed : array_like, shape (n,)
             Thicknesses and wave speeds of the layers. [m], [m/s]
+        needed : array_like, shape (n,)
+            Scores below which a layer does not matter, so that some throws are enough. [-]
 
         Returns
         -------
         ndarray, shape (n,)
-            0 for layers that throw nothing or exceed a limit. [-]
-
-        Raises
-        ------
-        SearchCancelledError
-            If `cancelled` returns True.
+            0 for layers that throw nothing or exceed a limit; where the score is below `needed`,
+            any number between them. [-]
 
         """
-        thickness, wave_speed = (
-            column[:, None]
-            for column in np.broadcast_arrays(*np.atleast_1d(thickness, wave_speed))
-        )
-        limits = self._limits
+        thickness, wave_speed = np.broadcast_arrays(*np.atleast_1d(thickness, wave_speed))
+        scores = np.full(thickness.shape, math.inf)
+        for variants in map(self._order.__getitem__, _STAGES):
+            rows = np.flatnonzero(scores >= needed)
+            if variants.size and rows.size:
+                transfers = self._transfers(thickness[rows], wave_speed[rows], variants)
+                scores[rows] = np.minimum(scores[rows], transfers.min(axis=1))
+        if variants.size and rows.size:  # begin with the throw that is most often the worst
+            worst = np.bincount(variants[transfers.argmin(axis=1)], minlength=self._order.size)
+            self._order = self._order[np.argsort(-worst[self._order], kind='stable')]
+        return scores
+
+    def _transfers(
+        self, thickness: Floats, wave_speed: Floats, variants: NDArray[np.intp]
+    ) -> Floats:
+        """Return the energy transfers of some throws of each layer, 0 beyond a limit [-]."""
+        limits, chosen = self._limits, Variants(*(item[variants] for item in self._variants))
         throws = throw_many(
-            self.rig, self._variants.changes(thickness, wave_speed), loads=limits.of_loads,
-            cells=self._cells, cancelled=self._cancelled,
+            self._rig, chosen.changes(thickness[:, None], wave_speed[:, None]),
+            loads=limits.of_loads, cells=self._cells, cancelled=self._cancelled,
         )
-        scores: Floats = np.nan_to_num(throws.energy_transfer).min(axis=1)
+        transfers: Floats = np.nan_to_num(throws.energy_transfer)
+        is_counted = variants < self._counted
         if limits.of_loads:
             is_within = throws.peak_strain <= limits.max_strain
             is_within &= throws.peak_acceleration <= limits.max_acceleration
-            scores *= is_within.all(axis=1)
-        return scores
+            transfers[is_counted & ~is_within] = 0.0
+        transfers[~is_counted & (transfers > 0.0)] = math.inf
+        return transfers

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 r"""
-Find the layer with the highest score within a range of thickness and wave speed.
+Find the layer with the highest score within a box of thickness and wave speed.
 
 Notes
 -----
@@ -41,41 +41,45 @@ _MAX_CANDIDATES = 4
 _CANDIDATE_TOLERANCE = 0.1
 """Part of the highest score that a candidate may lack while its patch is a grid step wide. [-]"""
 
-_SHRINK = 0.4
-"""Size of the next patch over that of a patch with its best point inside. [-]"""
-
-_ROUNDING = 1e-13
-"""Relative difference of scores that may be rounding; a patch does not move for less. [-]"""
+_SHARE = 32
+"""One of so many grid points is computed before the others, to exclude most of them."""
 
 _MAX_ROUNDS = 40
 """Upper bound of the rounds of a pattern search, which usually needs 6 to 15."""
 
-_PATCH = (-1.0, -0.5, 0.0, 0.5, 1.0)
+_PATCH = np.linspace(-1.0, 1.0, 7)
 """Points of a patch along an axis, in half widths."""
 
-_FAN = tuple(itertools.product((-1.0, 1.0), np.linspace(-1.0, 1.0, 9).tolist()))
+_FAN = tuple(itertools.product((-1.0, 1.0), np.linspace(-1.0, 1.0, 15).tolist()))
 """Far points: along a ridge in roots of half widths, and across it in half widths."""
+
+_SHRINK = 0.3
+"""Size of the next patch over that of a patch with its best point inside. [-]"""
 
 _EQUAL = 1e-9
 """Relative difference of scores that count as equal; then the thinner layer is chosen. [-]"""
 
+_ROUNDING = 1e-13
+"""Relative difference of scores that may be rounding; a patch does not move for less. [-]"""
 
-Score: TypeAlias = Callable[[Floats, Floats], Floats]
-"""Score by thickness and wave speed; 0 for layers that throw nothing or break a limit."""
+Score: TypeAlias = Callable[[Floats, Floats, Floats | float], Floats]
+"""
+Score by thickness and wave speed; 0 for layers that throw nothing or break a limit.
+
+Where the score is below the third argument, any number between them may be returned.
+"""
 
 
-class LayerRange(NamedTuple):
+class Box(NamedTuple):
     """Smallest and largest thickness [m] and wave speed [m/s]; equal bounds fix a value."""
 
     thickness: tuple[float, float]
     wave_speed: tuple[float, float]
 
     def contains(self, thickness: float, wave_speed: float) -> bool:
-        """Return whether a layer is within the range."""
-        return (
-            self.thickness[0] <= thickness <= self.thickness[1]
-            and self.wave_speed[0] <= wave_speed <= self.wave_speed[1]
-        )
+        """Return whether a layer is within the box."""
+        values = zip((thickness, wave_speed), self, strict=True)
+        return all(low <= value <= high for value, (low, high) in values)
 
 
 class Optimum(NamedTuple):
@@ -86,9 +90,9 @@ class Optimum(NamedTuple):
     score: float
 
 
-def find_best_layer(
+def maximise(
     score: Score,
-    layers: LayerRange,
+    box: Box,
     *,
     step: float,
     starts: Sequence[tuple[float, float]] = (),
@@ -101,12 +105,12 @@ def find_best_layer(
     ----------
     score : Score
         Function to maximise.
-    layers : LayerRange
+    box : Box
         Range of the search.
     step : float
         Step of the grid in the logarithms. [-]
     starts : sequence of (float, float)
-        Thickness [m] and wave speed [m/s] of additional first layers of pattern searches.
+        Thickness [m] and wave speed [m/s] of layers that start a search if they beat the grid.
     tolerance : float
         Relative error of thickness and wave speed. [-]
 
@@ -116,46 +120,55 @@ def find_best_layer(
         None if all scores are 0. Of scores that are equal to 1e-9, the thinner layer.
 
     """
-    low, high = np.log(np.array(layers).T)
+    low, high = np.log(np.array(box).T)
     sizes = np.clip(np.ceil((high - low) / step).astype(int) + 1, _MIN_POINTS, _MAX_POINTS)
     sizes = np.where(high > low, sizes, 1)
     spacing = (high - low) / np.maximum(sizes - 1, 1)
 
-    def at(points: Floats) -> Floats:
+    def at(points: Floats, needed: Floats | float = 0.0) -> Floats:
         """Compute scores at points, the logarithms of thickness and wave speed."""
         thickness, wave_speed = (
-            np.clip(np.exp(points[..., i].ravel()), *layers[i]) for i in range(2)
+            np.clip(np.exp(points[..., i].ravel()), *box[i]) for i in range(2)
         )
-        return score(thickness, wave_speed).reshape(points.shape[:-1])
+        needed = np.broadcast_to(needed, points.shape[:-1]).ravel()
+        return score(thickness, wave_speed, needed).reshape(points.shape[:-1])
 
     axes = [np.linspace(low[i], high[i], sizes[i]) for i in range(2)]
     grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)
-    scores = at(grid)
-    indices = _highest_maxima(scores)
-    points, values = grid[indices], scores[indices]
+    points = grid.reshape(-1, 2)
+    scores = at(points, np.inf)
+    first = np.argsort(-scores)[: 1 + scores.size // _SHARE]
+    needed = (1.0 - _CANDIDATE_TOLERANCE) * at(points[first]).max()
+    is_near = scores >= needed
+    scores[is_near] = at(points[is_near], needed)
+    indices = _highest_maxima(scores.reshape(grid.shape[:-1]))
+    points, values = points[indices], scores[indices]
     if starts:
-        first = np.log(np.array(starts))
-        points, values = np.concatenate([points, first]), np.append(values, at(first))
+        others = np.log(np.array(starts))
+        scores = at(others)
+        is_better = scores > values.max(initial=0.0)
+        points = np.concatenate([points, others[is_better]])
+        values = np.append(values, scores[is_better])
     if not (values > 0.0).any():
         return None
     point, value = points[0], float(values[0])
     if (high > low).any():
         point, value = _pattern_search(at, points, values, spacing, (low, high), tolerance)
-    thickness, wave_speed = (float(np.clip(np.exp(point[i]), *layers[i])) for i in range(2))
+    thickness, wave_speed = (float(np.clip(np.exp(point[i]), *box[i])) for i in range(2))
     return Optimum(thickness, wave_speed, value)
 
 
-def _highest_maxima(scores: Floats) -> tuple[NDArray[np.intp], ...]:
-    """Return the indices of the highest grid points that no neighbour exceeds."""
+def _highest_maxima(scores: Floats) -> NDArray[np.intp]:
+    """Return the flat indices of the highest grid points that no neighbour exceeds."""
     around = scipy.ndimage.maximum_filter(scores, 3)
     is_high = scores > (1.0 - _CANDIDATE_TOLERANCE) * scores.max()
-    maxima = np.argwhere((scores >= around) & is_high)
-    order = np.argsort(-scores[tuple(maxima.T)], kind='stable')
-    return tuple(maxima[order[:_MAX_CANDIDATES]].T)
+    maxima = np.flatnonzero((scores >= around) & is_high)
+    order = np.argsort(-scores.ravel()[maxima], kind='stable')
+    return maxima[order[:_MAX_CANDIDATES]]
 
 
 def _pattern_search(
-    at: Callable[[Floats], Floats],
+    at: Callable[..., Floats],
     points: Floats,
     values: Floats,
     spacing: Floats,
@@ -164,8 +177,7 @@ def _pattern_search(
 ) -> tuple[Floats, float]:
     """Move patches to their best points and shrink them; return the best point and its score."""
     is_free = spacing > 0.0
-    axes = [_PATCH if free else (0.0,) for free in is_free]
-    near = np.array([offset for offset in itertools.product(*axes) if any(offset)])
+    near = np.array(list(itertools.product(*(_PATCH if free else (0.0,) for free in is_free))))
     far = np.array(_FAN if is_free.all() else []).reshape(-1, 2)
     is_edge = np.abs(np.concatenate([near, far])).max(axis=1) == 1.0
     widths = np.ones(len(points))
@@ -179,7 +191,7 @@ def _pattern_search(
         if is_free.all():
             moves[..., 1] += moves[..., 0]  # along a line of equal kappa
         patches = np.clip(points[:, None] + moves, *box)
-        scores = at(patches)
+        scores = at(patches, values[:, None])
         best = scores.argmax(axis=1)
         rows = np.arange(len(points))
         is_better = scores[rows, best] > (1.0 + _ROUNDING) * values

@@ -11,13 +11,13 @@ import pytest
 from reference.cases import exact_release
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throws import rig_with, throw_many
-from soft_throw_ros.design.objective import LayerScore, Limits, peak, robust, versatile
 from soft_throw_ros.design.prediction import predict
+from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
 from soft_throw_ros.design.uncertainty import Uncertainties
 
 
 def score_of(rig, objective, limits=None):
-    return float(LayerScore(rig, objective, limits)(rig.layer.thickness, rig.layer.wave_speed)[0])
+    return float(Score(rig, objective, limits)(rig.layer.thickness, rig.layer.wave_speed)[0])
 
 
 def random_transfers(rig, uncertainties, seed):
@@ -48,7 +48,7 @@ def test_robust_is_the_worst_case_of_random_errors():
 
 
 def test_scores_do_not_depend_on_other_computations():
-    score = LayerScore(Rig(), robust)
+    score = Score(Rig(), robust)
     thicknesses = np.linspace(2e-3, 40e-3, 60)
     together = score(thicknesses, 7.8)
     alone = [score_of(replace(Rig(), layer=Layer(thickness=thickness)), robust)
@@ -77,7 +77,7 @@ def test_limits_hold_for_every_throw_that_counts():
 
 
 def test_layer_with_an_error_of_100_percent_throws_nothing():
-    score = LayerScore(Rig(), partial(robust, uncertainties=Uncertainties(thickness=1e-3)))
+    score = Score(Rig(), partial(robust, uncertainties=Uncertainties(thickness=1e-3)))
     assert score(0.9e-3, 7.8)[0] == 0.0
 
 
@@ -90,7 +90,7 @@ def test_layer_with_an_error_of_100_percent_throws_nothing():
         (lambda: Limits(wave_speed_max=math.inf), 'wave_speed_max .* got inf'),
         (lambda: Limits(max_strain=-0.1), r'max_strain .* got -0\.1'),
         (lambda: versatile(Rig(), masses=(1e-3,), frequencies=(0.0,)), r'frequencies .* 0\.0'),
-        (lambda: LayerScore(Rig(engine=Engine(frequency=0.1)), robust),
+        (lambda: Score(Rig(engine=Engine(frequency=0.1)), robust),
          r'uncertainty\.frequency .* 0\.1, got 0\.1'),
     ],
 )

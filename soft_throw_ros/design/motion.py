@@ -30,6 +30,10 @@ Loss and stacks are linear, too. For a neo-Hookean layer the programme uses the 
 the same modulus at rest, but the simulation uses the neo-Hookean layer. Programmes are solved for
 several times of release, and the motion with the best simulated throw is chosen.
 
+A rig that differs by the uncertainties may throw early, where the force nearly ends. If a motion
+loses more than 7 % of the speed so, it is designed once more, with a pushing contact force on the
+slowest and on the fastest layer and projectile as well.
+
 A wave that leaves the plate later than one crossing time before T cannot reach the projectile
 before the release; from then on the plate brakes.
 
@@ -43,7 +47,8 @@ References
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple, TypeAlias
@@ -57,8 +62,10 @@ from soft_throw_ros.core.plate import motion_of, SampledMotion
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
-from soft_throw_ros.core.throws import SEARCH_CELLS
-from soft_throw_ros.design.objective import Limits
+from soft_throw_ros.core.throws import rig_with, SEARCH_CELLS, throw_many
+from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.score import Limits
+from soft_throw_ros.design.uncertainty import Uncertainties
 
 Floats = NDArray[np.float64]
 
@@ -98,6 +105,9 @@ _LOAD_TOLERANCE = 1e-6
 _MIN_CONTACT_FORCE = 0.2
 """Smallest force on the projectile in a programme, over the projectile's weight. [-]"""
 
+_KEPT_SPEED = 0.93
+"""Share of the speed that a motion keeps on other rigs, or is designed once more. [-]"""
+
 _MIN_WAVE_FORCE = 1e-3
 """The same while the wave is in the layer, over the largest speed times the impedance. [-]"""
 
@@ -136,26 +146,12 @@ _NO_RETURN = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class PlateLimits:
-    """
-    Limits of an actuator.
+    """Limits of an actuator: largest magnitudes, of which all but the speed may be infinite."""
 
-    Parameters
-    ----------
-    speed, acceleration, jerk, travel : float
-        Largest magnitudes; travel is from the lowest to the highest position; all but the speed
-        may be infinite. [m/s], [m/s2], [m/s3], [m]
-
-    Raises
-    ------
-    ValueError
-        If a value is not positive, or the speed not finite.
-
-    """
-
-    speed: float
-    acceleration: float = math.inf
-    jerk: float = math.inf
-    travel: float = math.inf
+    speed: float  # [m/s]
+    acceleration: float = math.inf  # [m/s2]
+    jerk: float = math.inf  # [m/s3]
+    travel: float = math.inf  # from the lowest to the highest position [m]
 
     def __post_init__(self) -> None:
         checks.require_positive('speed', self.speed)
@@ -225,10 +221,6 @@ class Pulses(NamedTuple):
         end = motion.end_time + _whole_ns(max(durations))
         return SampledMotion(np.append(motion.times, end), np.vstack([motion.states, np.zeros(3)]))
 
-    def scaled(self, factor: float) -> Pulses:
-        """Return the motion with all heights multiplied by a factor."""
-        return Pulses(self.step, self.heights * factor)
-
     def within(self, limits: PlateLimits) -> Pulses:
         """Return the motion, scaled down if it exceeds a limit at any time."""
         heights, step = np.pad(self.heights, 3), self.step
@@ -238,7 +230,8 @@ class Pulses(NamedTuple):
             np.abs(np.diff(heights, 2)).max() / (limits.jerk * step**2),
             np.ptp(np.cumsum(heights)) * step / limits.travel,
         ]
-        return self.scaled(1.0 / max(1.0, (1.0 + _ROUNDING) * max(excesses)))
+        excess = max(1.0, (1.0 + _ROUNDING) * max(excesses))
+        return self._replace(heights=self.heights / excess)
 
 
 def find_best_motion(
@@ -246,39 +239,15 @@ def find_best_motion(
     limits: PlateLimits,
     *,
     loads: Limits | None = None,
+    others: Sequence[Mapping[str, float]] = (),
     cancelled: Cancelled | None = None,
 ) -> Throw:
     """
-    Find the motion that throws a rig's projectile fastest, at its first release.
+    Find the motion that throws a rig's projectile fastest, and follow its throw to the end.
 
-    Parameters
-    ----------
-    rig : Rig
-        The motion of its own plate does not matter.
-    limits : PlateLimits
-        Limits of the plate.
-    loads : Limits, optional
-        Limits of the loads; only strain and acceleration apply.
-    cancelled : callable, optional
-        See `batch.Cancelled`; also called between programmes, some tenths of a second each.
-
-    Returns
-    -------
-    Throw
-        With `motion`, to its end. The plate comes to rest at its first height, and does not meet
-        the projectile again before that has come down.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If no motion within the limits throws, or none keeps clear of the projectile.
-    SearchCancelledError
-        If `cancelled` returns True.
-
-    Notes
-    -----
+    `others` are changes to rigs, as for `rig_with`, that it should throw nearly as fast. The plate
+    comes to rest at its first height, and does not meet the projectile before that has come down.
     The speed is within 0.5 % of the known optima of a plate that goes up as fast as it can.
-
     """
     loads = loads or Limits()
     problem = _Problem(rig, limits, loads, cancelled, set())
@@ -286,10 +255,9 @@ def find_best_motion(
     is_exact = rig.layer.stress_strain_law == 'linear'
     best: Throw | None = None
     for time_factor in _TIME_FACTORS if promised > 0.0 else ():
-        programme = _Programme(problem, time_factor * time, is_fine=True)
-        check_cancelled(cancelled)
-        pulses, _ = programme.solve(time_factor * time)
-        throw = pulses and _follow(rig, pulses, loads, cancelled)
+        throw = _design(problem, time_factor * time)
+        if throw and not _keeps_contact(throw, others):
+            throw = _design(problem, time_factor * time, others) or throw
         if throw and (best is None or throw.ejection_speed > best.ejection_speed):
             best = throw
         if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
@@ -300,6 +268,94 @@ def find_best_motion(
             f'acceleration {loads.max_acceleration:g} m/s2'
         )
     return best
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionDesign(PredictedThrow):
+    """The best motion of the plate, and its throw."""
+
+    rig: Rig
+    """The rig with the best motion."""
+    present: Rig
+    """The rig as it is."""
+    limits: PlateLimits
+    """Limits of the actuator."""
+    now: PredictedThrow | None
+    """Throw of the rig as it is; None if it does not throw."""
+    worst: PredictedThrow | None
+    """Slowest throw of the best motion within the uncertainties; None if a rig does not throw."""
+
+    @property
+    def motion(self) -> SampledMotion:
+        """Designed motion of the plate."""
+        assert self.rig.engine.motion is not None
+        return self.rig.engine.motion
+
+    def values(self) -> dict[str, float | str | bool]:
+        """Return everything by name, with `now.` and `worst.` before values of other throws."""
+        others = {'now': self.now, 'worst': self.worst}
+        return super().values() | {
+            f'{key}.{name}': value
+            for key, throw in others.items() if throw for name, value in vars(throw).items()
+        }
+
+
+def design_motion(
+    rig: Rig,
+    plate: PlateLimits | None = None,
+    *,
+    limits: Limits | None = None,
+    uncertainties: Uncertainties | None = None,
+    cancelled: Cancelled | None = None,
+) -> MotionDesign:
+    """
+    Find the best motion of the plate, within the limits of its present motion if none are given.
+
+    Examples
+    --------
+    >>> design = design_motion(Rig(gravity=0.0))
+    >>> round(design.kinetic_energy / design.now.kinetic_energy, 2)
+    1.15
+
+    """
+    plate = plate or PlateLimits.of(rig.engine)
+    others = _corners(rig, uncertainties) if uncertainties else []
+    best = find_best_motion(rig, plate, loads=limits, others=others, cancelled=cancelled).rig
+    throw, now, worst = predict(best), None, None
+    with contextlib.suppress(ThrowUnresolvedError):
+        now = predict(rig)
+    with contextlib.suppress(ThrowUnresolvedError):
+        cases = [throw, *(predict(rig_with(best, change)) for change in others)]
+        worst = min(cases, key=lambda case: case.ejection_speed)
+    return MotionDesign(
+        **vars(throw), rig=best, present=rig, limits=plate, now=now, worst=worst
+    )
+
+
+def _corners(rig: Rig, uncertainties: Uncertainties) -> list[dict[str, float]]:
+    """Return the changes to the slowest and to the fastest layer and projectile."""
+    offsets = np.array([[-1.0, 1.0, 1.0, 0.0, 0.0], [1.0, -1.0, -1.0, 0.0, 0.0]])
+    changes = uncertainties.variants(rig, offsets).changes(
+        rig.layer.thickness, rig.layer.wave_speed
+    )
+    names = ('mass', 'thickness', 'wave_speed')
+    return [{name: float(changes[name][n]) for name in names} for n in range(len(offsets))]
+
+
+def _design(
+    problem: _Problem, time: float, others: Sequence[Mapping[str, float]] = ()
+) -> Throw | None:
+    """Return the throw of the best motion for a time of release."""
+    check_cancelled(problem.cancelled)
+    programme = _Programme(problem, time, is_fine=True, others=others)
+    pulses, _ = programme.solve(time)
+    return pulses and _follow(problem.rig, pulses, problem.loads, problem.cancelled)
+
+
+def _keeps_contact(throw: Throw, others: Sequence[Mapping[str, float]]) -> bool:
+    """Return whether a motion throws other rigs nearly as fast."""
+    speeds = [float(throw_many(throw.rig, change).ejection_speed) for change in others]
+    return all(speed > _KEPT_SPEED * throw.ejection_speed for speed in speeds)
 
 
 def _whole_ns(time: float) -> float:
@@ -313,11 +369,7 @@ def _follow(
     """
     Simulate a throw to its end with a motion, scaled down as far as the loads require.
 
-    Returns
-    -------
-    Throw or None
-        None if the projectile is not thrown, or meets the layer again before it comes down.
-
+    It is None if the projectile is not thrown, or meets the layer again before it comes down.
     """
     for _ in range(_SCALINGS):
         try:
@@ -331,7 +383,7 @@ def _follow(
         )
         if excess <= 1.0 + _LOAD_TOLERANCE:
             return throw if not throw.recontacts and throw.ejection_speed > 0.0 else None
-        pulses = pulses.scaled(1.0 / excess)
+        pulses = pulses._replace(heights=pulses.heights / excess)
     return None
 
 
@@ -377,20 +429,35 @@ def _shortest_time(problem: _Problem) -> tuple[float, float]:
 class _Programme:
     """The linear programmes of a problem, up to a largest time of release."""
 
-    def __init__(self, problem: _Problem, longest: float, *, is_fine: bool) -> None:
+    def __init__(
+        self,
+        problem: _Problem,
+        longest: float,
+        *,
+        is_fine: bool,
+        others: Sequence[Mapping[str, float]] = (),
+    ) -> None:
         self._rig, self._limits, self._loads, _, self._critical = problem
         self._is_fine = is_fine
         rig, (per_crossing, max_pulses) = problem.rig, _FINE if is_fine else _COARSE
         step = max(rig.crossing_time / per_crossing, longest / max_pulses)
         self._step = _whole_ns(step)
         self._count = math.ceil(longest / self._step) + 1
-        # A heavy weight keeps the projectile on the layer and changes nothing else. The responses
-        # are to a pulse of 1 m/s.
+        self._gravity = 1e3 / self._step  # keeps the projectile in contact, changes nothing else
+        states, strains = self._responses(rig)
+        self._velocity = states[::_FINER, PROJECTILE_VELOCITY]
+        self._strains = (strains[::_FINER] - strains[0]).T
+        self._static_strains = strains[0] * (rig.gravity / self._gravity)
+        self._forces = [(rig, states[:, PROJECTILE_FORCE])]
+        for other in (rig_with(rig, change) for change in others):
+            self._forces.append((other, self._responses(other)[0][:, PROJECTILE_FORCE]))
+
+    def _responses(self, rig: Rig) -> tuple[Floats, Floats]:
+        """Return states and strains after a pulse of 1 m/s; the forces are without the weight."""
         pulse = replace(rig.engine, motion=Pulses(self._step, np.ones(1)).motion())
-        gravity = 1e3 / self._step
         linear = replace(rig.layer, stress_strain_law='linear')
-        heavy = replace(rig, engine=pulse, layer=linear, gravity=gravity)
-        cells = SEARCH_CELLS if heavy.layer.needs_cells and not is_fine else None
+        heavy = replace(rig, engine=pulse, layer=linear, gravity=self._gravity)
+        cells = SEARCH_CELLS if linear.needs_cells and not self._is_fine else None
         stepper = make_stepper(heavy, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
         strains, layer = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
@@ -398,10 +465,8 @@ class _Programme:
             stepper.advance_to(time)
             stepper.read_layer(layer)
             states[n], strains[n] = stepper.state, layer[3]
-        self._velocity = states[::_FINER, PROJECTILE_VELOCITY]
-        self._force = states[:, PROJECTILE_FORCE] - rig.projectile.mass * heavy.gravity
-        self._strains = (strains[::_FINER] - strains[0]).T
-        self._static_strains = strains[0] * (rig.gravity / heavy.gravity)
+        states[:, PROJECTILE_FORCE] -= rig.projectile.mass * heavy.gravity
+        return states, strains
 
     def solve(self, time: float) -> tuple[Pulses | None, float]:
         """Find the pulses with the largest speed at a time; return the pulses and the speed."""
@@ -416,7 +481,8 @@ class _Programme:
         # Differences of pulses bound acceleration and jerk.
         rise = np.diff(np.eye(size + 1), axis=0)
         steps, bends = (np.diff(np.pad(rise, ((n, n), (0, 0))), n, axis=0) for n in (1, 2))
-        force, min_force = self._pushing(release, size)
+        pushes = [self._pushing(*item, release, size) for item in self._forces]
+        force, min_force = map(np.concatenate, zip(*pushes, strict=True))
         max_force = self._loads.max_acceleration * rig.projectile.mass
         max_force /= limits.speed * rig.layer.impedance
         min_speed = np.where(np.arange(size) < count, -1.0, 0.0)
@@ -520,17 +586,21 @@ class _Programme:
             bounds[row] = self._loads.max_strain - sign * self._static_strains[height]
         return rows, bounds
 
-    def _pushing(self, release: int, size: int) -> tuple[Floats, Floats]:
-        """Return the force on the projectile over time, and its lower bound, against rest."""
-        rig, step = self._rig, self._step / _FINER
-        scale = self._limits.speed * rig.layer.impedance
+    def _pushing(
+        self, rig: Rig, force: Floats, release: int, size: int
+    ) -> tuple[Floats, Floats]:
+        """Return the force on a projectile over time, and its lower bound, against rest."""
+        step, nominal = self._step / _FINER, self._rig
+        scale = self._limits.speed * nominal.layer.impedance
         index = np.arange(1, _FINER * release + 1)[:, None] - _FINER * np.arange(size)
-        rows = np.where(index > 0, self._force[np.maximum(index, 0)], 0.0) / rig.layer.impedance
+        rows = np.where(index > 0, force[np.maximum(index, 0)], 0.0) / nominal.layer.impedance
         rows[np.abs(rows) < 1e-9 * np.abs(rows).max()] = 0.0
-        weight = rig.projectile.mass * rig.gravity / scale
-        bound = np.full(len(rows), (_MIN_CONTACT_FORCE - 1.0) * weight)
+        least = _MIN_CONTACT_FORCE if rig is nominal else 0.0
+        bound = np.full(len(rows), (least - 1.0) * rig.projectile.mass * rig.gravity / scale)
         times = step * np.arange(1, len(rows) + 1)
         crossing = rig.crossing_time
         inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
         bound[inside] += _MIN_WAVE_FORCE
-        return rows, bound
+        # a faster rig may release earlier
+        kept = math.ceil(len(rows) * min(1.0, (crossing / nominal.crossing_time) ** 2))
+        return rows[:kept], bound[:kept]
