@@ -79,8 +79,7 @@ def _draw_track(
     track, colour, start = residual.track, _COLOURS[body], result.start_time(throw).value
 
     def predict(time: Floats) -> Floats:
-        request = throw, body, time
-        return result.model.trajectories(result.fit.values, [request])[0].height
+        return result.model.trajectory(result.fit.values, throw, body, time).height
 
     rest_height = predict(np.array([start]))
     since = _MILLI * (track.time - start)

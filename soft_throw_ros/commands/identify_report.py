@@ -32,7 +32,6 @@ from soft_throw_ros.identification.fit_warnings import (
     NotConverged,
 )
 from soft_throw_ros.identification.least_squares import Estimate, Fit
-from soft_throw_ros.identification.parameter_layout import RINGING_AMPLITUDES
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.systematics import FLOORS
 
@@ -234,8 +233,6 @@ def warning_text(warning: FitWarning) -> str:
 
 def remark_lines(result: RigFit) -> Iterator[str]:
     """Yield sentences about added terms and omissions of a fit."""
-    if RINGING_AMPLITUDES[0] in result.model.layout:
-        yield 'a plate that rings before the throw explains these throws better'
     if not result.is_complete:
         yield 'the search for a loss and for other minima is incomplete: the fit takes too long'
 

@@ -185,7 +185,7 @@ def answer_of(result: RigFit, ejection: Ejection | None) -> Answer | None:
         off = max((abs(other - alpha.value) / alpha.value for other in others), default=0.0)
         is_known = max(error, off) <= GOOD_ENOUGH
     return Answer(
-        effective_wave_speed=result.effective_wave_speed(),
+        effective_wave_speed=result.estimate('layer.wave_speed'),
         rest_wave_speed=result.rest_wave_speed(),
         limited_by=main if squares[main] > _MAIN_SHARE * sum(squares.values()) else None,
         energy_transfer_error=error,

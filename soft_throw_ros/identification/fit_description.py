@@ -35,7 +35,6 @@ DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.los
 NUISANCE_PARAMETERS = {
     'layer.stiffening': 0.0,
     'plate.drift': 0.0,
-    'plate.ringing': 0.0,
     'projectile.drift': 0.0,
     'projectile.scale': 1.0,
     'projectile.delay': 0.0,
@@ -44,9 +43,8 @@ NUISANCE_PARAMETERS = {
 Nuisance parameters of a bench, and their values without it.
 
 `stiffening` is the increase of the wave speed with the speed of the plate, to which the strain is
-proportional. `drift` is the drift of heights over a record, and `ringing` the oscillation of the
-plate before the throw, both over the amplitude. `scale` is the measured over the true height of a
-projectile, and `delay` the delay of its measurement [s].
+proportional. `drift` is the drift of heights over a record, over the amplitude. `scale` is the
+measured over the true height of a projectile, and `delay` the delay of its measurement [s].
 """
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
@@ -122,12 +120,6 @@ Default treatments; errors of lengths and mass are those of the paper.
 With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
 error.
 """
-
-SEARCHED: Mapping[str, Treatment] = {
-    LOSS: FREE,
-    'plate.ringing': Treatment(True, error=0.02, is_per_throw=True),
-}
-"""Treatments of parameters that are fixed by default, and fitted if the tracks show them."""
 
 IDEAL_BENCH: Mapping[str, Treatment] = {
     name: FIXED for name in DEFAULTS if name not in DEFAULT_FREE
