@@ -47,7 +47,7 @@ def draw_throws(
             _draw_track(result, series, residual, panels)
     if ejection is not None:
         for panel in panels.values():
-            panel.axvline(_MILLI * ejection.time.value, color='0.4', lw=0.9, ls=':')
+            panel.axvline(_MILLI * ejection.first.time.value, color='0.4', lw=0.9, ls=':')
     period = _MILLI / result.rig.engine.frequency
     highest = _MILLI * max(
         float(np.ptp(residual.track.position))
