@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+import csv
 import math
 import re
 from types import MappingProxyType
@@ -20,7 +21,7 @@ MIN_STEP = 1e-12
 """Smallest increase of time between two rows. [s]"""
 
 _SEPARATORS = (';', '\t', ',')
-_MISSING = ('', 'nan')
+_MISSING = ('', 'nan', 'na', 'n/a')
 
 
 class Column(NamedTuple):
@@ -50,8 +51,9 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     ----------
     lines : iterable of str
         Cells separated by semicolons, tabs or commas, whichever the first line with data has, or
-        else by blanks. Empty lines, comments after `#`, and the line `sep=;` of spreadsheets are
-        skipped. Unless commas separate cells, one may be the decimal sign.
+        else by blanks, and possibly in quotes. Lines without a value, comments after `#`, and the
+        line `sep=;` of spreadsheets are skipped. A comma may be the decimal sign, in quotes if
+        commas separate cells.
 
     Examples
     --------
@@ -62,13 +64,15 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     separator: str | None = ''
     for number, line in enumerate(lines, 1):
         text = line.strip(' \r\n\ufeff')
-        if not text.strip() or text.startswith('#') or re.fullmatch('sep=.', text):
+        if not text.strip(' \t;,"\'') or text.startswith('#') or re.fullmatch('sep=.', text):
             continue
         if separator == '':
             separator = next((sign for sign in _SEPARATORS if sign in text), None)
-        cells = text.split(separator)
-        if separator != ',':
-            cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
+        if separator is None:
+            cells = text.split()
+        else:
+            (cells,) = csv.reader([text], delimiter=separator)
+        cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
         yield number, [cell.strip().strip('"\'') for cell in cells]
 
 
@@ -83,7 +87,8 @@ def _parse_label(cell: str) -> tuple[str, str]:
 
     """
     name, _, unit = re.sub(r'[\[(]', '\n', cell, count=1).partition('\n')
-    return name.strip().lower(), unit.rstrip(' )]').replace('\N{MICRO SIGN}', 'u')
+    micro = '[\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}]'
+    return name.strip().lower(), re.sub(micro, 'u', unit.rstrip(' )]'))
 
 
 def read_columns(
@@ -119,7 +124,7 @@ def read_columns(
     if not rows:
         raise ValueError(f'{name}: is empty; columns {time} and {second} are needed')
     (first, head), *_ = rows
-    if all(float_of(cell) is None for cell in head):
+    if float_of(head[0]) is None:
         del rows[0]
         sources = _find_columns(head, columns, f'{name}:{first}')
     else:
