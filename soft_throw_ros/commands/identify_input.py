@@ -176,11 +176,14 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
         for name, item in recorded.items()
         if any(math.isfinite(plate) for plate, _ in item.rows.values())
     ]
+    if not with_plate:
+        names = ', '.join(sorted(set().union(*(item.names for item in recorded.values()))))
+        raise TrackError(f'{path}: no joint is named plate, got {names or "none"}')
     best = _choose_topic(path, sorted(with_plate), topic)
     if count := recorded[best].unreadable:
         notes.append(f'{path}: {count} messages on {best!r} are no {JOINT_STATE}, and left out')
     stamps, table = zip(*sorted(recorded[best].rows.items()), strict=True)
-    time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
+    time = 1e-9 * recorded[best].time_scale * np.array([stamp - stamps[0] for stamp in stamps])
     tracks = {}
     for body, position in zip(JOINTS, np.transpose(table), strict=True):
         is_measured = np.isfinite(position)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-import csv
 import math
 import re
 from types import MappingProxyType
@@ -68,11 +67,10 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
             continue
         if separator == '':
             separator = next((sign for sign in _SEPARATORS if sign in text), None)
-        if separator is None:
-            cells = text.split()
-        else:
-            (cells,) = csv.reader([text], delimiter=separator)
-        cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
+        text = re.sub(r'"([-+]?\d+),(\d+)"', r'\1.\2', text)
+        cells = text.split(separator)
+        if separator != ',':
+            cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
         yield number, [cell.strip().strip('"\'') for cell in cells]
 
 

@@ -47,8 +47,8 @@ _THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)
 _WINDOWS = (0.35, 0.7, 2.0)
 """Times of the heights that the grid is compared with, since the start. [plate periods]"""
 
-INITIAL_LOSS = 0.05
-"""Initial loss tangent of a fit with loss. [-]"""
+_INITIAL_LOSS = 0.05
+"""Initial loss tangent of a fit of a stated loss. [-]"""
 
 _MIN_THICKNESS = 1e-4  # smallest thickness of the search [m]
 _MAX_THROWS = 3  # largest number of throws in the search
@@ -196,7 +196,7 @@ def _spread(indices: NDArray[np.intp]) -> NDArray[np.intp]:
 def _follow_minimum(model: RigModel, rig: Rig) -> LayerCandidate:
     """Fit the layer and the projectile in growing windows, with the plates as they are."""
     if model.description.is_free(LOSS):
-        rig = changed_rig(rig, {LOSS: INITIAL_LOSS})
+        rig = changed_rig(rig, {LOSS: _INITIAL_LOSS})
     only = [
         name for name in (*PARAMETERS, 'projectile.scale', 'projectile.delay', PROJECTILE_ZERO)
         if name in model.layout and not name.startswith('engine')

@@ -27,6 +27,7 @@ import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,6 @@ from soft_throw_ros.identification.forward import (
 from soft_throw_ros.identification.layer_search import (
     find_best_minimum,
     find_layers,
-    INITIAL_LOSS,
     LayerCandidate,
 )
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
@@ -65,7 +65,9 @@ Floats = NDArray[np.float64]
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
 _MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
-_MAX_LOSS_EVALUATIONS = 15  # largest number of evaluations of the model with a loss
+_INITIAL_LOSSES = (0.03, 0.1)  # loss tangents that are tried if none is stated
+_MAX_TRIAL_EVALUATIONS = 8  # largest number of evaluations of the model with each of them
+_MAX_LOSS_EVALUATIONS = 60  # largest number of evaluations with the better one
 _MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 _SECONDS_PER_THROW = 60.0
@@ -338,14 +340,15 @@ def _with_loss(result: RigFit) -> RigFit:
         return result
     wider = replace(model, description=model.description.change({LOSS: FREE}))
     start = wider.start(before)
-    for index, known in wider.known.items():
-        if not wider.layout.names[index].startswith('plate'):
-            start[index] = known.value  # the priors have absorbed what the loss explains
-    start[wider.layout.indices_of(LOSS)] = INITIAL_LOSS
-    try:
-        fit = wider.fit(start, max_evaluations=_MAX_LOSS_EVALUATIONS)
-    except FitError:
+    fits = []
+    for loss in _INITIAL_LOSSES:
+        start[wider.layout.indices_of(LOSS)] = loss
+        with contextlib.suppress(FitError):
+            fits.append(wider.fit(start, max_evaluations=_MAX_TRIAL_EVALUATIONS))
+    fit = min(fits, key=attrgetter('chi2'), default=before)
+    if fit.chi2 >= before.chi2:
         return result
+    fit = wider.fit(fit.values, max_evaluations=_MAX_LOSS_EVALUATIONS)
     gain = (before.chi2 - fit.chi2) / max(1.0, fit.reduced_chi2)
     is_needed = gain - math.log(model.sample_count) > _MIN_GAIN
     return replace(result, model=wider, fit=fit) if is_needed else result

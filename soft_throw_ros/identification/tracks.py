@@ -160,7 +160,7 @@ class Track:
                 expected = float(interpolate.barycentric_interpolate(
                     time[around] - middle, height[around], 0.0
                 ))
-            is_moving = np.ptp(height[begin - side:begin]) > _STILL_STEPS * step
+            is_moving = np.ptp(height[begin - side:begin + 1]) > _STILL_STEPS * step
             flags[begin:end] = is_moving and abs(expected - height[begin]) > _STILL_STEPS * step
         return flags
 
