@@ -18,7 +18,8 @@ from soft_throw_ros.commands.options import (
     stated_parameters,
 )
 from soft_throw_ros.commands.output import CommandParser, report_io_errors, run_command
-from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG
+from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG, values_of
 from soft_throw_ros.identification.ringing import fit_period, fit_wave_speed
 
 _SIGNIFICANCE = 1e-4  # probability of a disagreement by chance, below which a warning says so
@@ -68,7 +69,7 @@ def _run(arguments: argparse.Namespace) -> int:
     warning += f'{speed.probability:.1g}): is it one material?'
     known = stated_parameters(arguments) | {'layer.wave_speed'}
     assumed = [name for name in DEFAULT_IS_ANOTHER_RIG if name not in known]
-    values = {name: float(settings[name]) for name in assumed}
+    values = values_of(rig_of(settings), assumed)
     IdentificationReport(
         sources=tuple(paths),
         rows=(Row.of('layer.wave_speed', speed.value), *held_rows(values, assumed)),

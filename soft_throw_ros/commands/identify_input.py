@@ -177,8 +177,8 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
         if any(math.isfinite(plate) for plate, _ in item.rows.values())
     ]
     if not with_plate:
-        names = ', '.join(sorted(set().union(*(item.names for item in recorded.values()))))
-        raise TrackError(f'{path}: no joint is named plate, got {names or "none"}')
+        others = sorted(set().union(*(item.names for item in recorded.values())))
+        raise TrackError(f'{path}: no joint is named plate, got {", ".join(others) or "none"}')
     best = _choose_topic(path, sorted(with_plate), topic)
     if count := recorded[best].unreadable:
         notes.append(f'{path}: {count} messages on {best!r} are no {JOINT_STATE}, and left out')

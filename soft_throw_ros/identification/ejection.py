@@ -99,7 +99,9 @@ def ejection_of(result: RigFit) -> Ejection:
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
             estimates.append(with_floor(name, Estimate(value, error)))
-        return Release(*estimates, count, float(chosen.sum() / is_released.sum()))
+        time, speed, plate_speed, energy_transfer = estimates
+        share = float(chosen.sum() / is_released.sum())
+        return Release(time, speed, plate_speed, energy_transfer, count, share)
 
     others = [release(int(count)) for count in np.unique(echoes[is_released]) if count]
     likely = [item for item in others if item.probability > _MIN_PROBABILITY]
