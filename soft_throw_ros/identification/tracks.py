@@ -54,9 +54,6 @@ _SMOOTHING = 0.125  # window of the mean that shows rest [plate periods]
 _FLIGHT_NOISE = 3.0
 """Residual of a parabola over the noise, beyond which a flight is not free. [-]"""
 
-_GAP = 1.8
-"""Intervals between two samples beyond which one is missing; jitter is smaller. [-]"""
-
 _MIN_SIGNAL_TO_NOISE = 25.0  # smallest power of an oscillation over the noise at its frequency
 _SEGMENT = 2**15  # samples of one spectrum
 _MAX_EVEN_SAMPLES = 2**24  # largest number of evenly resampled heights for the period
@@ -120,12 +117,6 @@ class Track:
     def interval(self) -> float:
         """Usual time between samples [s]."""
         return float(np.median(np.diff(self.time)))
-
-    @property
-    def gaps(self) -> list[tuple[float, float]]:
-        """Times of the samples before and after each gap, where at least one is missing [s]."""
-        before = np.flatnonzero(np.diff(self.time) > _GAP * self.interval)
-        return [(float(self.time[index]), float(self.time[index + 1])) for index in before]
 
     @property
     def duration(self) -> float:

@@ -145,11 +145,6 @@ def test_heights_that_stand_still_in_motion_are_stuck(step, first, count, height
     assert track.is_stuck.sum() <= count + 1
 
 
-def test_gaps_are_where_samples_are_missing():
-    time = np.delete(np.arange(30.0), [0, 7, 20, 21])
-    assert Track(time=time, position=time).gaps == [(6.0, 8.0), (19.0, 22.0)]
-
-
 @pytest.mark.parametrize(('factor', 'gravity'), [(1.0, 9.81), (2.0, 2.4525)])
 def test_fall_acceleration_agrees_with_the_free_flight(factor, gravity):
     time = np.arange(0.0, 0.05, 2e-4)
