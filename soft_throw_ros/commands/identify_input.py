@@ -23,7 +23,7 @@ from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TWIN_TOPICS
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.track_csv import read_csv, TIME_UNITS, UNITS
+from soft_throw_ros.identification.track_csv import read_csv, TIME_UNITS, UNITS, unused_columns
 from soft_throw_ros.identification.tracks import (
     dominant_period,
     FEWEST,
@@ -86,7 +86,7 @@ def read_throws(
     if Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
         tracks = _read_bag(path, topic, notes)
     else:
-        tracks = _read_csv(path, JOINTS, arguments)
+        tracks = _read_csv(path, JOINTS, arguments, notes)
     if 'plate' not in tracks:
         raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
     tracks = {body: replace(track, known_noise=noise) for body, track in tracks.items()}
@@ -131,7 +131,7 @@ def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
 
 def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
     """Read bottom and top of a free layer from a CSV file."""
-    tracks = _read_csv(path, ('bottom', 'top'), arguments)
+    tracks = _read_csv(path, ('bottom', 'top'), arguments, [])
     if 'top' not in tracks:
         raise TrackError(f'{path}: must have a time and both ends of the layer, got one end')
     with report_io_errors(path, TrackError):
@@ -142,16 +142,19 @@ def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
 
 
 def _read_csv(
-    path: str, bodies: Sequence[str], arguments: argparse.Namespace
+    path: str, bodies: Sequence[str], arguments: argparse.Namespace, notes: list[str]
 ) -> dict[str, Track]:
     if is_video(path):
         raise TrackError(f'{path}: is a video; first convert it to tracks with soft-throw track')
     with report_io_errors(path):
         text = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig')
-    return read_csv(
+    tracks = read_csv(
         io.StringIO(text, newline=''), path, bodies,
         unit=arguments.unit, time_unit=arguments.time_unit, rate=arguments.rate,
     )
+    if unused := unused_columns(text.splitlines(), bodies):
+        notes.append(f'{path}: columns that are not used: {", ".join(unused)}')
+    return tracks
 
 
 def _is_one_motion(record: ThrowTracks) -> bool:

@@ -74,13 +74,13 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
         yield number, [cell.strip().strip('"\'') for cell in cells]
 
 
-def _parse_label(cell: str) -> tuple[str, str]:
+def parse_label(cell: str) -> tuple[str, str]:
     """
     Return the label of a column in small letters, and its unit, which may be empty.
 
     Examples
     --------
-    >>> _parse_label('Height [\N{MICRO SIGN}m]')
+    >>> parse_label('Height [\N{MICRO SIGN}m]')
     ('height', 'um')
 
     """
@@ -178,7 +178,7 @@ def _find_columns(
     """Return index and SI value of the unit of each column that has a label."""
     sources: dict[str, tuple[int, float]] = {}
     for index, cell in enumerate(cells):
-        label, unit_name = _parse_label(cell)
+        label, unit_name = parse_label(cell)
         for key, column in columns.items():
             if label not in column.labels:
                 continue

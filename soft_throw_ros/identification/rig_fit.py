@@ -159,20 +159,15 @@ class RigFit:
         The first release is that of the fitted rig.
         """
         rng = np.random.default_rng(seed)
-        steps = draw_normal(rng, self.fit.covariance, count)
+        fit = self.fit
+        steps = fit.errors * rng.multivariate_normal(  # of correlations, since units differ
+            np.zeros(fit.values.size), fit.correlation, count, method='eigh'
+        )
         rigs = [self.rig]
-        for values in self.fit.values + steps:
+        for values in fit.values + steps:
             with contextlib.suppress(ValueError):
                 rigs.append(self.model.rig_of(values))
         return first_releases(rigs)
-
-
-def draw_normal(rng: np.random.Generator, covariance: Floats, count: int) -> Floats:
-    """Draw rows from a normal distribution around 0; the values may have different units."""
-    scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    powers, axes = np.linalg.eigh(covariance / np.outer(scales, scales))
-    steps = rng.normal(size=(count, powers.size)) * np.sqrt(np.maximum(powers, 0.0))
-    return np.asarray(scales * (steps @ axes.T))
 
 
 def fit_rig(
@@ -259,8 +254,8 @@ def _find_layers(
     groups: dict[object, list[int]] = {}
     for number, throw in enumerate(model.throws):
         if throw.projectile is not None:
-            parts = model.description.conditions(throw.name).parts
-            groups.setdefault(parts.get('layer'), []).append(number)
+            group = model.description.group('layer.wave_speed', throw.name, number)
+            groups.setdefault(group, []).append(number)
     initial, layout = dict(model.initial), model.layout
     for numbers in groups.values():
         throws = tuple(

@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
-from soft_throw_ros.configuration.csv_rows import Column, read_columns
+from soft_throw_ros.configuration.csv_rows import Column, parse_label, read_columns, read_rows
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     MAX_HEIGHT,
@@ -82,6 +83,15 @@ def read_csv(
                 f'{name}: {seen.sum()} heights of the {body}, where at least {FEWEST} are needed'
             )
     return tracks
+
+
+def unused_columns(lines: Iterable[str], bodies: Sequence[str]) -> list[str]:
+    """Return the labels of columns that are neither the time nor the height of a body."""
+    names = {'t', 'time', *(name for body in bodies for name in COLUMN_NAMES[body])}
+    _, head = next(read_rows(lines))
+    return [
+        cell for cell in head if float_of(cell) is None and parse_label(cell)[0] not in names
+    ]
 
 
 def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:

@@ -207,6 +207,7 @@ STRANGERS = {
     'decimal commas': ([LINES[0], *(
         ','.join('"' + cell.replace('.', ',') + '"' for cell in line.split(','))
         for line in LINES[1:])], ()),
+    'another column': ([line + ',x' for line in LINES], ()),
     'empty rows': ([*LINES, ',,', ',,'], ()),
     'not available': ([*LINES[:150], LINES[150].rpartition(',')[0] + ',NA', *LINES[151:]], ()),
     'lost samples': (stuck(LINES, '0.0'), ()),
@@ -220,6 +221,7 @@ def test_files_of_strangers_are_read(command, write, sample_result, lines, optio
         best, error = value(sample_result, name)
         assert value(result, name) == pytest.approx((best, error), rel=0.2, abs=0.3 * error)
     assert any('stand still' in note for note in result['notes']) is ('0.0' in lines[151][-4:])
+    assert any('not used: x' in note for note in result['notes']) is lines[0].endswith(',x')
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,6 @@ from soft_throw_ros.identification.fit_description import (
     IDEAL_BENCH,
     LAYER,
     PARAMETERS,
-    ThrowConditions,
     values_of,
 )
 from soft_throw_ros.identification.fit_warnings import fit_warnings
@@ -270,10 +269,7 @@ def test_value_held_for_one_of_two_layers_is_kept(make_throw):
     ]
     held = {'layer.wave_speed': FIXED._replace(value=7.8)}
     thickness = {'layer.thickness': FIXED._replace(value=5.6e-3)}
-    layers = {
-        'a': ThrowConditions(thickness, {'layer': 'one'}),
-        'b': ThrowConditions(held, {'layer': 'two'}),
-    }
+    layers = {'a': {**thickness, 'layer.wave_speed': FREE}, 'b': held}
     found = fit_rig(throws, Rig(layer=Layer(wave_speed=50.0)), replace(EXACT, throws=layers))
     assert not found.fit.is_mismatch
     speed = found.fit['layer.wave_speed[1]']
