@@ -64,6 +64,7 @@ Floats = NDArray[np.float64]
 
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
+_PRIOR_SHARE = 0.5  # error over that of its prior, above which a value rests on the prior
 _MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
 _INITIAL_LOSSES = (0.03, 0.1)  # loss tangents that are tried if none is stated
 _MAX_TRIAL_EVALUATIONS = 8  # largest number of evaluations of the model with each of them
@@ -144,9 +145,14 @@ class RigFit:
     def _estimate(self, name: str, value: float, weights: Floats) -> Estimate:
         """Return a value with its error as a weighted sum of the fitted values."""
         error = math.sqrt(float(weights @ self.fit.covariance @ weights))
-        is_known = not self.fit.known.keys().isdisjoint(self.model.layout.indices_of(name))
+        priors = [
+            self.fit.known[index] for index in self.model.layout.indices_of(name)
+            if index in self.fit.known
+        ]
+        # A value that rests on its prior has the error of the prior
+        is_prior = any(error > _PRIOR_SHARE * prior.error for prior in priors)
         found = Estimate(value, error)
-        return found if is_known else with_floor(name, found)
+        return found if is_prior else with_floor(name, found)
 
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
