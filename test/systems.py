@@ -52,14 +52,13 @@ class Outcome(NamedTuple):
 
 
 class System:
-    """A twin, a recorder with a viewer sink, and a subscriber, started on this or other hosts."""
+    """A twin, a recorder with a viewer sink, and a subscriber."""
 
-    def __init__(self, start: Callable[..., Any], folder: Path, *, sink: str = 'file') -> None:
+    def __init__(self, start: Callable[..., Any], folder: Path) -> None:
         self.bags: list[Path] = []
         self.running: dict[str, Any] = {}
         self._start = start
         self._folder = folder
-        self._sink = sink
         self._heard = folder / 'heard'  # stamps written by the subscriber
         for name in ('recorder', 'subscriber', 'twin'):
             self.start(name)
@@ -71,14 +70,14 @@ class System:
             self.bags.append(self._folder / f'bag{len(self.bags)}')
             rules = (f'folder:={self._folder}', f'name:={self.bags[-1].name}')
             words = [word for rule in rules for word in ('-p', rule)]
-            words += ['-p', f'rerun.sink:={self._sink}']
-            process = self._start(name, *SOFT_THROW, name, '--ros-args', *words)
+            words += ['-p', 'rerun.sink:=file']
+            process = self._start(*SOFT_THROW, name, '--ros-args', *words)
         elif name == 'subscriber':
             self._heard = self._folder / f'heard{len(list(self._folder.glob("heard*")))}'
             command = (sys.executable, '-m', 'bench.soak', '--subscribe', str(self._heard))
-            process = self._start(name, *command, cwd=ROOT)
+            process = self._start(*command, cwd=ROOT)
         else:
-            process = self._start(name, *SOFT_THROW, name)
+            process = self._start(*SOFT_THROW, name)
         if name != 'subscriber':
             process.wait_for('ready')
         self.running[name] = process
@@ -102,13 +101,6 @@ class System:
         """Wait until the subscriber has received a number of additional states."""
         size = _size(self._heard) + 8 * count
         self._wait(lambda: _size(self._heard) >= size, 'no states are received')
-
-    def wait_for_states_of(self, moment: int) -> None:
-        """Wait until the subscriber receives states published after a given time [ns]."""
-        self._wait(
-            lambda: int(np.fromfile(self._heard, dtype='<i8')[-1]) >= moment,
-            'only old states are received',
-        )
 
     def _wait(self, is_reached: Callable[[], bool], failure: str) -> None:
         """Wait, or fail with the last lines of all processes."""

@@ -12,7 +12,7 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.configuration.layers import default_file
-from soft_throw_ros.nodes.parameters import NodeParameters, shown
+from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import RunnableNode
 import yaml
 
@@ -132,12 +132,6 @@ def test_bad_request_changes_nothing(twin, client) -> None:
     assert unchanged(twin)
 
 
-def test_set_accepts_parameters_of_others(twin, client) -> None:
-    assert client.set_atomically(use_sim_time=True, gravity=0.0) == ''
-    assert twin.get_clock().ros_time_is_active
-    assert twin.changes == [{'gravity': 0.0}]
-
-
 def test_results_and_names_of_joints_are_read_only(twin, client) -> None:
     twin.parameters.set_results({'thickness': 0.04, 'density': 1})
     for name, value in (('recommended.thickness', 0.01), ('joint_names.plate', 'carriage')):
@@ -153,15 +147,6 @@ def test_results_and_names_of_joints_are_read_only(twin, client) -> None:
     twin.parameters.set_results({'wave_speed': 20.0})
     assert math.isnan(client.get('recommended.thickness'))
     assert unchanged(twin)
-
-
-def test_apply_changes_all_or_nothing(twin) -> None:
-    twin.parameters.apply({'layer.thickness': 0.04, 'layer.wave_speed': 20})
-    expected = {'layer.thickness': 0.04, 'layer.wave_speed': 20.0, 'layer.name': 'custom'}
-    assert twin.changes == [expected]
-    with pytest.raises(ParameterError, match=r'0\.2'):
-        twin.parameters.apply({'layer.wave_speed': 10.0, 'layer.thickness': 0.2})
-    assert twin.parameters.settings == {**TWIN.defaults(), **expected}
 
 
 def test_check_of_the_node_can_refuse(ros) -> None:
@@ -246,14 +231,6 @@ def test_file_for_several_nodes_starts_each_of_them(ros, start, tmp_path: Path) 
     path.write_text('/**/twin: {ros__parameters: {folder: bags}}')
     with pytest.raises(ParameterError, match=r"shared\.yaml: .*'folder'"):
         start('--params-file', str(path))
-
-
-@pytest.mark.parametrize(
-    ('value', 'text'),
-    [(7.3 * 0.93, '6.789'), (200.0, '200.0'), (5e-06, '5e-06'), (20, '20'), ('peak', 'peak')],
-)
-def test_values_are_shown_without_meaningless_digits(value, text) -> None:
-    assert shown(value) == text
 
 
 def test_refusal_of_a_huge_value_is_short(twin, client) -> None:
