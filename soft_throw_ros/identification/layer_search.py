@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 MAX_EXCESS = 9.0
 """Largest increase of chi squared at another minimum that is reported. [-]"""
 
-_WAVE_SPEEDS = np.geomspace(1.0, 200.0, 121).tolist()
+_WAVE_SPEEDS = np.geomspace(2.0, 100.0, 121).tolist()
 """Wave speeds of the grid; early minima are some percent wide. [m/s]"""
 
 _THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)
