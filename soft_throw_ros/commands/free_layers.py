@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 
 from soft_throw_ros.commands.identify_input import add_track_options, read_layer
-from soft_throw_ros.commands.identify_report import IdentificationReport, with_unit
+from soft_throw_ros.commands.identify_report import held_rows, IdentificationReport, Row
 from soft_throw_ros.commands.options import (
     add_rig_options,
     MEASURED_PARAMETERS,
@@ -18,7 +18,8 @@ from soft_throw_ros.commands.options import (
     stated_parameters,
 )
 from soft_throw_ros.commands.output import CommandParser, report_io_errors, run_command
-from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG
+from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG, values_of
 from soft_throw_ros.identification.ringing import fit_period, fit_wave_speed
 
 _SIGNIFICANCE = 1e-4  # probability of a disagreement by chance, below which a warning says so
@@ -60,14 +61,18 @@ def _run(arguments: argparse.Namespace) -> int:
             periods.append(fit_period(*ends))
     speed = fit_wave_speed(thicknesses, periods, thickness_error=arguments.thickness_error)
     layers = list(zip(thicknesses, periods, strict=True))
-    lines = [f'{1e3 * size:.4g} mm: period {with_unit(period, "s")}' for size, period in layers]
+    lines = [
+        f'{1e3 * size:.4g} mm: period {1e3 * period.value:.5g} +- {1e3 * period.error:.2g} ms'
+        for size, period in layers
+    ]
     warning = 'the periods are not proportional to the thicknesses (probability '
     warning += f'{speed.probability:.1g}): is it one material?'
     known = stated_parameters(arguments) | {'layer.wave_speed'}
+    assumed = [name for name in DEFAULT_IS_ANOTHER_RIG if name not in known]
+    values = values_of(rig_of(settings), assumed)
     IdentificationReport(
         sources=tuple(paths),
-        result={'layer.wave_speed': speed.value},
-        assumed=tuple(name for name in DEFAULT_IS_ANOTHER_RIG if name not in known),
+        rows=(Row.of('layer.wave_speed', speed.value), *held_rows(values, assumed)),
         lines=tuple(lines),
         data={'layers': [{'thickness': size, 'period': period} for size, period in layers]},
         warnings=(warning,) * (speed.probability < _SIGNIFICANCE),

@@ -15,17 +15,13 @@ from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import add_track_options, read_throws
 from soft_throw_ros.commands.identify_report import (
     add_report_options,
-    answer_lines,
-    budget_lines,
-    ejection_data,
-    ejection_lines,
+    ejection_rows,
     fit_data,
     fit_lines,
+    fit_rows,
+    held_rows,
     IdentificationReport,
-    remark_lines,
-    unit_of,
-    warning_lines,
-    with_unit,
+    Row,
 )
 from soft_throw_ros.commands.options import (
     add_rig_options,
@@ -36,7 +32,7 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import CommandParser, print_note, run_command
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.identification.ejection import answer_of, ejection_of
+from soft_throw_ros.identification.ejection import ejection_of, judge
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
@@ -46,11 +42,12 @@ from soft_throw_ros.identification.fit_description import (
     Treatment,
     values_of,
 )
+from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.systematics import FLOORS
-from soft_throw_ros.identification.tracks import ThrowTracks, Track
+from soft_throw_ros.identification.tracks import ThrowTracks
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
 _NOISE = 'measured.position_noise'  # noise of all heights, if it is stated
@@ -167,55 +164,54 @@ def _identify(
         description = description.change({'layer.wave_speed': FIXED})
     description = description.assume(stated, [throw.name for throw in throws])
     result = fit_rig(throws, rig_of(settings), description, on_progress=_show_progress)
-    remarks = tuple(remark_lines(result))
-    lines = [*budget_lines(result), '', *remarks, *fit_lines(result.fit)]
-    warnings = warning_lines(result.fit)
-    ejection = answer = None
+    warnings = fit_warnings(result.fit)
+    if not result.is_complete:
+        notes.append('the search for a loss and for other minima took too long, and is incomplete')
+    ejection = None
     if has_projectile:
         try:
             ejection = ejection_of(result)
-            lines += ejection_lines(ejection)
         except FitError as error:
             warnings.append(f'no release is predicted: {error}')
-            lines += ['', warnings[-1]]
-        answer = answer_of(result, ejection)
     relevant = PARAMETERS if has_projectile else ENGINE
-    values = {
-        name: value for name, value in result.estimates().items()
-        if name in relevant and name not in description.assumed
-    }
+    rows = [
+        row for row in fit_rows(result)
+        if row.name in ENGINE or (has_projectile and row.name not in description.assumed)
+    ]
+    found = {row.name for row in rows}
+    held = values_of(result.model.rigs[0], [name for name in relevant if name not in found])
+    rows += held_rows(held, description.assumed)
+    rows += ejection_rows(ejection) if ejection else ()
+    rows += [Row.of(name, value) for name, value in result.terms().items()]
+    assumed = ', '.join(name for name in description.assumed if name in held)
+    head = [f'assumed, because nobody stated them (-p NAME:=VALUE): {assumed}'] * bool(assumed)
+    answer = None
+    if has_projectile and 'layer.wave_speed' in result.model.layout:
+        verdict = judge(result, ejection)
+        answer = {**verdict._asdict(), 'rest_wave_speed': result.rest_wave_speed()}
+        head.append(
+            'good enough to choose a layer' if verdict.is_good_enough
+            else f'not good enough to choose a layer: {verdict.reason}'
+        )
     if arguments.figure:
-        summary = [
-            f'{name.rpartition(".")[2].replace("_", " ")} {with_unit(value, unit_of(name))}'
-            for name, value in values.items()
-        ]
+        summary = [f'{row.name.rpartition(".")[2]} {row}' for row in rows if row.name in found]
         identify_figure.draw_throws(result, ejection, summary, arguments.figure)
     return IdentificationReport(
         sources=tuple(throw.name for throw in throws),
-        result=values,
-        held=values_of(result.model.rigs[0], [name for name in relevant if name not in values]),
-        assumed=description.assumed,
-        answer=tuple(answer_lines(answer, result, ejection)) if answer else (),
-        lines=tuple(lines),
+        rows=tuple(rows),
+        head=tuple(head),
+        lines=tuple(fit_lines(result.fit)),
         data={
-            'answer': answer and vars(answer),
+            'answer': answer,
             'fit': fit_data(result.fit),
             'systematic_errors': {name: floor._asdict() for name, floor in FLOORS.items()},
-            'terms': result.terms(),
-            'remarks': remarks,
             'throws': [
-                {
-                    'name': throw.name,
-                    'start_time': result.start_time(number).value,
-                    'gaps': {
-                        body: track.gaps
-                        for body, track in vars(throw).items()
-                        if isinstance(track, Track)
-                    },
-                }
+                {'name': throw.name, 'start_time': result.start_time(number).value}
                 for number, throw in enumerate(throws)
             ],
-            'ejection': ejection_data(ejection),
+            'ejection': ejection and {
+                **ejection.first._asdict(), 'alternatives': ejection.alternatives
+            },
         },
         notes=tuple(notes),
         warnings=tuple(warnings),

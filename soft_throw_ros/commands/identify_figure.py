@@ -47,7 +47,7 @@ def draw_throws(
             _draw_track(result, series, residual, panels)
     if ejection is not None:
         for panel in panels.values():
-            panel.axvline(_MILLI * ejection.time.value, color='0.4', lw=0.9, ls=':')
+            panel.axvline(_MILLI * ejection.first.time.value, color='0.4', lw=0.9, ls=':')
     period = _MILLI / result.rig.engine.frequency
     highest = _MILLI * max(
         float(np.ptp(residual.track.position))
@@ -79,8 +79,7 @@ def _draw_track(
     track, colour, start = residual.track, _COLOURS[body], result.start_time(throw).value
 
     def predict(time: Floats) -> Floats:
-        request = throw, body, time
-        return result.model.trajectories(result.fit.values, [request])[0].height
+        return result.model.trajectory(result.fit.values, throw, body, time).height
 
     rest_height = predict(np.array([start]))
     since = _MILLI * (track.time - start)

@@ -11,18 +11,21 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 import io
 import math
 from pathlib import Path
 
 import numpy as np
-from soft_throw_ros.commands.options import any_number
+from soft_throw_ros.commands.options import any_number, positive
 from soft_throw_ros.commands.output import CommandParser, report_io_errors
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TWIN_TOPICS
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.track_csv import read_csv, UNITS
+from soft_throw_ros.identification.track_csv import read_csv, TIME_UNITS, UNITS, unused_columns
 from soft_throw_ros.identification.tracks import (
+    dominant_period,
     FEWEST,
     find_throws,
     split_at_breaks,
@@ -44,6 +47,9 @@ _PREFERRED = tuple(
 )
 """Endings of topics by preference: measured positions come before positions of a twin."""
 
+_MAX_INTERVAL = 0.01
+"""Usual time between samples, above which the unit of time is doubtful. [s]"""
+
 _MAX_FALSE_THROWS = 10  # number of throws up to which noise may have split a record of one throw
 _ONE_MOTION = 1.5  # largest residual of a record of one throw, as a multiple of the noise
 
@@ -51,7 +57,12 @@ _ONE_MOTION = 1.5  # largest residual of a record of one throw, as a multiple of
 def add_track_options(parser: CommandParser) -> None:
     """Add the options for reading tracks; `read_throws` and `read_layer` use them."""
     add = parser.add_argument
-    add('--unit', choices=UNITS, default='m', help='of heights in CSV files (default %(default)s)')
+    add(
+        '--unit', choices=UNITS, default='m',
+        help='unit of heights in CSV files whose labels have none (default %(default)s)',
+    )
+    add('--time-unit', choices=TIME_UNITS, default='s', help='the same of times (default s)')
+    add('--rate', metavar='HZ', type=positive, help='times are numbers of pictures at this rate')
     add(
         '--from', dest='start', metavar='S', type=any_number, default=-math.inf,
         help='ignore samples before this time',
@@ -75,7 +86,7 @@ def read_throws(
     if Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
         tracks = _read_bag(path, topic, notes)
     else:
-        tracks = _read_csv(path, JOINTS, arguments.unit)
+        tracks = _read_csv(path, JOINTS, arguments, notes)
     if 'plate' not in tracks:
         raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
     tracks = {body: replace(track, known_noise=noise) for body, track in tracks.items()}
@@ -83,26 +94,32 @@ def read_throws(
     whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
     with report_io_errors(whole.name, TrackError):
         whole = whole.between(arguments.start, arguments.end)
-        whole = _without_lone_samples(whole, notes)
+        _check_time(whole.plate)
+        whole = whole.apply(partial(_without_standstill, whole.name, notes))
         return [throw for record in split_at_breaks(whole) for throw in _throws_of(record)]
 
 
-def _without_lone_samples(record: ThrowTracks, notes: list[str]) -> ThrowTracks:
-    """Remove isolated samples, and note their number."""
-
-    def leave_out(track: Track) -> Track:
-        lone = track.is_lone
-        if not lone.any() or (~lone).sum() < FEWEST:
-            return track
-        first, last = track.time[lone][[0, -1]]
-        notes.append(
-            f'{record.name}: {lone.sum()} samples from {first:g} s to {last:g} s are far apart, '
-            'as those with late stamps; they are left out'
+def _check_time(plate: Track) -> None:
+    """Refuse times that are in another unit, which would take minutes to fit."""
+    frequency, entry = 1.0 / dominant_period(plate), TWIN.by_name['engine.frequency']
+    if plate.interval > _MAX_INTERVAL and frequency < entry.low:
+        raise TrackError(
+            f'the plate would swing with {frequency:.2g} Hz, which must be {entry.rule}; the unit '
+            'of time is not s: see --time-unit ms, or --rate for numbers of pictures'
         )
-        # the noise is estimated anew: a height that goes with a late stamp may be anything
-        return replace(track, time=track.time[~lone], position=track.position[~lone])
 
-    return record.apply(leave_out)
+
+def _without_standstill(name: str, notes: list[str], track: Track) -> Track:
+    """Remove samples that stand still while the body moves, and note them."""
+    still = track.is_stuck
+    if not still.any():
+        return track
+    first, last = track.time[still][[0, -1]]
+    notes.append(
+        f'{name}: {still.sum()} samples from {first:g} s to {last:g} s stand still at '
+        f'{track.position[still][0]:.6g} m while the body moves; they are left out'
+    )
+    return replace(track.where(~still), known_noise=track.known_noise)
 
 
 def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
@@ -114,7 +131,7 @@ def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
 
 def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
     """Read bottom and top of a free layer from a CSV file."""
-    tracks = _read_csv(path, ('bottom', 'top'), arguments.unit)
+    tracks = _read_csv(path, ('bottom', 'top'), arguments, [])
     if 'top' not in tracks:
         raise TrackError(f'{path}: must have a time and both ends of the layer, got one end')
     with report_io_errors(path, TrackError):
@@ -124,12 +141,20 @@ def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
     return bottom, top
 
 
-def _read_csv(path: str, bodies: Sequence[str], unit: str) -> dict[str, Track]:
+def _read_csv(
+    path: str, bodies: Sequence[str], arguments: argparse.Namespace, notes: list[str]
+) -> dict[str, Track]:
     if is_video(path):
         raise TrackError(f'{path}: is a video; first convert it to tracks with soft-throw track')
     with report_io_errors(path):
         text = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig')
-    return read_csv(io.StringIO(text, newline=''), path, bodies, unit=unit)
+    tracks = read_csv(
+        io.StringIO(text, newline=''), path, bodies,
+        unit=arguments.unit, time_unit=arguments.time_unit, rate=arguments.rate,
+    )
+    if unused := unused_columns(text.splitlines(), bodies):
+        notes.append(f'{path}: columns that are not used: {", ".join(unused)}')
+    return tracks
 
 
 def _is_one_motion(record: ThrowTracks) -> bool:
@@ -154,11 +179,14 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
         for name, item in recorded.items()
         if any(math.isfinite(plate) for plate, _ in item.rows.values())
     ]
+    if not with_plate:
+        others = sorted(set().union(*(item.names for item in recorded.values())))
+        raise TrackError(f'{path}: no joint is named plate, got {", ".join(others) or "none"}')
     best = _choose_topic(path, sorted(with_plate), topic)
     if count := recorded[best].unreadable:
         notes.append(f'{path}: {count} messages on {best!r} are no {JOINT_STATE}, and left out')
     stamps, table = zip(*sorted(recorded[best].rows.items()), strict=True)
-    time = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
+    time = 1e-9 * recorded[best].time_scale * np.array([stamp - stamps[0] for stamp in stamps])
     tracks = {}
     for body, position in zip(JOINTS, np.transpose(table), strict=True):
         is_measured = np.isfinite(position)

@@ -48,8 +48,8 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     Yield the number and the cells of each line with data.
 
     Semicolons, tabs or commas separate cells, whichever the first line with data has, or else
-    blanks. Empty lines, comments after `#`, and the line `sep=;` of spreadsheets are skipped.
-    Unless commas separate cells, one may be the decimal sign.
+    blanks. Lines without a value, comments after `#`, and the line `sep=;` of spreadsheets are
+    skipped. A comma may be the decimal sign, in quotes if commas separate cells.
 
     Examples
     --------
@@ -60,26 +60,25 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     separator = ''
     for number, line in enumerate(lines, 1):
         text = line.strip(' \r\n\ufeff')
-        if not text.strip() or text.startswith('#') or re.fullmatch('sep=.', text):
+        if not text.strip(' \t;,"\'') or text.startswith('#') or re.fullmatch('sep=.', text):
             continue
         separator = separator or next((sign for sign in ';\t,' if sign in text), ' ')
         if separator == ' ':
             cells = text.split()
         else:
             (cells,) = csv.reader([text], delimiter=separator, skipinitialspace=True)
-        if separator != ',':
-            cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
+        cells = [re.sub(r'(?<=\d),(?=\d)', '.', cell) for cell in cells]
         if any(cells := [cell.strip().strip('"\'') for cell in cells]):
             yield number, cells
 
 
-def _parse_label(cell: str) -> tuple[str, str]:
+def parse_label(cell: str) -> tuple[str, str]:
     """
     Return the label of a column in small letters, and its unit, which may be empty.
 
     Examples
     --------
-    >>> _parse_label('Height [\N{MICRO SIGN}m]')
+    >>> parse_label('Height [\N{MICRO SIGN}m]')
     ('height', 'um')
 
     """
@@ -172,7 +171,7 @@ def _find_columns(
     """Return index and SI value of the unit of each column that has a label."""
     sources: dict[str, tuple[int, float]] = {}
     for index, cell in enumerate(cells):
-        label, unit_name = _parse_label(cell)
+        label, unit_name = parse_label(cell)
         for key, column in columns.items():
             if label not in column.labels:
                 continue

@@ -170,9 +170,13 @@ def _read_bag(path: Path) -> tuple[Floats, Floats]:
     }
     best = max(series, key=lambda topic: ('measured' in topic, len(series[topic])), default='')
     if not series.get(best):
-        raise ParameterError(f'{path}: no JointState has a joint {_JOINT!r}', PARAMETER)
+        names = ', '.join(sorted(set().union(*(item.names for item in recorded.values()))))
+        raise ParameterError(
+            f'{path}: no JointState has a joint {_JOINT!r}, got {names or "none"}', PARAMETER
+        )
     stamps, heights = map(np.array, zip(*sorted(series[best]), strict=True))
-    return stamps // SECOND + 1e-9 * (stamps % SECOND), heights
+    scale = recorded[best].time_scale
+    return scale * (stamps // SECOND + 1e-9 * (stamps % SECOND)), heights
 
 
 def _first_throw(t: Floats, z: Floats) -> tuple[Floats, Floats]:

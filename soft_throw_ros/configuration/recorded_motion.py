@@ -23,6 +23,9 @@ MAX_END_SPEED = 0.25
 _MOTION_SIGMAS = 6.0
 """Standard deviations of the noise, from which on a plate moves. [-]"""
 
+_MAX_RISE = 2.0
+"""Largest time from the start to half of the largest height; a plate has at least 1 Hz. [s]"""
+
 _CERTAIN_MOTION = 0.3
 """Height over the largest one, at which a plate has certainly started. [-]"""
 
@@ -64,6 +67,13 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     from scipy.interpolate import make_smoothing_spline
 
     start, rest_height = _find_start(times, heights)
+    distance = np.abs(heights - rest_height)
+    risen = float(times[np.argmax(distance >= 0.5 * distance.max())]) - start
+    if risen > _MAX_RISE:
+        raise ValueError(
+            f'the plate must rise within {_MAX_RISE:g} s, got {risen:.3g} s; name a time in '
+            'another unit by a first line, as in t [ms],z [m]'
+        )
     since = times - start
     moving = since > 1e-3 * float(np.median(np.diff(times)))
     if (after := int(moving.sum())) < MIN_SAMPLES:

@@ -6,9 +6,9 @@ Identification of a rig from measured tracks: parameters with their uncertaintie
 `tracks` (read by `track_csv`, or followed in videos by `video`) are compared by `least_squares`
 with a model: of the plate alone (`plate_fit`), of whole throws (`rig_model` as `fit_description`
 says, run by `rig_fit`), or of a free layer (`ringing`). A fit of whole throws is started by
-`layer_search`, which also tries other minima; a loss and ringing of the plates are tried, and
-systematic errors, which the tracks hardly show, are added to the errors (`systematics`).
-`fit_warnings` finds reasons to doubt a fit.
+`layer_search`, which also tries other minima; a loss is tried, and systematic errors, which the
+tracks hardly show, are added to the errors (`systematics`). `fit_warnings` finds reasons to doubt
+a fit.
 `forward` is the only module that calls the steppers of the core. `ejection` computes the first
 release.
 

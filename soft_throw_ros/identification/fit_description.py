@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, cast, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.configuration.yaml_file import read_yaml
@@ -35,7 +35,6 @@ DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.los
 NUISANCE_PARAMETERS = {
     'layer.stiffening': 0.0,
     'plate.drift': 0.0,
-    'plate.ringing': 0.0,
     'projectile.drift': 0.0,
     'projectile.scale': 1.0,
     'projectile.delay': 0.0,
@@ -44,9 +43,8 @@ NUISANCE_PARAMETERS = {
 Nuisance parameters of a bench, and their values without it.
 
 `stiffening` is the increase of the wave speed with the speed of the plate, to which the strain is
-proportional. `drift` is the drift of heights over a record, and `ringing` the oscillation of the
-plate before the throw, both over the amplitude. `scale` is the measured over the true height of a
-projectile, and `delay` the delay of its measurement [s].
+proportional. `drift` is the drift of heights over a record, over the amplitude. `scale` is the
+measured over the true height of a projectile, and `delay` the delay of its measurement [s].
 """
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
@@ -65,9 +63,6 @@ HEIGHTS: tuple[Heights, ...] = ('own', 'common', 'absolute')
 REFERENCES: tuple[Reference, ...] = ('face', 'centre')
 
 _KEYS = ('free', 'fixed', 'prior', 'per_throw')
-
-PARTS = ('layer', 'projectile')
-"""Parts of a rig that may be replaced between throws, and have names then."""
 
 _MAX_NAMES = 8
 """Names of throws that a message lists, so that it stays readable."""
@@ -123,23 +118,10 @@ With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain i
 error.
 """
 
-SEARCHED: Mapping[str, Treatment] = {
-    LOSS: FREE,
-    'plate.ringing': Treatment(True, error=0.02, is_per_throw=True),
-}
-"""Treatments of parameters that are fixed by default, and fitted if the tracks show them."""
-
 IDEAL_BENCH: Mapping[str, Treatment] = {
     name: FIXED for name in DEFAULTS if name not in DEFAULT_FREE
 } | {'engine.amplitude': FREE}
 """Treatments for a bench without faults, where all but `DEFAULT_FREE` are known exactly."""
-
-
-class ThrowConditions(NamedTuple):
-    """Treatments of parameters for some throws only, and names of the `PARTS` in these throws."""
-
-    treatments: Mapping[str, Treatment]
-    parts: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -167,11 +149,11 @@ class FitDescription:
     """Origin of the heights, see `Heights`."""
     reference: Reference = 'face'
     """Point whose heights tracks of projectiles have; it matters unless `heights` is 'own'."""
-    throws: Mapping[str, ThrowConditions] = field(default_factory=dict)
+    throws: Mapping[str, Mapping[str, Treatment]] = field(default_factory=dict)
     """
-    Differences of some throws, by names, or patterns of names, of throws or of their files.
+    Treatments for some throws, by names, or patterns of names, of throws or of their files.
 
-    Throws with the same treatment or part share its value.
+    The throws of a pattern share the values of these parameters.
     """
     topic: str | None = None
     """Topic to read from bags; needed if several topics have a plate."""
@@ -179,7 +161,7 @@ class FitDescription:
     """Parameters that are held at the values of another rig, because nobody stated them."""
 
     def __post_init__(self) -> None:
-        for name in (*self.parameters, *(n for item in self.throws.values() for n in item[0])):
+        for name in (*self.parameters, *(n for item in self.throws.values() for n in item)):
             check_name(name)
         for name, value, choices in (
             ('heights', self.heights, HEIGHTS),
@@ -195,8 +177,8 @@ class FitDescription:
 
         It is a mapping with the keys `free` and `per_throw` (lists of names), `fixed` (names to
         values), `prior` (names to values and standard errors), `heights`, `reference`, `topic`,
-        and `throws` (names of throws to such mappings, in which the names of `PARTS` may stand,
-        too). All keys are optional; the defaults are those of `base`.
+        and `throws` (names of throws to mappings with the first four keys). All keys are optional;
+        the defaults are those of `base`.
 
         Raises
         ------
@@ -205,36 +187,21 @@ class FitDescription:
 
         """
         description = base or cls()
-        tree, keys = read_yaml(path), (*_KEYS, 'heights', 'reference', 'topic', 'throws')
-        for name in tree:
-            if name not in keys:
-                raise ValueError(f'{path}: must be one of {", ".join(keys)}, got {name!r}')
+        tree = read_yaml(path)
         try:
-            treatments, others = _read_treatments(tree, description)
-            description = description.change(treatments)
-            for name, value in others.items():
-                if name == 'throws':
-                    for throw, item in _items(name, value):
-                        description = description._with_conditions(throw, item)
-                elif name == 'heights':
-                    description = replace(description, heights=cast(Heights, str(value)))
-                elif name == 'reference':
-                    description = replace(description, reference=cast(Reference, str(value)))
-                else:
-                    description = replace(description, topic=str(value))
+            description = description.change(
+                _read_treatments(tree, description, ('heights', 'reference', 'topic', 'throws'))
+            )
+            throws = {
+                throw: _read_treatments(dict(_items(throw, item)), description)
+                for throw, item in _items('throws', tree.get('throws', {}))
+            }
+            texts: dict[str, Any] = {
+                key: str(tree[key]) for key in ('heights', 'reference', 'topic') if key in tree
+            }
+            return replace(description, throws={**description.throws, **throws}, **texts)
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
-        return description
-
-    def _with_conditions(self, throw: str, value: object) -> FitDescription:
-        """Add the conditions of some throws."""
-        treatments, others = _read_treatments(dict(_items(throw, value)), self)
-        for name in others:
-            if name not in PARTS:
-                keys = ', '.join((*_KEYS, *PARTS))
-                raise ValueError(f'{throw}: must be one of {keys}, got {name!r}')
-        parts = {name: str(item) for name, item in others.items()}
-        return replace(self, throws={**self.throws, throw: ThrowConditions(treatments, parts)})
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
@@ -250,18 +217,16 @@ class FitDescription:
 
     def treatment(self, name: str, throw: str | None = None) -> Treatment:
         """Return the treatment of a parameter; of a throw, if its name is given."""
-        own = {} if throw is None else self.conditions(throw).treatments
+        own = {} if throw is None else self._treatments_of(throw)
         return own.get(name) or self.parameters.get(name) or DEFAULTS[name]
 
-    def conditions(self, throw: str) -> ThrowConditions:
-        """Return the treatments and parts that hold for a throw only."""
+    def _treatments_of(self, throw: str) -> dict[str, Treatment]:
+        """Return the treatments that hold for a throw only."""
         treatments: dict[str, Treatment] = {}
-        parts: dict[str, str] = {}
-        for pattern, conditions in self.throws.items():
+        for pattern, own in self.throws.items():
             if _matches(throw, pattern):
-                treatments |= conditions.treatments
-                parts |= conditions.parts
-        return ThrowConditions(treatments, parts)
+                treatments |= own
+        return treatments
 
     def check_throws(self, throws: Sequence[str]) -> None:
         """Raise `FitError` if a name or pattern of `throws` matches none of the given throws."""
@@ -277,9 +242,11 @@ class FitDescription:
         """Return a key that is equal for throws that share a parameter; None if all do."""
         if self.treatment(name, throw).is_per_throw:
             return number
-        treatments, parts = self.conditions(throw)
-        own, part = treatments.get(name), parts.get(name.partition('.')[0])
-        return (own, part) if own or part else None
+        patterns = [
+            pattern for pattern, own in self.throws.items()
+            if name in own and _matches(throw, pattern)
+        ]
+        return patterns[-1] if patterns else None
 
     def is_free(self, name: str) -> bool:
         """Return whether a parameter is fitted without a prior."""
@@ -287,8 +254,7 @@ class FitDescription:
 
     def searches(self, name: str) -> bool:
         """Whether a parameter is fitted if the tracks show it: nothing is said about it."""
-        conditions = [item.treatments for item in self.throws.values()]
-        return not any(name in item for item in (self.parameters, *conditions))
+        return not any(name in item for item in (self.parameters, *self.throws.values()))
 
     def value(self, name: str, rig: Rig, throw: str | None = None) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
@@ -325,9 +291,12 @@ def parse_error(text: str, value: str) -> Treatment:
 
 
 def _read_treatments(
-    tree: Mapping[str, Any], base: FitDescription
-) -> tuple[dict[str, Treatment], dict[str, Any]]:
-    """Return the treatments of a mapping, and its other items."""
+    tree: Mapping[str, Any], base: FitDescription, other_keys: Sequence[str] = ()
+) -> dict[str, Treatment]:
+    """Return the treatments of a mapping, which may have other keys."""
+    for name in tree:
+        if name not in (keys := (*_KEYS, *other_keys)):
+            raise ValueError(f'must be one of {", ".join(keys)}, got {name!r}')
     treatments = dict.fromkeys(_names(tree.get('free', [])), FREE)
     for key in ('fixed', 'prior'):
         for name, value in _items(key, tree.get(key, {})):
@@ -338,7 +307,7 @@ def _read_treatments(
         if not treatment.is_varied:
             raise ValueError(f'{name} must be free or have a prior')
         treatments[name] = treatment._replace(is_per_throw=True)
-    return treatments, {key: value for key, value in tree.items() if key not in _KEYS}
+    return treatments
 
 
 def _names(value: Any) -> list[str]:

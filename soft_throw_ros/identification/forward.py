@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import replace
 import math
 import time
 from typing import NamedTuple
@@ -13,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.cell_stepper import CellStepper
-from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
@@ -25,7 +23,6 @@ from soft_throw_ros.core.stepper import (
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.plate_waves import PlateWithWaves
 
 Floats = NDArray[np.float64]
 
@@ -63,14 +60,7 @@ class ThrowSimulator:
         self._deadline = time.thread_time() + seconds
         self._cache: dict[Hashable, ProjectilePath] = {}
 
-    def follow(
-        self,
-        rig: Rig,
-        moments: Floats,
-        *,
-        motion: PlateWithWaves | None = None,
-        by_cells: bool = False,
-    ) -> ProjectilePath:
+    def follow(self, rig: Rig, moments: Floats, *, by_cells: bool = False) -> ProjectilePath:
         """
         Follow a throw.
 
@@ -80,8 +70,6 @@ class ThrowSimulator:
             Rig to simulate.
         moments : ndarray, shape (n,)
             Times since the start of the plate, in any order; before it all is at rest. [s]
-        motion : PlateWithWaves, optional
-            Motion of the plate; by default that of the engine.
         by_cells : bool
             Whether to use cells also without internal loss. All rigs that a fit of the loss
             compares need the same model.
@@ -94,14 +82,13 @@ class ThrowSimulator:
             If the deadline has passed.
 
         """
-        key = rig, motion, by_cells, moments.tobytes()
+        key = rig, by_cells, moments.tobytes()
         if key not in self._cache:
             if time.thread_time() > self._deadline:
                 raise DeadlineExceeded
             if len(self._cache) >= _MAX_CACHED:
                 self._cache.pop(next(iter(self._cache)))
-            sampled = motion and motion.sampled(float(moments.min()), float(moments.max()))
-            self._cache[key] = _follow(rig, moments, sampled, by_cells=by_cells)
+            self._cache[key] = _follow(rig, moments, by_cells=by_cells)
         return self._cache[key]
 
     def landing_time(self, rig: Rig, until: float, *, by_cells: bool = False) -> float:
@@ -113,16 +100,9 @@ class ThrowSimulator:
         return float('inf')
 
 
-def _follow(
-    rig: Rig, time: Floats, motion: SampledMotion | None, *, by_cells: bool
-) -> ProjectilePath:
-    """Follow a throw with a sampled motion of the plate, or that of the engine."""
-    begin = 0.0  # steppers begin at 0
-    if motion is not None:
-        begin = motion.start_time
-        motion = SampledMotion(motion.times - begin, motion.states)
-        rig = replace(rig, engine=replace(rig.engine, motion=motion))
-    moments, indices = np.unique(np.maximum(time - begin, 0.0), return_inverse=True)
+def _follow(rig: Rig, time: Floats, *, by_cells: bool) -> ProjectilePath:
+    """Follow a throw by the stepper of its rig, or by cells."""
+    moments, indices = np.unique(np.maximum(time, 0.0), return_inverse=True)
     until = float(moments[-1])
     try:
         stepper = (CellStepper if by_cells else make_stepper)(rig, field_points=2)
@@ -140,8 +120,7 @@ def _follow(
     except (ValueError, EventLimitError) as error:
         raise FitError(f'the throw cannot be followed: {error}') from None
     position, velocity = states[:, indices]
-    on_clock = (event._replace(time=event.time + begin) for event in events)
-    return ProjectilePath(position, velocity, tuple(on_clock))
+    return ProjectilePath(position, velocity, tuple(events))
 
 
 def _check_cost(stepper: Stepper, until: float, rig: Rig) -> None:

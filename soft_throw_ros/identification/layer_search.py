@@ -3,14 +3,15 @@
 """
 Search for the layer: start values without a guess, and other minima of chi squared.
 
-With a stiff layer, on which the projectile chatters, chi squared has several minima. `find_layers`
-compares the tracks with many layers; `find_best_minimum` fits those that may turn out to be the
-best, too. Minima within `MAX_EXCESS` of the best are reported.
+With a stiff layer or a light projectile, which chatters, chi squared has several minima. The later
+a height, the narrower they are: soon after the start they are wide, and the best one is the true
+one. `find_layers` therefore compares the first heights with layers of a grid, and follows the best
+minima while it adds later heights. `find_best_minimum` fits those that may be the best, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 import contextlib
 from dataclasses import replace
 import math
@@ -18,54 +19,55 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.identification.fit_description import changed_rig, LAYER, values_of
+from soft_throw_ros.identification.fit_description import (
+    changed_rig,
+    LAYER,
+    LOSS,
+    PARAMETERS,
+    values_of,
+)
 from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
-from soft_throw_ros.identification.parameter_layout import OWN, START
-from soft_throw_ros.identification.plate_waves import PlateWithWaves
+from soft_throw_ros.identification.parameter_layout import PROJECTILE_ZERO, START
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import Track
+
+Floats = NDArray[np.float64]
 
 MAX_EXCESS = 9.0
 """Largest increase of chi squared at another minimum that is reported. [-]"""
 
-_WAVE_SPEEDS = np.geomspace(1.0, 200.0, 641).tolist()
-"""Wave speeds of the grid; the valleys of chi squared may be less than a percent wide. [m/s]"""
+_WAVE_SPEEDS = np.geomspace(2.0, 100.0, 121).tolist()
+"""Wave speeds of the grid; early minima are some percent wide. [m/s]"""
 
 _THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Thicknesses of the grid, relative to the given one. [-]"""
 
+_WINDOWS = (0.35, 0.7, 2.0)
+"""Times of the heights that the grid is compared with, since the start. [plate periods]"""
+
+_INITIAL_LOSS = 0.05
+"""Initial loss tangent of a fit of a stated loss. [-]"""
+
 _MIN_THICKNESS = 1e-4  # smallest thickness of the search [m]
-_INITIAL_LOSS = 0.05  # initial loss tangent
-
 _MAX_THROWS = 3  # largest number of throws in the search
-_SEARCH_PERIODS = 2.0  # time of each throw in the search [plate periods]
-_MAX_SAMPLES = 120  # largest number of samples of each track in the search
-
-_MAX_REFINED = 6  # largest number of refined candidates
-_MAX_EVALUATIONS = 20  # largest number of evaluations of the model in a fit of a candidate
-_MAX_RATIO = 20.0  # sum of squares, relative to the best, above which candidates are dropped
-_LAYER_TOLERANCE = 5e-3  # relative difference below which two layers count as equal
-_MAX_STARTS = 4  # largest number of fits of other minima, the most promising ones first
+_MAX_SAMPLES = 60  # largest number of samples of a track in a window
+_MAX_MINIMA = 2  # largest number of minima of a window
+_MAX_RATIO = 10.0  # chi squared of a minimum of a window, relative to the best
+_MAX_EVALUATIONS = 10  # largest number of evaluations of the model in a fit of a candidate
+_MAX_RIVALS = 2  # largest number of fits of other minima, the most promising ones first
+_RIVAL_RATIO = 3.0  # chi squared of a rival up to two periods, relative to the best
 _MIN_SEPARATION = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
-
-
-class SearchedThrow(NamedTuple):
-    """A throw whose layer is searched."""
-
-    rig: Rig
-    motion: PlateWithWaves
-    start_time: float
-    """[s]"""
-    searched: tuple[str, ...]
-    """Parameters of the rig that the search changes."""
+_LAYER_TOLERANCE = 5e-3  # relative difference below which two layers count as equal
 
 
 class LayerCandidate(NamedTuple):
-    """A rig to start from, and the sum of squares that it leaves."""
+    """A rig to start from, the values of its fit by name, and its chi squared."""
 
     chi2: float
     rig: Rig
+    values: dict[str, float]
 
     def is_like(self, other: LayerCandidate) -> bool:
         """Return whether two layers are almost equal."""
@@ -74,7 +76,7 @@ class LayerCandidate(NamedTuple):
         return all(math.isclose(*pair, rel_tol=_LAYER_TOLERANCE) for pair in pairs)
 
 
-def find_layers(model: RigModel) -> list[Rig]:
+def find_layers(model: RigModel) -> list[LayerCandidate]:
     """
     Find rigs to start a fit from, the most likely one first, in a grid of layers.
 
@@ -86,55 +88,45 @@ def find_layers(model: RigModel) -> list[Rig]:
         If no layer can be simulated.
 
     """
-    free = {name for name in LAYER if model.description.is_free(name)}
     used = [series.throw for series in model.projectiles[:_MAX_THROWS]]
     throws = tuple(
         throw.apply(Track.without_spikes) if number in used else replace(throw, projectile=None)
         for number, throw in enumerate(model.throws)
     )
     model = replace(model, throws=throws)
-    start = model.start()
-    searched = {}
-    for number in used:
-        throw = throws[number].name
-        names = tuple(n for n in free if model.description.treatment(n, throw).value is None)
-        begin = model.value(start, START, number)
-        searched[number] = SearchedThrow(*model.motion(start, number), begin, names)
-    early = model.cut_after(_SEARCH_PERIODS / model.rig.engine.frequency)
-    if not early.projectiles:
-        early = model
-    candidates = _best_of(_search_grid(early, searched, free))
-    # Early heights are much alike on many layers; the flight afterwards is not
-    end = max(model.flight_end(candidates[0].rig), _SEARCH_PERIODS / model.rig.engine.frequency)
-    refined = _refine(model.cut_after(end), candidates, free)
-    return [candidate.rig for candidate in _best_of(refined or candidates)]
-
-
-def find_best_minimum(model: RigModel, fit: Fit, others: Sequence[Rig] = ()) -> Fit:
-    """Fit `others`, the most likely ones first; return the best fit with near alternatives."""
-    if 'layer.wave_speed' not in model.layout:
-        return fit
-    starts = []
-    for rig in others:
-        start = fit.values.copy()
-        for name, value in values_of(rig, LAYER).items():
-            if name in model.layout:
-                start[model.layout.indices_of(name)] = value
-        starts.append(start)
-    fits = [fit]
-    for start in starts[:_MAX_STARTS]:
+    candidates = []
+    for rig in _best_of_grid(model):
         with contextlib.suppress(FitError):
-            fits.append(model.fit(start, max_evaluations=_MAX_EVALUATIONS))
-    best, *others_found = sorted(fits, key=attrgetter('chi2'))
+            candidates.append(_follow_minimum(model, rig))
+    if not candidates:
+        raise FitError('the models can follow no throw of such a projectile on any layer')
+    chosen: list[LayerCandidate] = []
+    for candidate in sorted(candidates, key=attrgetter('chi2')):
+        if not any(map(candidate.is_like, chosen)):
+            chosen.append(candidate)
+    return chosen
+
+
+def find_best_minimum(model: RigModel, fit: Fit, candidates: Sequence[LayerCandidate]) -> Fit:
+    """Fit rivals of the first candidate; return the best fit with near alternatives."""
+    if 'layer.wave_speed' not in model.layout or not candidates:
+        return fit
+    limit = _RIVAL_RATIO * candidates[0].chi2
+    fits = [fit]
+    for candidate in candidates[1:][:_MAX_RIVALS]:
+        if candidate.chi2 < limit:
+            with contextlib.suppress(FitError):
+                rival = replace(model, initial={**model.initial, **candidate.values})
+                fits.append(rival.fit(rival.start(), max_evaluations=_MAX_EVALUATIONS))
+    best, *others = sorted(fits, key=attrgetter('chi2'))
+    if best is not fit:
+        best = model.fit(best.values)
     minima = [best]
-    for other in others_found:
+    for other in others:
         is_near = other.chi2 - best.chi2 < MAX_EXCESS
         if is_near and all(_is_separate(minimum, other) for minimum in minima):
             minima.append(other)
-    alternatives = [Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]]
-    if best is not fit:
-        best = model.fit(best.values)
-    return best.spanning(alternatives)
+    return best.spanning([Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]])
 
 
 def _is_separate(fit: Fit, other: Fit) -> bool:
@@ -144,84 +136,88 @@ def _is_separate(fit: Fit, other: Fit) -> bool:
     return parabola > _MIN_SEPARATION + 2.0 * (other.chi2 - fit.chi2)
 
 
-def _search_grid(
-    model: RigModel, searched: Mapping[int, SearchedThrow], free: set[str]
-) -> list[LayerCandidate]:
-    """Return the minima among all wave speeds and some thicknesses, without loss."""
+def _best_of_grid(model: RigModel) -> list[Rig]:
+    """Return the rigs at the lowest minima of each window, without loss."""
+    start = model.start()
     rig = model.rig
-    if 'layer.loss_tangent' in free:
-        rig = changed_rig(rig, {'layer.loss_tangent': 0.0})
+    if model.description.is_free(LOSS):
+        rig = changed_rig(rig, {LOSS: 0.0})
     speeds = [rig.layer.wave_speed]
-    if 'layer.wave_speed' in free:
+    if model.description.is_free('layer.wave_speed'):
         speeds = sorted([*_WAVE_SPEEDS, *speeds])  # the given one may be right
-    candidates = []
-    for thickness in _thicknesses(model, free):
-        row = [{'layer.thickness': thickness, 'layer.wave_speed': speed} for speed in speeds]
-        candidates += _minima(model, searched, [changed_rig(rig, item) for item in row])
-    if not candidates:
-        raise FitError('the models can follow no throw of such a projectile on any layer')
-    return candidates
+    chosen: dict[tuple[float, float], Rig] = {}
+    minima: list[list[tuple[float, Rig]]] = [[] for _ in _WINDOWS]
+    for thickness in _thicknesses(model):
+        rigs = [
+            changed_rig(rig, {'layer.thickness': thickness, 'layer.wave_speed': speed})
+            for speed in speeds
+        ]
+        row = np.array([_mismatches(model, start, item) for item in rigs])
+        edge = np.full((1, len(_WINDOWS)), math.inf)
+        padded = np.concatenate([edge, row, edge])
+        is_minimum = (row <= padded[:-2]) & (row <= padded[2:]) & np.isfinite(row)
+        for index, window in zip(*np.nonzero(is_minimum), strict=True):
+            minima[window].append((float(row[index, window]), rigs[index]))
+    for of_window in minima:
+        of_window.sort(key=lambda item: item[0])
+        for chi2, item in of_window[:_MAX_MINIMA]:
+            if chi2 <= _MAX_RATIO * of_window[0][0]:
+                chosen.setdefault((item.layer.thickness, item.layer.wave_speed), item)
+    return list(chosen.values())
 
 
-def _refine(
-    model: RigModel, candidates: Sequence[LayerCandidate], free: set[str]
-) -> list[LayerCandidate]:
-    """Fit the layer alone from each candidate; leave out those that no model can follow."""
-    loss = {'layer.loss_tangent': _INITIAL_LOSS} if 'layer.loss_tangent' in free else {}
-    refined = []
-    for candidate in candidates:
-        trial = replace(model, rig=changed_rig(candidate.rig, loss))
-        with contextlib.suppress(FitError):
-            fit = trial.fit(
-                trial.start(), only=(*free, *OWN), max_evaluations=_MAX_EVALUATIONS
-            )
-            refined.append(LayerCandidate(fit.chi2, trial.rig_of(trial.start(fit))))
-    return refined
-
-
-def _best_of(candidates: Sequence[LayerCandidate]) -> list[LayerCandidate]:
-    """Return the candidates with the lowest sums of squares, without near duplicates."""
-    chosen: list[LayerCandidate] = []
-    for candidate in sorted(candidates, key=attrgetter('chi2')):
-        is_bad = bool(chosen) and candidate.chi2 > _MAX_RATIO * chosen[0].chi2
-        if is_bad or len(chosen) == _MAX_REFINED:
-            break
-        if not any(map(candidate.is_like, chosen)):
-            chosen.append(candidate)
-    return chosen
-
-
-def _minima(
-    model: RigModel, searched: Mapping[int, SearchedThrow], rigs: Sequence[Rig]
-) -> list[LayerCandidate]:
-    """Return the rigs of a row that fit better than their neighbours."""
-    chi2 = [math.inf, *(_mismatch(model, searched, rig) for rig in rigs), math.inf]
-    return [
-        LayerCandidate(chi2[k], rig)
-        for k, rig in enumerate(rigs, 1)
-        if chi2[k] < math.inf and chi2[k] <= min(chi2[k - 1], chi2[k + 1])
-    ]
-
-
-def _mismatch(model: RigModel, searched: Mapping[int, SearchedThrow], rig: Rig) -> float:
-    """Return the sum of squares for any zero of heights; infinity for an impossible throw."""
-    total = 0.0
-    for number, _, track in model.projectiles:
-        throw = searched[number]
-        some = slice(None, None, -(-track.time.size // _MAX_SAMPLES))
-        time, height = track.time[some] - throw.start_time, track.position[some]
-        changed = changed_rig(throw.rig, values_of(rig, throw.searched))
+def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
+    """Return the sum of squares in each window for any zero of heights; infinity if impossible."""
+    totals = [0.0] * len(_WINDOWS)
+    for number, body, track in model.projectiles:
+        throw = model.throws[number].name
+        searched = [n for n in LAYER if model.description.treatment(n, throw).value is None]
+        changed = changed_rig(model.rig_of(start, number), values_of(rig, searched))
+        since = (track.time - model.value(start, START, number)) * rig.engine.frequency
+        chosen = [_spread(np.flatnonzero(since <= window)) for window in _WINDOWS]
+        union = np.unique(np.concatenate(chosen))
         try:
-            path = model.simulator.follow(changed, time, motion=throw.motion)
+            path = model.trajectory(start, number, body, track.time[union], changed)
         except FitError:
-            return math.inf
-        total += time.size * float(np.var(height - path.position)) / track.noise**2
-    return total
+            return [math.inf] * len(_WINDOWS)
+        residual = (track.position[union] - path.height) / track.noise
+        for window, some in enumerate(chosen):
+            if some.size:
+                part = residual[np.searchsorted(union, some)]
+                totals[window] += part.size * float(np.var(part))
+    return totals
 
 
-def _thicknesses(model: RigModel, free: set[str]) -> list[float]:
+def _spread(indices: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return at most `_MAX_SAMPLES` of some indices, evenly."""
+    return indices[:: max(1, -(-indices.size // _MAX_SAMPLES))]
+
+
+def _follow_minimum(model: RigModel, rig: Rig) -> LayerCandidate:
+    """Fit the layer and the projectile in growing windows, with the plates as they are."""
+    if model.description.is_free(LOSS):
+        rig = changed_rig(rig, {LOSS: _INITIAL_LOSS})
+    only = [
+        name for name in (*PARAMETERS, 'projectile.scale', 'projectile.delay', PROJECTILE_ZERO)
+        if name in model.layout and not name.startswith('engine')
+    ]
+    model = replace(model, rig=rig)
+    found: dict[str, float] = {}
+    for window in _WINDOWS[1:]:
+        part = model.cut_after(window / rig.engine.frequency)
+        if not part.projectiles:
+            part = model
+        part = replace(part, initial={**model.initial, **found})
+        fit = part.fit(part.start(), only=only, max_evaluations=_MAX_EVALUATIONS)
+        found = fit.by_name
+    found.pop(PROJECTILE_ZERO, None)
+    values = replace(model, initial={**model.initial, **found}).start()
+    return LayerCandidate(fit.chi2, model.rig_of(values), found)
+
+
+def _thicknesses(model: RigModel) -> list[float]:
     """Return the thicknesses of the grid [m]."""
-    if 'layer.thickness' not in free:
+    if not model.description.is_free('layer.thickness'):
         return [model.rig.layer.thickness]
     if model.description.heights == 'own':
         return [factor * model.rig.layer.thickness for factor in _THICKNESSES]

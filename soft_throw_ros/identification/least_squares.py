@@ -96,12 +96,6 @@ class TrackResidual:
         return float(np.sqrt(np.mean(self._usual**2)))
 
     @property
-    def autocorrelation(self) -> float:
-        """Correlation of neighbouring residuals, 0 for white noise [-]."""
-        usual = self._usual - self._usual.mean()
-        return float(usual[1:] @ usual[:-1] / max(usual @ usual, 1e-300))
-
-    @property
     def worst_part(self) -> tuple[float, float]:
         """Begin and end of the section with the largest mean residual [s]."""
         width = min(_SLOW_WINDOW, self.track.time.size)

@@ -15,17 +15,6 @@ START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_o
 OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
 """Parameters of each throw: the time of its start, and the heights of its bodies at rest."""
 
-RINGING = 'plate.ringing'
-"""Oscillation of the plate from before the throw."""
-
-RINGING_AMPLITUDES = ('plate.ringing_cosine', 'plate.ringing_sine')
-"""Fitted values of `RINGING`; all other parameters have one value of the same name."""
-
-
-def value_names(parameter: str) -> tuple[str, ...]:
-    """Return the names of the values that describe a parameter."""
-    return RINGING_AMPLITUDES if parameter == RINGING else (parameter,)
-
 
 @dataclass(frozen=True)
 class ParameterLayout:
@@ -50,8 +39,7 @@ class ParameterLayout:
                 is_measured = throw.projectile is not None or name.startswith(('engine', 'plate'))
                 if is_measured and description.treatment(name, throw.name).is_varied:
                     key = description.group(name, throw.name, number)
-                    for value_name in value_names(name):
-                        groups.setdefault((value_name, key), []).append(number)
+                    groups.setdefault((name, key), []).append(number)
         own = [START]
         own += [] if description.heights == 'absolute' else [PLATE_ZERO]
         own += [PROJECTILE_ZERO] if description.heights == 'own' else []

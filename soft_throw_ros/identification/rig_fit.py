@@ -27,20 +27,19 @@ import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.core.throw import ejections
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     ENGINE,
     FitDescription,
+    FREE,
     LAYER,
     LOSS,
     PARAMETERS,
-    SEARCHED,
     values_of,
 )
 from soft_throw_ros.identification.forward import (
@@ -49,17 +48,15 @@ from soft_throw_ros.identification.forward import (
     FirstReleases,
     ThrowSimulator,
 )
-from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
-from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.parameter_layout import (
-    RINGING,
-    RINGING_AMPLITUDES,
-    START,
-    value_names,
+from soft_throw_ros.identification.layer_search import (
+    find_best_minimum,
+    find_layers,
+    LayerCandidate,
 )
+from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
+from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.plate_waves import PlateWithWaves
-from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.rig_model import plate_speed, RigModel
 from soft_throw_ros.identification.systematics import FLOORS, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
@@ -67,9 +64,11 @@ Floats = NDArray[np.float64]
 
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
-_LAST_RELEASE = 3.0  # time until which a projectile is released [periods of the plate]
-_INITIAL_LOSS = 0.05  # initial loss tangent of a fit with loss
+_PRIOR_SHARE = 0.5  # error over that of its prior, above which a value rests on the prior
 _MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
+_INITIAL_LOSSES = (0.03, 0.1)  # loss tangents that are tried if none is stated
+_MAX_TRIAL_EVALUATIONS = 8  # largest number of evaluations of the model with each of them
+_MAX_LOSS_EVALUATIONS = 60  # largest number of evaluations with the better one
 _MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 _SECONDS_PER_THROW = 60.0
@@ -112,25 +111,18 @@ class RigFit:
         """
         Return a fitted parameter of the rig, the mean if each throw has its own.
 
-        The wave speed is that of the squeezed layer, for a linear model, and its error that with
-        which it is the one of a layer at rest.
+        The wave speed is that of the squeezed layer, at the amplitude of the throws.
         """
-        value = values_of(self.rig, [name])[name]
-        return self._estimate(name, value, self._weights(name))
+        weights = self._weights(name)
+        stiffening = self.model.layout.indices.get('layer.stiffening', {}).get(0)
+        if name == 'layer.wave_speed' and stiffening is not None:
+            weights[stiffening] = plate_speed(self.rig)
+        return self._estimate(name, values_of(self.rig, [name])[name], weights)
 
     def rest_wave_speed(self) -> Estimate:
         """Return the wave speed of the layer at rest [m/s]."""
         weights = self._weights('layer.wave_speed')
         return self._estimate('layer.wave_speed', float(weights @ self.fit.values), weights)
-
-    def effective_wave_speed(self) -> Estimate:
-        """Return the wave speed of the layer at the amplitude of the throws [m/s]."""
-        weights = self._weights('layer.wave_speed')
-        stiffening = self.model.layout.indices.get('layer.stiffening', {}).get(0)
-        if stiffening is not None:
-            engine = self.rig.engine
-            weights[stiffening] = 2.0 * math.pi * engine.frequency * engine.amplitude
-        return self._estimate('layer.wave_speed', self.rig.layer.wave_speed, weights)
 
     def budget(self, name: str) -> dict[str, float]:
         """Return the contributions of noise, priors and systematic errors to an error [SI]."""
@@ -153,9 +145,14 @@ class RigFit:
     def _estimate(self, name: str, value: float, weights: Floats) -> Estimate:
         """Return a value with its error as a weighted sum of the fitted values."""
         error = math.sqrt(float(weights @ self.fit.covariance @ weights))
-        is_known = not self.fit.known.keys().isdisjoint(self.model.layout.indices_of(name))
+        priors = [
+            self.fit.known[index] for index in self.model.layout.indices_of(name)
+            if index in self.fit.known
+        ]
+        # A value that rests on its prior has the error of the prior
+        is_prior = any(error > _PRIOR_SHARE * prior.error for prior in priors)
         found = Estimate(value, error)
-        return found if is_known else with_floor(name, found)
+        return found if is_prior else with_floor(name, found)
 
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
@@ -165,59 +162,18 @@ class RigFit:
         """
         Compute the release of the fitted rig, and of rigs drawn from the errors of the fit.
 
-        The first release is that of the fitted rig. Ringing of the plate shifts each release, to
-        first order in its amplitudes.
+        The first release is that of the fitted rig.
         """
-        fit, model = self.fit, self.model
         rng = np.random.default_rng(seed)
-        steps = draw_normal(rng, fit.covariance, count)
-        steps = np.vstack([np.zeros(fit.values.size), steps])
-        shift = release_shift(model, fit.values)
-        shifts = np.tile(shift, (len(steps), 1))
-        shifts[1:] += np.outer(rng.normal(size=count), shift)  # it is known to first order only
-        for name in RINGING_AMPLITUDES:
-            index = model.layout.indices.get(name, {}).get(0)
-            if index is not None:
-                moved = fit.values.copy()
-                moved[index] += fit.errors[index]
-                slope = (release_shift(model, moved) - shift) / fit.errors[index]
-                shifts += np.outer(steps[:, index], slope)
-        rigs, kept = [], []
-        for row, values in enumerate(fit.values + steps):
+        fit = self.fit
+        steps = fit.errors * rng.multivariate_normal(  # of correlations, since units differ
+            np.zeros(fit.values.size), fit.correlation, count, method='eigh'
+        )
+        rigs = [self.rig]
+        for values in fit.values + steps:
             with contextlib.suppress(ValueError):
-                rigs.append(model.rig_of(values))
-                kept.append(row)
-        result = first_releases(rigs)
-        time, speed = shifts[kept].T
-        return result._replace(time=result.time + time, speed=result.speed + speed)
-
-
-def release_shift(model: RigModel, values: Floats) -> Floats:
-    """Return the effect of ringing on time [s] and speed [m/s] of the release, first throw."""
-    rig, motion = model.motion(values, 0)
-    if not any(motion.ringing):
-        return np.zeros(2)
-    plain = next(iter(ejections(_events(model, rig, PlateWithWaves(motion.step)))), None)
-    if plain is None:
-        return np.zeros(2)
-    # A ringing plate may release the projectile briefly, long before the throw
-    releases = [event for event in _events(model, rig, motion) if event.kind == 'release']
-    near = min(releases, key=lambda event: abs(event.time - plain.time), default=plain)
-    return np.array([near.time - plain.time, near.velocity - plain.velocity])
-
-
-def _events(model: RigModel, rig: Rig, motion: PlateWithWaves) -> tuple[Event, ...]:
-    """Return the events of the first few periods of the plate."""
-    end = np.array([_LAST_RELEASE / rig.engine.frequency])
-    return model.simulator.follow(rig, end, motion=motion, by_cells=model.by_cells).events
-
-
-def draw_normal(rng: np.random.Generator, covariance: Floats, count: int) -> Floats:
-    """Draw rows from a normal distribution around 0; the values may have different units."""
-    scales = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    powers, axes = np.linalg.eigh(covariance / np.outer(scales, scales))
-    steps = rng.normal(size=(count, powers.size)) * np.sqrt(np.maximum(powers, 0.0))
-    return np.asarray(scales * (steps @ axes.T))
+                rigs.append(self.model.rig_of(values))
+        return first_releases(rigs)
 
 
 def fit_rig(
@@ -260,7 +216,7 @@ def fit_rig(
     try:
         on_progress('fitting the plate')
         model = _fit_plates(throws, rig, description, simulator)
-        others: list[Rig] = []
+        others: list[LayerCandidate] = []
         if free:
             on_progress('searching the layers')
             model, others = _find_layers(model, free)
@@ -276,8 +232,7 @@ def fit_rig(
         result = replace(result, fit=find_best_minimum(result.model, result.fit, others))
         on_progress('searching for a loss')
         if model.projectiles:
-            model, fit = _with_term(result.model, result.fit, LOSS, _INITIAL_LOSS)
-            result = replace(result, model=model, fit=fit)
+            result = _with_loss(result)
     except DeadlineExceeded:
         result = replace(result, is_complete=False)
     return replace(result, model=replace(result.model, simulator=ThrowSimulator()))
@@ -289,33 +244,34 @@ def _fit_plates(
     description: FitDescription,
     simulator: ThrowSimulator,
 ) -> RigModel:
-    """Fit the plates alone, with their ringing, which no layer changes; return the whole model."""
+    """Fit the plates alone, which no layer changes; return the whole model."""
     throws = tuple(_with_noise(throws))
     plates = tuple(_fit_plate(throw, description) for throw in throws)
     rig = _with_engine_of(plates, description.prepare(rig), description)
     without = tuple(replace(throw, projectile=None) for throw in throws)
     alone = RigModel(without, rig, description, simulator, plates)
-    alone, fit = _with_term(alone, alone.fit(alone.start()), RINGING)
-    return replace(alone, throws=throws, initial=fit.by_name)
+    return replace(alone, throws=throws, initial=alone.fit(alone.start()).by_name)
 
 
-def _find_layers(model: RigModel, free: Sequence[str]) -> tuple[RigModel, list[Rig]]:
-    """Return start values for the layer of each throw, and other candidates if all share it."""
+def _find_layers(
+    model: RigModel, free: Sequence[str]
+) -> tuple[RigModel, list[LayerCandidate]]:
+    """Return start values for the layer of each throw, and all candidates if all share it."""
     groups: dict[object, list[int]] = {}
     for number, throw in enumerate(model.throws):
         if throw.projectile is not None:
-            parts = model.description.conditions(throw.name).parts
-            groups.setdefault(parts.get('layer'), []).append(number)
+            group = model.description.group('layer.wave_speed', throw.name, number)
+            groups.setdefault(group, []).append(number)
     initial, layout = dict(model.initial), model.layout
     for numbers in groups.values():
         throws = tuple(
             throw if number in numbers else replace(throw, projectile=None)
             for number, throw in enumerate(model.throws)
         )
-        best, *others = find_layers(replace(model, throws=throws))
+        candidates = find_layers(replace(model, throws=throws))
         if len(groups) == 1:
-            return replace(model, rig=best), others
-        for name, value in values_of(best, free).items():
+            return replace(model, initial=initial | candidates[0].values), candidates
+        for name, value in values_of(candidates[0].rig, free).items():
             for number, index in layout.indices.get(name, {}).items():
                 if number in numbers:
                     initial[layout.names[index]] = value
@@ -363,49 +319,47 @@ def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescri
 
 def _fit_until_landing(model: RigModel) -> RigFit:
     """Fit the samples before the landing, whose time depends on the fit."""
-    cut = _in_flight(model)
-    result = RigFit(model=cut, fit=cut.fit(cut.start()))
-    for _ in range(_MAX_LANDING_ROUNDS - 1):
-        cut = _in_flight(replace(model, rig=result.rig))
-        if cut.throw_of_sample.size == result.model.throw_of_sample.size:
-            break
+    rig = model.rig_of(model.start())
+    for _ in range(_MAX_LANDING_ROUNDS):
+        cut = _in_flight(model, rig)
         result = RigFit(model=cut, fit=cut.fit(cut.start()))
+        rig, model = result.rig, replace(model, initial=result.fit.by_name)
+        if _in_flight(model, rig).sample_count == cut.sample_count:
+            break
     return result
 
 
-def _with_term(
-    model: RigModel, before: Fit, name: str, initial: float = 0.0
-) -> tuple[RigModel, Fit]:
+def _with_loss(result: RigFit) -> RigFit:
     r"""
-    Return a fit with one more parameter if it lowers the Bayesian information criterion strongly.
+    Return a fit with a loss if it lowers the Bayesian information criterion strongly.
 
     The criterion is :math:`\chi^2 + k \ln n` for k parameters and n samples; differences beyond
     6 count as strong (R. E. Kass and A. E. Raftery, J. Am. Stat. Assoc. 90, 773, 1995).
     """
-    if not model.description.searches(name):
-        return model, before
-    wider = replace(model, description=model.description.change({name: SEARCHED[name]}))
+    model, before = result.model, result.fit
+    if not model.description.searches(LOSS):
+        return result
+    wider = replace(model, description=model.description.change({LOSS: FREE}))
     start = wider.start(before)
-    for index, known in wider.known.items():
-        if not wider.layout.names[index].startswith('plate'):
-            start[index] = known.value  # the priors have absorbed what the loss explains
-    for value_name in value_names(name):
-        start[wider.layout.indices_of(value_name)] = initial
-    try:
-        fit = wider.fit(start)
-    except FitError:
-        return model, before
+    fits = []
+    for loss in _INITIAL_LOSSES:
+        start[wider.layout.indices_of(LOSS)] = loss
+        with contextlib.suppress(FitError):
+            fits.append(wider.fit(start, max_evaluations=_MAX_TRIAL_EVALUATIONS))
+    fit = min(fits, key=attrgetter('chi2'), default=before)
+    if fit.chi2 >= before.chi2:
+        return result
+    fit = wider.fit(fit.values, max_evaluations=_MAX_LOSS_EVALUATIONS)
     gain = (before.chi2 - fit.chi2) / max(1.0, fit.reduced_chi2)
-    added = fit.values.size - before.values.size
-    is_needed = gain - added * math.log(before.dof + before.values.size) > _MIN_GAIN
-    return (wider, fit) if is_needed else (model, before)
+    is_needed = gain - math.log(model.sample_count) > _MIN_GAIN
+    return replace(result, model=wider, fit=fit) if is_needed else result
 
 
-def _in_flight(model: RigModel) -> RigModel:
-    """Remove the samples after the landing of the rig."""
+def _in_flight(model: RigModel, rig: Rig) -> RigModel:
+    """Remove the samples after the landing of a rig."""
     if not model.projectiles:
         return model
-    end = model.flight_end(model.rig)
+    end = model.flight_end(rig)
     cut = model.cut_after(end)
     if not cut.projectiles:
         raise FitError(

@@ -35,16 +35,12 @@ from soft_throw_ros.identification.parameter_layout import (
     ParameterLayout,
     PLATE_ZERO,
     PROJECTILE_ZERO,
-    RINGING,
-    RINGING_AMPLITUDES,
     START,
 )
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
-from soft_throw_ros.identification.plate_waves import PlateWithWaves
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -61,14 +57,10 @@ _UNBOUNDED = (-math.inf, math.inf)
 _STEP = 3e-4
 """Relative step of derivatives, large against the errors of steppers. [-]"""
 
-_STEPS = {  # absolute
-    'engine.damping_ratio': 3e-5,
-    'layer.loss_tangent': 3e-4,
-    'layer.stiffening': 2e-2,
-    **dict.fromkeys((PLATE_ZERO, PROJECTILE_ZERO), 1e-5),
-    **dict.fromkeys(('plate.drift', 'projectile.drift', 'projectile.scale'), 1e-3),
-    **dict.fromkeys(RINGING_AMPLITUDES, 1e-3),
-}
+_STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # absolute
+_MASS_POWERS = {'layer.density': -1.0, 'layer.diameter': -2.0}
+"""Powers of parameters that enter by the mass of the projectile over that of the layer. [-]"""
+
 _MAX_ERROR = 1e30
 """Error in SI units beyond which a parameter is not seen at all."""
 
@@ -102,8 +94,9 @@ class RigModel:
     Notes
     -----
     The fitted values form a vector, see `layout`: first the values that all throws share, then the
-    values of one or some throws. Derivatives are central differences, with a parameter changed in
-    all throws at once. A parameter of the measurement needs no new simulation.
+    values of one or some throws. Derivatives by parameters of the rig are forward differences, one
+    simulation each; those by density and diameter follow from that by the mass, and that by the
+    stiffening from that by the wave speed. All others need no simulation.
 
     """
 
@@ -145,14 +138,10 @@ class RigModel:
         """Tracks of projectiles alone."""
         return [item for item in self.series if item.body == 'projectile']
 
-    @cached_property
-    def throw_of_sample(self) -> Integers:
-        """Return the throw of each sample of all tracks."""
-        return self._by_sample([item.throw for item in self.series])
-
-    def _by_sample(self, values: Sequence[int]) -> Integers:
-        """Repeat the value of each track for all its samples."""
-        return np.repeat(values, [item.track.time.size for item in self.series])
+    @property
+    def sample_count(self) -> int:
+        """Number of samples of all tracks."""
+        return sum(item.track.time.size for item in self.series)
 
     @cached_property
     def layout(self) -> ParameterLayout:
@@ -162,14 +151,12 @@ class RigModel:
     @cached_property
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
-        result: dict[int, Estimate | None] = {}
-        for index, ((value_name, _), (throw, *_)) in enumerate(self.layout.groups.items()):
-            name = RINGING if value_name in RINGING_AMPLITUDES else value_name
-            if name in DEFAULTS:
-                result[index] = self.description.known(
-                    name, self.rigs[throw], self.throws[throw].name
-                )
-        return {index: known for index, known in result.items() if known is not None}
+        priors = {
+            index: self.description.known(name, self.rigs[throw], self.throws[throw].name)
+            for index, ((name, _), (throw, *_)) in enumerate(self.layout.groups.items())
+            if name in DEFAULTS
+        }
+        return {index: known for index, known in priors.items() if known is not None}
 
     def value(self, values: Floats, name: str, throw: int) -> float:
         """Return a value of a throw; the default if it is not fitted."""
@@ -194,16 +181,13 @@ class RigModel:
                     changes[name] = float(np.mean(values[self.layout.indices_of(name)]))
                 else:
                     changes[name] = float(values[indices[number]])
+        rig = changed_rig(self.rigs[number], changes)
         stiffening = self.value(values, 'layer.stiffening', number)
         if stiffening:
-            rig = self.rigs[number]
-            frequency = changes.get(ENGINE[0], rig.engine.frequency)
-            amplitude = changes.get(ENGINE[2], rig.engine.amplitude)
-            speed = changes.get('layer.wave_speed', rig.layer.wave_speed)
-            speed += stiffening * 2.0 * math.pi * frequency * amplitude
+            speed = rig.layer.wave_speed + stiffening * plate_speed(rig)
             low, high = _BOUNDS['layer.wave_speed']
-            changes['layer.wave_speed'] = min(max(speed, low), high)
-        return changed_rig(self.rigs[number], changes)
+            rig = changed_rig(rig, {'layer.wave_speed': min(max(speed, low), high)})
+        return rig
 
     def tracks(self) -> list[tuple[str, Track]]:
         """All tracks with their names."""
@@ -214,97 +198,112 @@ class RigModel:
         ]
 
     def predict(self, values: Floats) -> Floats:
-        """Heights of all tracks in one series; see `trajectories`."""
-        return np.concatenate([item.height for item in self.trajectories(values)])
+        """Heights of all tracks in one series; see `trajectory`."""
+        return np.concatenate([
+            self.trajectory(values, throw, body, track.time).height
+            for throw, body, track in self.series
+        ])
 
-    def trajectories(
-        self, values: Floats, requests: Sequence[tuple[int, str, Floats]] | None = None
-    ) -> list[Trajectory]:
+    def trajectory(
+        self, values: Floats, throw: int, body: str, time: Floats, rig: Rig | None = None
+    ) -> Trajectory:
         """
-        Compute trajectories of bodies, or raise FitError if a throw cannot be followed.
+        Compute the trajectory of a body at times on the clock of the tracks.
 
-        They are those of throws, bodies, and times on the clock of the tracks; by default those
-        of all tracks.
+        The rig is by default that of the values. Raise FitError if it cannot be followed.
         """
-        if requests is None:
-            requests = [(throw, body, track.time) for throw, body, track in self.series]
-        result = []
-        motions = {throw: self.motion(values, throw) for throw in {item[0] for item in requests}}
-        for throw, body, time in requests:
-            rig, motion = motions[throw]
-            since = self.since(values, throw, body, time)
-            if body == 'plate':
-                rest, scale = self.value(values, PLATE_ZERO, throw), 1.0
-                travel, velocity = motion.position(since), motion.velocity(since)
-            else:
-                rest = self._projectile_rest(values, throw, rig)
-                scale = self.value(values, 'projectile.scale', throw)
-                path = self.simulator.follow(rig, since, motion=motion, by_cells=self.by_cells)
-                travel, velocity = path.position - rig.rest_height, path.velocity
-            height = rest + scale * travel + self.drift(values, throw, body, time)
-            result.append(Trajectory(height, scale * velocity))
-        return result
-
-    def since(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
-        """Return times since the start of a throw at which a body is seen [s]."""
+        rig = rig or self.rig_of(values, throw)
         since = time - self.value(values, START, throw)
-        if body == 'projectile':
-            since = since - self.value(values, 'projectile.delay', throw)
-        return since
+        rest, scale = self.value(values, PLATE_ZERO, throw), 1.0
+        if body == 'plate':
+            motion = Underdamped.of(rig.engine)
+            travel, velocity = motion.position(since), motion.velocity(since)
+        else:
+            scale = self.value(values, 'projectile.scale', throw)
+            delay = self.value(values, 'projectile.delay', throw)
+            path = self.simulator.follow(rig, since - delay, by_cells=self.by_cells)
+            travel, velocity = path.position - rig.rest_height, path.velocity
+            rest += scale * self._rest_above_plate(rig)
+            if self.description.heights == 'own':
+                rest = self.value(values, PROJECTILE_ZERO, throw)
+        drift = self.value(values, f'{body}.drift', throw) * self._drift(throw, time)
+        return Trajectory(rest + scale * travel + drift, scale * velocity)
 
-    def motion(self, values: Floats, throw: int) -> tuple[Rig, PlateWithWaves]:
-        """Return the rig of a throw, and the motion of its plate."""
-        rig = self.rig_of(values, throw)
-        cosine, sine = (self.value(values, name, throw) for name in RINGING_AMPLITUDES)
-        return rig, PlateWithWaves(Underdamped.of(rig.engine), (cosine, sine))
-
-    def drift(self, values: Floats, throw: int, body: str, time: Floats) -> Floats:
-        """Height that drift adds, none at the middle of a record [m]."""
+    def _drift(self, throw: int, time: Floats) -> Floats:
+        """Return the heights of a drift by the amplitude, none in the middle of a record [m]."""
         plate = self.throws[throw].plate
         share = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
-        size = self.value(values, f'{body}.drift', throw) * self.rig.engine.amplitude
-        return np.asarray(size * share)
+        return np.asarray(share * self.rig.engine.amplitude)
 
-    def _projectile_rest(self, values: Floats, throw: int, rig: Rig) -> float:
-        """Height of the resting projectile, from the zero of its track [m]."""
-        if self.description.heights == 'own':
-            return self.value(values, PROJECTILE_ZERO, throw)
-        half = 0.5 * rig.projectile.length if self.description.reference == 'centre' else 0.0
-        scale = self.value(values, 'projectile.scale', throw)
-        return self.value(values, PLATE_ZERO, throw) + scale * (half + rig.rest_height)
+    def _rest_above_plate(self, rig: Rig) -> float:
+        """Height of the point of a resting projectile that is seen, above the plate [m]."""
+        is_centre = self.description.reference == 'centre'
+        return rig.rest_height + (0.5 * rig.projectile.length if is_centre else 0.0)
 
     def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
         """Return the derivatives of `predict` by all or some parameters."""
-        throws = self.throw_of_sample
-        is_projectile = self._by_sample([item.body == 'projectile' for item in self.series])
-        velocity = np.concatenate([item.velocity for item in self.trajectories(values)])
-        jacobian = np.zeros((throws.size, values.size))
-        for name, by_throw in self.layout.indices.items():
-            if only and name not in only:
-                continue
-            if name in (START, 'projectile.delay'):
-                slope = -velocity * (1.0 if name == START else is_projectile)
-            else:
-                slope = self._slope(values, name)
-            for throw, index in by_throw.items():
-                jacobian[throws == throw, index] = slope[throws == throw]
+        jacobian = np.zeros((self.sample_count, values.size))
+        begin = 0
+        for series in self.series:
+            rows = slice(begin, begin + series.track.time.size)
+            begin = rows.stop
+            names = [name for name, throws in self.layout.indices.items()
+                     if series.throw in throws and (not only or name in only)]
+            for name, slope in self._slopes(values, series, names).items():
+                jacobian[rows, self.layout.indices[name][series.throw]] = slope
         return jacobian
 
-    def _slope(self, values: Floats, name: str) -> Floats:
-        """Return the central difference by a parameter, changed in all throws."""
-        indices = self.layout.indices_of(name)
-        low, high = _BOUNDS.get(name, _UNBOUNDED)
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = values.copy()
-            step = _STEPS.get(name, 0.0) or _STEP * np.abs(values[indices])
-            moved[indices] = np.clip(values[indices] + sign * step, low, high)
-            ends.append(moved)
-        width = np.ones(len(self.throws))
-        for throw, index in self.layout.indices[name].items():
-            width[throw] = ends[0][index] - ends[1][index]
-        change = self.predict(ends[0]) - self.predict(ends[1])
-        return np.asarray(change / width[self.throw_of_sample])
+    def _slopes(
+        self, values: Floats, series: Series, names: Sequence[str]
+    ) -> dict[str, Floats | float]:
+        """Return the derivatives of one track by some parameters, without those that are 0."""
+        throw, body, track = series
+        rig = self.rig_of(values, throw)
+        now = self.trajectory(values, throw, body, track.time)
+        scale = self.value(values, 'projectile.scale', throw)
+        is_own = self.description.heights == 'own'
+        slopes: dict[str, Floats | float] = {
+            START: -now.velocity, f'{body}.drift': self._drift(throw, track.time)
+        }
+        if body == 'plate' or not is_own:
+            slopes[PLATE_ZERO] = 1.0
+        if body == 'projectile':
+            zero = self.value(values, PROJECTILE_ZERO if is_own else PLATE_ZERO, throw)
+            drift = self.value(values, 'projectile.drift', throw) * slopes['projectile.drift']
+            slopes |= {
+                PROJECTILE_ZERO: 1.0,
+                'projectile.delay': -now.velocity,
+                'projectile.scale': (now.height - zero - drift) / scale,
+            }
+        simulated: dict[str, Floats] = {}
+
+        def by(name: str) -> Floats:
+            if name not in simulated:
+                value = values_of(rig, [name])[name]
+                step = _STEPS.get(name, 0.0) or _STEP * value
+                if value + step > _BOUNDS[name][1]:
+                    step = -step
+                moved = changed_rig(rig, {name: value + step})
+                change = self.trajectory(values, throw, body, track.time, moved).height
+                simulated[name] = (change - now.height) / step
+            return simulated[name]
+
+        stiffening = self.value(values, 'layer.stiffening', throw)
+        for name in names:
+            if name == 'layer.stiffening' and body == 'projectile':
+                slopes[name] = plate_speed(rig) * by('layer.wave_speed')
+            elif name in _MASS_POWERS and body == 'projectile':
+                value = values_of(rig, [name])[name]
+                slopes[name] = (
+                    _MASS_POWERS[name] * rig.projectile.mass / value * by('projectile.mass')
+                )
+            elif name in ENGINE or (name in PARAMETERS and body == 'projectile'):
+                slopes[name] = by(name)
+                if stiffening and body == 'projectile' and name in ENGINE[::2]:
+                    # the wave speed of the squeezed layer changes, too
+                    rate = stiffening * plate_speed(rig) / values_of(rig, [name])[name]
+                    slopes[name] += rate * by('layer.wave_speed')
+        return {name: slope for name, slope in slopes.items() if name in names}
 
     def start(self, before: Fit | None = None) -> Floats:
         """Return start values, from a fit of fewer or more parameters, `initial` or the plates."""
@@ -321,15 +320,17 @@ class RigModel:
             for index, ((name, key), throws) in enumerate(self.layout.groups.items()):
                 if key is not None and throw in throws and name in own:
                     values[index] = own[name]
-        if PROJECTILE_ZERO in self.layout:
-            trajectories = self.trajectories(values)
-            for (throw, body, track), trajectory in zip(self.series, trajectories, strict=True):
-                if body == 'projectile':
-                    zero = float(np.median(track.position - trajectory.height))
-                    values[self.layout.indices[PROJECTILE_ZERO][throw]] = zero
         fitted = before.by_name if before else self.initial
         for index, name in enumerate(self.layout.names):
             values[index] = fitted.get(name, values[index])
+        for index, (name, (throw, *_)) in enumerate(
+            (name, throws) for (name, _), throws in self.layout.groups.items()
+        ):
+            if name == PROJECTILE_ZERO and self.layout.names[index] not in fitted:
+                track = self.throws[throw].projectile
+                assert track is not None
+                height = self.trajectory(values, throw, 'projectile', track.time).height
+                values[index] = float(np.median(track.position - height))
         return values
 
     def fit(
@@ -358,10 +359,7 @@ class RigModel:
             known={k: self.known[index] for k, index in enumerate(free) if index in self.known},
         )
         result = fit_tracks(
-            model,
-            start[free],
-            self.tracks(),
-            max_evaluations=max_evaluations,
+            model, start[free], self.tracks(), max_evaluations=max_evaluations
         )
         unseen = np.flatnonzero(~(result.errors < _MAX_ERROR))
         if unseen.size:
@@ -390,3 +388,8 @@ class RigModel:
         )
         landing = self.simulator.landing_time(rig, max(longest, 0.0), by_cells=self.by_cells)
         return IN_FLIGHT * landing
+
+
+def plate_speed(rig: Rig) -> float:
+    """Return the speed of the plate to which `layer.stiffening` refers [m/s]."""
+    return 2.0 * math.pi * rig.engine.frequency * rig.engine.amplitude

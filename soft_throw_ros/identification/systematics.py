@@ -33,12 +33,12 @@ class Floor(NamedTuple):
 
 
 FLOORS: Mapping[str, Floor] = {
-    # A second mode of 1 % of the amplitude, or ringing with another damping than the plate's
+    # A second mode of 1 % of the amplitude, or a plate that rings before its throw
     'engine.frequency': Floor(0.05, '%'),
     'engine.damping_ratio': Floor(5e-4, ''),
     'engine.amplitude': Floor(0.2, '%'),
     # The same modes, and a stress law that another wave speed does not explain
-    'layer.wave_speed': Floor(1.5, '%'),
+    'layer.wave_speed': Floor(2.5, '%'),
     # The same modes, which look like a loss
     'layer.loss_tangent': Floor(0.02, ''),
     # A layer that holds the projectile for up to 0.2 ms after the computed release

@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
-from soft_throw_ros.configuration.csv_rows import Column, read_columns
+from soft_throw_ros.configuration.csv_rows import Column, parse_label, read_columns, read_rows
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.identification.tracks import (
     FEWEST,
     MAX_HEIGHT,
@@ -19,6 +20,9 @@ from soft_throw_ros.identification.tracks import (
 UNITS = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 """Units of height. [m]"""
 
+TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6}
+"""Units of time. [s]"""
+
 COLUMN_NAMES = {
     'plate': ('plate', 'z_plate', 'zp', 'z_p'),
     'projectile': ('projectile', 'z_projectile', 'zm', 'z_m'),
@@ -29,7 +33,8 @@ COLUMN_NAMES = {
 
 
 def read_csv(
-    lines: Iterable[str], name: str, bodies: Sequence[str], *, unit: str = 'm'
+    lines: Iterable[str], name: str, bodies: Sequence[str], *, unit: str = 'm',
+    time_unit: str = 's', rate: float | None = None,
 ) -> dict[str, Track]:
     """
     Read tracks from lines of text.
@@ -37,14 +42,19 @@ def read_csv(
     Parameters
     ----------
     lines : iterable of str
-        Lines with a time [s] and the heights of bodies, see `read_columns`. The labels are `t`
-        or `time`, and `COLUMN_NAMES`. A height that is empty or nan is missing.
+        Lines with a time and the heights of bodies, see `read_columns`. The labels are `t` or
+        `time`, and `COLUMN_NAMES`, with units in brackets. A height that is empty or nan is
+        missing.
     name : str
         Name of the text in errors.
     bodies : sequence of str
         Bodies to read. The first must be there, the others may be missing altogether.
     unit : str
-        Unit of the heights, one of `UNITS`; a label with another unit is refused.
+        Unit of heights whose labels have none, one of `UNITS`.
+    time_unit : str
+        Unit of a time whose label has none, one of `TIME_UNITS`.
+    rate : float, optional
+        Rate of a camera, if times are numbers of its pictures. [Hz]
 
     Raises
     ------
@@ -52,12 +62,10 @@ def read_csv(
         With the number of the line, if something is wrong.
 
     """
-    hints = {other: f'; see --unit {other}' for other in UNITS}
-    columns = {'time': Column(('t', 'time'), {'s': 1.0}, 's', MAX_TIME)} | {
-        body: Column(
-            COLUMN_NAMES[body], {unit: UNITS[unit]}, unit, MAX_HEIGHT, may_have_gaps=True,
-            hints=hints,
-        )
+    units = {'picture': 1.0 / rate} if rate else TIME_UNITS
+    default = 'picture' if rate else time_unit
+    columns = {'time': Column(('t', 'time'), units, default, MAX_TIME)} | {
+        body: Column(COLUMN_NAMES[body], UNITS, unit, MAX_HEIGHT, may_have_gaps=True)
         for body in bodies
     }
     try:
@@ -75,6 +83,15 @@ def read_csv(
                 f'{name}: {seen.sum()} heights of the {body}, where at least {FEWEST} are needed'
             )
     return tracks
+
+
+def unused_columns(lines: Iterable[str], bodies: Sequence[str]) -> list[str]:
+    """Return the labels of columns that are neither the time nor the height of a body."""
+    names = {'t', 'time', *(name for body in bodies for name in COLUMN_NAMES[body])}
+    _, head = next(read_rows(lines))
+    return [
+        cell for cell in head if float_of(cell) is None and parse_label(cell)[0] not in names
+    ]
 
 
 def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:

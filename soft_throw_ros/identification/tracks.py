@@ -8,11 +8,13 @@ from collections.abc import Callable
 import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 import math
 import re
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import interpolate
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
 from soft_throw_ros.configuration.csv_rows import MIN_STEP
@@ -36,11 +38,9 @@ _SPIKE_SHARE = 1e-4  # smallest usual deviation, as a share of the range of heig
 _SPIKE_ROUNDS = 4  # number of passes, since spikes may be neighbours
 _MAX_SPIKE_SHARE = 0.1  # share of spikes above which they are part of the motion
 
-_NEIGHBOURS = 20.0
-"""Half the window in which neighbours of a sample are counted. [intervals]"""
-
-_MIN_DENSITY = 0.25
-"""Share of the expected neighbours below which a sample is isolated. [-]"""
+_MIN_STILL = 3  # smallest number of equal heights that may stand still
+_MAX_STILL_SIDE = 8  # largest number of samples on either side that show the motion
+_STILL_STEPS = 6.0  # motion of a body before it stands still [smallest step or noise]
 
 _MAX_BREAK = 1.0  # longest gap within a throw [s]
 _MAX_BREAK_SAMPLES = 100.0  # longest gap within a throw [intervals between samples]
@@ -53,9 +53,6 @@ _SMOOTHING = 0.125  # window of the mean that shows rest [plate periods]
 
 _FLIGHT_NOISE = 3.0
 """Residual of a parabola over the noise, beyond which a flight is not free. [-]"""
-
-_GAP = 1.8
-"""Intervals between two samples beyond which one is missing; jitter is smaller. [-]"""
 
 _MIN_SIGNAL_TO_NOISE = 25.0  # smallest power of an oscillation over the noise at its frequency
 _SEGMENT = 2**15  # samples of one spectrum
@@ -122,28 +119,41 @@ class Track:
         return float(np.median(np.diff(self.time)))
 
     @property
-    def gaps(self) -> list[tuple[float, float]]:
-        """Times of the samples before and after each gap, where at least one is missing [s]."""
-        before = np.flatnonzero(np.diff(self.time) > _GAP * self.interval)
-        return [(float(self.time[index]), float(self.time[index + 1])) for index in before]
-
-    @property
     def duration(self) -> float:
         """Time from the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
     @property
-    def is_lone(self) -> Flags:
+    def is_stuck(self) -> Flags:
         """
-        Return which samples stand alone, with too few others near them.
+        Return which samples repeat a height while the body must move.
 
-        Samples with late stamps do, after the end of the others. A motion is not seen there.
+        Programs write 0 for a lost sample, and a laser its largest height. Before, the body moves
+        by many rounding steps; the height is not that at rest, and not on the cubic through the
+        samples on either side, where a body turns.
         """
-        reach = _NEIGHBOURS * self.interval
-        before, after = (
-            np.searchsorted(self.time, self.time + sign * reach) for sign in (-1.0, 1.0)
-        )
-        return np.asarray(after - before < _MIN_DENSITY * 2.0 * _NEIGHBOURS)
+        time, height = self.time, self.position
+        extent = float(np.ptp(height))
+        steps = np.diff(np.unique(height))
+        steps = steps[steps > _MIN_STEP * extent]
+        step = max(float(steps.min()) if steps.size else extent, self.noise)
+        rest = float(np.median(height[:_MIN_STILL]))
+        edges = np.flatnonzero(np.diff(height)) + 1
+        flags = np.zeros(height.size, dtype=bool)
+        for begin, end in pairwise([0, *edges.tolist(), height.size]):
+            side = min(end - begin, begin, _MAX_STILL_SIDE)
+            if side < _MIN_STILL or abs(height[begin] - rest) < _STILL_STEPS * step:
+                continue
+            around = [begin - side, begin - 1, end, end + side - 1]
+            expected = math.inf
+            if around[-1] < height.size:
+                middle = time[(begin + end) // 2]
+                expected = float(interpolate.barycentric_interpolate(
+                    time[around] - middle, height[around], 0.0
+                ))
+            is_moving = np.ptp(height[begin - side:begin + 1]) > _STILL_STEPS * step
+            flags[begin:end] = is_moving and abs(expected - height[begin]) > _STILL_STEPS * step
+        return flags
 
     def where(self, kept: Flags | Indices) -> Track:
         """Return some of the samples, by flags or indices."""

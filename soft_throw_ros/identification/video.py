@@ -10,6 +10,7 @@ import mimetypes
 from pathlib import Path
 import re
 
+import numpy as np
 from soft_throw_ros.identification.spots import Picture
 from soft_throw_ros.identification.tracks import TrackError
 from soft_throw_ros.storage.regular_file import open_regular_file
@@ -73,12 +74,22 @@ def _pictures(path: str) -> Iterator[Picture]:
             _check_size(video.properties(format='gray').shape)
             deep = 'gray16be' if path.lower().endswith('.cine') else 'gray16le'
             pixels = deep if _DEEP.search(depth) or deep == 'gray16be' else 'gray'
+            quarters = _quarter_turns(path)
             for picture in video.iter(format=pixels):
-                yield from _grey(picture)
+                yield from _grey(np.rot90(picture, quarters))
     elif _kind(path) == 'image':
         yield from _read_pages(Path(path))
     else:
         raise TrackError('must be a video or a folder of pictures')
+
+
+def _quarter_turns(path: str) -> int:
+    """Return the turns by 90 degrees, counterclockwise, with which players show a video."""
+    import av
+
+    with av.open(path) as container:
+        first = next(container.decode(video=0), None)
+        return 0 if first is None else round(first.rotation / 90.0)
 
 
 def _read_pages(path: Path) -> Iterator[Picture]:

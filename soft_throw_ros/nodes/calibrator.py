@@ -23,7 +23,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
-from soft_throw_ros.commands.identify_report import warning_lines
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
     resolve,
@@ -34,6 +33,7 @@ from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
+from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.flight import motion_delay
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks
@@ -268,7 +268,7 @@ class Calibrator(RunnableNode):
 
     def _apply_fit(self, rig_fit: RigFit) -> None:
         """Set the fitted parameters of the twin, and give the rig the recommended layer."""
-        for warning in warning_lines(rig_fit.fit):
+        for warning in fit_warnings(rig_fit.fit):
             self.get_logger().warning(warning)
         if rig_fit.fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
@@ -285,7 +285,7 @@ class Calibrator(RunnableNode):
         self.get_logger().info(message)
         estimates = {name: str(value) for name, value in rig_fit.estimates().items()}
         outliers = sum(len(residual.outliers) for residual in rig_fit.fit.residuals)
-        warnings = {f'warning {n}': text for n, text in enumerate(warning_lines(rig_fit.fit), 1)}
+        warnings = {f'warning {n}': text for n, text in enumerate(fit_warnings(rig_fit.fit), 1)}
         self._set_status(
             message, estimates | {'outliers': str(outliers)} | warnings, warn=bool(warnings)
         )

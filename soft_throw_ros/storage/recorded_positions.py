@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, field
+import json
 import math
+from typing import Any
 
 from soft_throw_ros.storage.bag_reader import BagReader
-from soft_throw_ros.storage.cdr import JointStateReader, MessageError
+from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
 
 
 @dataclass
@@ -19,13 +22,23 @@ class RecordedPositions:
     # by stamp [ns], NaN for a joint that a message lacks; of equal stamps the first one counts
     rows: dict[int, list[float]] = field(default_factory=dict)
     unreadable: int = 0  # number of messages that are no JointState
+    names: set[str] = field(default_factory=set)  # of all joints of the topic
+    time_scale: float = 1.0  # time of the rig over that of the stamps
 
 
 def read_positions(
     reader: BagReader, topics: Collection[str], joints: Sequence[str]
 ) -> dict[str, RecordedPositions]:
-    """Read the positions of joints on topics of JointState, in the order of receiving."""
-    recorded = {topic: RecordedPositions() for topic in topics}
+    """
+    Read the positions of joints on topics of JointState, in the order of receiving.
+
+    The journal beside a topic gives the `joint_names.*` and the time scale of its twin.
+    """
+    settings = {topic: _settings_beside(reader, topic) for topic in topics}
+    recorded = {
+        topic: RecordedPositions(time_scale=float(settings[topic].get('time_scale', 1.0)))
+        for topic in topics
+    }
     decoders = {topic: JointStateReader() for topic in topics}
     for message in reader.messages(topics):
         topic = message.channel.topic
@@ -36,6 +49,16 @@ def read_positions(
             continue
         # A message may lack a joint, or all positions
         positions = dict(zip(values.names, values.position))  # noqa: B905
-        row = [positions.get(joint, math.nan) for joint in joints]
+        recorded[topic].names.update(values.names)
+        names = [settings[topic].get(f'joint_names.{joint}', joint) for joint in joints]
+        row = [positions.get(name, math.nan) for name in names]
         recorded[topic].rows.setdefault(values.stamp_ns, row)
     return recorded
+
+
+def _settings_beside(reader: BagReader, topic: str) -> Mapping[str, Any]:
+    """Return the settings with which the journal beside a topic starts; empty without one."""
+    for message in reader.messages([f'{topic.rpartition("/")[0]}/journal']):
+        with contextlib.suppress(MessageError, AttributeError, ValueError, TypeError, KeyError):
+            return dict(json.loads(decode(message).data)['settings'])
+    return {}

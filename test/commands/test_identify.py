@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.commands import identify, throw
-from soft_throw_ros.commands.identify_report import ejection_data, ejection_lines
+from soft_throw_ros.commands.identify_report import ejection_rows
 from soft_throw_ros.commands.options import UNCERTAINTY_PARAMETERS
 from soft_throw_ros.configuration import files, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification.ejection import AlternativeRelease, Ejection
+from soft_throw_ros.identification.ejection import Ejection, Release
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import Estimate
@@ -64,17 +64,13 @@ def test_sample_gives_its_rig(sample_result):
     assert result['held']['layer.density'] == 1000.0
     assert result['warnings'] == []
     assert result['assumed'] == []
-    index = result['fit']['names'].index('layer.wave_speed')
-    statistical = math.sqrt(result['fit']['covariance'][index][index])
     best, error = value(result, 'layer.wave_speed')
-    systematic = FLOORS['layer.wave_speed'].of(best)
-    assert error == pytest.approx(math.hypot(statistical, systematic))
+    assert error > FLOORS['layer.wave_speed'].of(best)
     assert result['systematic_errors'].keys() == FLOORS.keys()
-    answer = result['answer']
-    assert answer['effective_wave_speed']['error'] < 0.03 * 6.9
-    assert answer['rest_wave_speed']['error'] == pytest.approx(error, rel=1e-6)
-    assert answer['limited_by'] == 'layer.stiffening'
-    assert answer['is_good_enough']
+    assert result['answer']['rest_wave_speed']['error'] > error
+    assert result['answer']['is_good_enough']
+    notes = {row['name']: row['note'] for row in result['rows']}
+    assert 'layer.stiffening' in notes['layer.rest_wave_speed']
     assert result['ejection']['alternatives'] == []
     assert result['throws'][0]['start_time'] == pytest.approx(0.0124, abs=5e-5)
 
@@ -91,11 +87,9 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     args = call.replace('\\\n', '').replace('my_rig.yaml', str(path)).split()
     answer, table, *_ = command.run(*args, '--figure', tmp_path / 'a.png').split('\n\n')
     assert (tmp_path / 'a.png').read_bytes().startswith(b'\x89PNG')
-    titles = ('effective wave speed', 'wave speed at rest', 'energy transfer')
-    for line, title in zip(answer.splitlines(), titles, strict=True):
-        (line_of_page,) = re.findall(rf'^    ({title}  .*)$', text, re.MULTILINE)
-        assert line.partition(' +- ')[0] == line_of_page.partition(' +- ')[0]
-    assert 'good enough to choose a layer' in answer
+    assert answer == 'good enough to choose a layer'
+    for line in (answer, *table.splitlines()[:6]):
+        assert f'    {line.partition(" +- ")[0]}' in text
     result, settings = sample_result, files.read(path)
     for name in result['found']:
         assert settings[name] == pytest.approx(value(result, name)[0], rel=1e-6)
@@ -107,8 +101,8 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
         assert settings[name] == pytest.approx(bound, rel=1e-2)
     # Parameters that do not describe the rig are left out of the file
     assert not re.search(r'^\s*rate', path.read_text(), re.MULTILINE)
-    for line in table.splitlines()[:7]:  # with their standard errors
-        assert f'# {line.split()[0]} {" ".join(line.split()[1:])}' in path.read_text()
+    for row in result['rows']:  # with their standard errors
+        assert (f'# {row["name"]} ' in path.read_text()) is (row['name'] in TWIN.by_name)
     predicted = throw.predict(settings)['throw']
     assert predicted['energy_transfer'] == pytest.approx(
         result['ejection']['energy_transfer']['value'], rel=1e-4
@@ -131,7 +125,7 @@ ASSUMED = ('layer.density', 'layer.diameter', 'projectile.mass')
 
 def test_what_nobody_stated_is_assumed_also_from_the_written_file(command, tmp_path):
     args, output = (SAMPLE, '--unit', 'mm', '--one-camera'), tmp_path / 'rig.yaml'
-    first, _, _, verdict, *table = command.run(
+    first, verdict, *table = command.run(
         *args, '--thickness', 12e-3, '--output', output
     ).splitlines()
     text = output.read_text()
@@ -160,9 +154,9 @@ def test_fit_of_a_rig_that_does_not_throw_is_shown_and_written(command, write, t
     args = (path, '--one-camera', *MEASURED, '--mass', 0.05)
     printed = command.run(*args, '--output', output, '--figure', tmp_path / 'a.png')
     reason = 'does not leave the layer'
-    for text in (printed, command.err, output.read_text()):
+    for text in (command.err, output.read_text()):
         assert reason in text
-    assert 'good enough' not in printed
+    assert printed.startswith('not good enough')
     result = command.json(*args)
     speed, error = value(result, 'layer.wave_speed')
     assert speed == pytest.approx(6.9, abs=4.0 * error)
@@ -174,13 +168,72 @@ def test_fit_of_a_rig_that_does_not_throw_is_shown_and_written(command, write, t
 
 def test_release_beyond_a_jump_is_an_alternative_of_the_report():
     one = Estimate(7.5e-3, 1e-4)
-    other = AlternativeRelease(1, 0.2, Estimate(9e-3, 2e-4), one, Estimate(3.0, 0.1))
-    ejection = Ejection(
-        time=one, speed=one, peak_plate_speed=one, energy_transfer=one, alternatives=(other,),
-    )
-    lines = list(ejection_lines(ejection))
-    assert 'or, with 20 %, one echo later: t_e 9.00 +- 0.20 ms' in lines[-1]
-    assert ejection_data(ejection)['alternatives'] == (other,)
+    other = Release(Estimate(9e-3, 2e-4), one, one, Estimate(3.0, 0.1), 1, 0.2)
+    rows = list(ejection_rows(Ejection(Release(one, one, one, one), (other,))))
+    assert [str(row) for row in rows if row.name == 'ejection.time'] == [
+        '7.50 +- 0.10 ms', '9.00 +- 0.20 ms, or one echo later, with 20 %'
+    ]
+
+
+# A track in mm, of which each case makes a file that some program or instrument writes
+LINES = SAMPLE.read_text().splitlines()[3:]
+
+
+def each(change, lines=None):
+    """Change the cells of all lines with numbers."""
+    head, *rows = lines or LINES
+    return [head, *(','.join(change(*map(float, row.split(',')))) for row in rows)]
+
+
+def in_unit(time, form='{:.9g}'):
+    return each(lambda t, *z: [form.format(time * t), *(f'{height:.6f}' for height in z)])
+
+
+def stuck(lines, height):
+    """Return lines in which the projectile stands still during three samples of its flight."""
+    lines = list(lines)
+    for row in (150, 151, 152):
+        lines[row] = ','.join([*lines[row].split(',')[:2], height])
+    return lines
+
+
+STRANGERS = {
+    'Unix seconds': (each(lambda t, *z: [f'{1732768800 + t:.6f}', *map(str, z)]), ()),
+    'milliseconds': (['t,plate,projectile', *in_unit(1e3)[1:]], ('--time-unit', 'ms')),
+    'milliseconds in a label': ([LINES[0].replace('[s]', '[ms]'), *in_unit(1e3)[1:]], ()),
+    'micrometres': ([LINES[0].replace('[mm]', '[\N{GREEK SMALL LETTER MU}m]'), *each(
+        lambda t, *z: [str(t), *(str(1e3 * height) for height in z)])[1:]], ()),
+    'pictures': (['t,plate,projectile', *in_unit(5000.0, '{:.0f}')[1:]], ('--rate', '5000')),
+    'decimal commas': ([LINES[0], *(
+        ','.join('"' + cell.replace('.', ',') + '"' for cell in line.split(','))
+        for line in LINES[1:])], ()),
+    'another column': ([line + ',x' for line in LINES], ()),
+    'empty rows': ([*LINES, ',,', ',,'], ()),
+    'not available': ([*LINES[:150], LINES[150].rpartition(',')[0] + ',NA', *LINES[151:]], ()),
+    'lost samples': (stuck(LINES, '0.0'), ()),
+}
+
+
+@pytest.mark.parametrize(('lines', 'options'), STRANGERS.values(), ids=STRANGERS.keys())
+def test_files_of_strangers_are_read(command, write, sample_result, lines, options):
+    result = command.json(write('\n'.join(lines)), '--unit', 'mm', *MEASURED, *options)
+    for name in DEFAULT_FREE:
+        best, error = value(sample_result, name)
+        assert value(result, name) == pytest.approx((best, error), rel=0.2, abs=0.3 * error)
+    assert any('stand still' in note for note in result['notes']) is ('0.0' in lines[151][-4:])
+    assert any('not used: x' in note for note in result['notes']) is lines[0].endswith(',x')
+
+
+@pytest.mark.parametrize(
+    ('lines', 'value'),
+    [
+        (['t,plate,projectile', *in_unit(1e3)[1:]], '--time-unit ms'),
+        (['t,plate,projectile', *in_unit(5000.0)[1:]], '--rate'),
+        (['Format Version,1.23,Take Name,throw', ',,Marker', *LINES], 'must begin with #'),
+    ],
+)
+def test_time_in_another_unit_or_a_foreign_header_is_refused(command, write, lines, value):
+    assert value in command.refused(write('\n'.join(lines)), '--unit', 'mm', *MEASURED)
 
 
 def test_outliers_of_3_mm_are_listed_and_hardly_matter(command, write, sample_result):
@@ -341,6 +394,7 @@ def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
     time, heights = recorded(starts=(0.2, 0.8, 1.4))
     heights[0, (time > 0.8) & (time < 0.83)] = 1.5e-3
     heights[0, (time > 0.83) & (time < 1.4)] = 0.0
+    heights += 1e-6 * np.random.default_rng(1).normal(size=heights.shape)
     folder = bags.write(tmp_path / 'bag', joint_states('/rig/joint_states', time, heights))
     result = command.json(folder, '--thickness', 12e-3)
     assert result['sources'] == ['bag, throw 1', 'bag, throw 3']
@@ -352,7 +406,6 @@ def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
     [
         (('none.csv',), 'none.csv: No such file or directory'),
         (('throw.avi',), 'throw.avi: is a video; first convert it to tracks'),
-        ((SAMPLE,), f"{SAMPLE}:4: plate is read in m, got 'plate [mm]'; see --unit mm"),
         ((SAMPLE, '-p', f'{NOISE}:=0'), f'argument -p: {NOISE} must be a number from'),
         ((SAMPLE, '--hold', 'layer.colour'), 'argument --hold: a parameter must be one of '),
         ((SAMPLE, '-p', f'{THICKNESS}:=0.01+-x'), f'argument -p: {THICKNESS} must be'),
@@ -374,15 +427,3 @@ def test_wrong_unit_without_a_header_is_noticed(command, write):
     message = command.refused(write('\n'.join(rows)), '--hold', 'layer.wave_speed')
     assert message.startswith('found, but not for the twin: engine.amplitude must be a number')
     assert message.endswith('is the unit of heights right (--unit)?')
-
-
-def test_distant_samples_are_excluded_with_a_note(command, tmp_path):
-    # A cut joins the time of a row at rest and the height of another row
-    text = (SAMPLE.parent / 'reference_tracks.csv').read_text(encoding='utf-8')
-    path = tmp_path / 'throw.csv'
-    path.write_text(text[:231] + text[2854:4692], encoding='utf-8')
-    result = command.json(path)
-    frequency, error = value(result, 'engine.frequency')
-    assert frequency == pytest.approx(63.2, abs=3.0 * error)
-    assert error < 1.0
-    assert any('7 samples from 0 s to 0.0012 s' in note for note in result['notes'])

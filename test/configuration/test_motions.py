@@ -63,7 +63,7 @@ def test_written_motion_is_read_back_exactly(write):
         ('0,0\n1e-3,nan\n', r":2: height .* got 'nan'"),
         ('t,z [furlong]\n0,0\n', r':1: height must be in m or .*furlong'),
         ('\n'.join(f'{n},0' for n in range(20)), ': the plate must move, got heights from 0 to 0'),
-        ('\n'.join(f'{n},{n**3}' for n in range(30)), ': the plate must come to rest, got'),
+        ('\n'.join(f'{n}e-3,{n**3}' for n in range(30)), ': the plate must come to rest, got'),
         ('t,z,velocity,acceleration\n0,0,1,0\n1,1,0,0', ': .* at rest, got 1 and 0 m/s'),
     ],
 )

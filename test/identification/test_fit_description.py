@@ -13,7 +13,6 @@ from soft_throw_ros.identification.fit_description import (
     FREE,
     LOSS,
     parse_error,
-    ThrowConditions,
     Treatment,
 )
 from soft_throw_ros.identification.least_squares import Estimate, FitError
@@ -48,7 +47,7 @@ def test_error_that_is_not_positive_is_refused(error, value):
 
 
 def test_loss_is_searched_unless_something_is_said_about_it():
-    conditions = ThrowConditions({LOSS: FREE}, {})
+    conditions = {LOSS: FREE}
     assert FitDescription().searches(LOSS)
     assert not FitDescription({LOSS: FIXED}).searches(LOSS)
     assert not FitDescription(throws={'a': conditions}).searches(LOSS)
@@ -80,7 +79,7 @@ def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, by_thro
     def treatments(item):
         return {'projectile.mass': item} if item else {}
 
-    throws = {name: ThrowConditions(treatments(item), {}) for name, item in by_throw.items()}
+    throws = {name: treatments(item) for name, item in by_throw.items()}
     description = FitDescription(treatments(treatment), throws=throws)
     result = description.assume(stated, ['heavy.csv', 'light.csv'])
     assert ('projectile.mass' in result.assumed) is is_assumed
@@ -93,8 +92,8 @@ def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, by_thro
 def test_throws_share_equal_descriptions():
     description = FitDescription(
         throws={
-            'heavy_*': ThrowConditions({'projectile.mass': Treatment(True, 0.002, 2e-5)}, {}),
-            'heavy_2.csv': ThrowConditions({}, {'layer': 'old'}),
+            'heavy_*': {'projectile.mass': Treatment(True, 0.002, 2e-5)},
+            'heavy_2.csv': {'layer.wave_speed': FREE},
         }
     )
     names = ('light.csv', 'heavy_1.csv', 'heavy_2.csv', 'heavy_3.csv')
@@ -123,15 +122,15 @@ def test_throws_share_equal_descriptions():
 )
 def test_pattern_is_of_a_throw_or_of_its_file(throw, patterns):
     for pattern in patterns:
-        description = FitDescription(throws={pattern: ThrowConditions({}, {'layer': 'old'})})
+        description = FitDescription(throws={pattern: {LOSS: FREE}})
         description.check_throws(['other.csv', throw])
-        assert description.conditions(throw).parts == {'layer': 'old'}
-        assert description.conditions('other').parts == {}
+        assert description.treatment(LOSS, throw) == FREE
+        assert description.treatment(LOSS, 'other') == FIXED
 
 
 @pytest.mark.parametrize('throws', [['light.csv, throw 1', 'light.csv, throw 2'], []])
 def test_pattern_that_matches_no_throw_is_refused_with_the_names_of_all(throws):
-    conditions = ThrowConditions({'projectile.mass': FIXED}, {})
+    conditions = {'projectile.mass': FIXED}
     description = FitDescription(throws={'heavy_*.csv': conditions})
     with pytest.raises(FitError) as refusal:
         description.check_throws(throws)
@@ -145,14 +144,14 @@ def test_file_agrees_with_the_python_description(tmp_path):
         'free: [layer.thickness]\nprior:\n  projectile.mass: [0.0012, 1.2e-5]\n'
         'per_throw: [engine.frequency, projectile.mass]\n'
         'heights: common\nreference: centre\ntopic: /a\n'
-        'throws:\n  a.csv: {layer: soft, fixed: {layer.thickness: 0.01}}\n'
+        'throws:\n  a.csv: {fixed: {layer.thickness: 0.01}}\n'
     )
     treatments = {
         'layer.thickness': FREE,
         'projectile.mass': Treatment(True, 0.0012, 1.2e-5, is_per_throw=True),
         'engine.frequency': FREE._replace(is_per_throw=True),
     }
-    conditions = ThrowConditions({'layer.thickness': Treatment(False, 0.01)}, {'layer': 'soft'})
+    conditions = {'layer.thickness': Treatment(False, 0.01)}
     expected = FitDescription(treatments, 'common', 'centre', {'a.csv': conditions}, '/a')
     assert FitDescription.from_file(path) == expected
 

@@ -4,16 +4,12 @@
 
 from dataclasses import replace
 import math
+import re
 
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
-from soft_throw_ros.identification.fit_warnings import (
-    Contradiction,
-    fit_warnings,
-    Mismatch,
-    NotConverged,
-)
+from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.least_squares import (
     Alternative,
     Estimate,
@@ -87,11 +83,13 @@ def test_fit_of_noise_alone_seldom_warns():
 
 @pytest.mark.parametrize('data', [track(extra=0.02), track(noise=0.02, known=0.01)])
 def test_residuals_above_the_noise_are_reported(data):
-    warnings = fit_warnings(fit_tracks(MODEL, TRUTH, [('decay', data)]))
-    (mismatch,) = [warning for warning in warnings if isinstance(warning, Mismatch)]
-    assert mismatch.track == 'decay'
-    assert mismatch.ratio == pytest.approx(2.0, rel=0.4)
-    assert 0.0 <= mismatch.start < mismatch.end <= 2.0
+    fit = fit_tracks(MODEL, TRUTH, [('decay', data)])
+    assert fit.is_mismatch
+    (mismatch,) = (text for text in fit_warnings(fit) if 'times the noise' in text)
+    (numbers,) = re.findall(r'(\S+) times.* from (\S+) s to (\S+) s', mismatch)
+    ratio, start, end = map(float, numbers)
+    assert ratio == pytest.approx(2.0, rel=0.4)
+    assert 0.0 <= start < end <= 2.0
 
 
 def test_inseparable_parameters_are_reported():
@@ -101,7 +99,7 @@ def test_inseparable_parameters_are_reported():
     model = model_of(grown, 'size', 'rate', 'growth')
     fit = fit_tracks(model, np.array([1.4, 0.7, 0.0]), [('decay', track())])
     (pair,) = fit_warnings(fit)
-    assert pair.names == ('rate', 'growth')
+    assert pair.startswith('rate and growth')
     assert fit['growth'].error > 1.0
     # errors are correct nevertheless
     assert fit['rate'].value == pytest.approx(TRUTH[1], abs=4.0 * fit['rate'].error + 0.01)
@@ -146,10 +144,8 @@ def test_prior_counts_as_a_sample():
 def test_contradiction_of_a_prior_is_reported():
     prior = Estimate(0.7, 3e-3)
     fit = fit_tracks(replace(MODEL, known={1: prior}), TRUTH, [('decay', track())])
-    (contradiction,) = [item for item in fit_warnings(fit) if isinstance(item, Contradiction)]
-    assert contradiction.name == 'rate'
-    assert contradiction.prior == prior
-    assert contradiction.deviation > 4.0
+    (contradiction,) = (text for text in fit_warnings(fit) if str(prior) in text)
+    assert contradiction.startswith('rate is found')
 
 
 def test_other_minimum_is_spanned_and_reported():
@@ -157,15 +153,16 @@ def test_other_minimum_is_spanned_and_reported():
     spanned = fit.spanning([Alternative(np.add(fit.values, [0.0, 0.1]), 4.0)])
     assert 1.96 * spanned['rate'].error > 0.095
     assert spanned['size'] == fit['size']
-    assert fit_warnings(spanned) == [('rate', spanned.alternatives[0].values[1], 4.0)]
+    (ambiguity,) = fit_warnings(spanned)
+    assert f'{spanned.alternatives[0].values[1]:.5g}' in ambiguity
 
 
 def test_solver_that_stops_at_its_limit_is_reported():
     data = [('decay', track())]
-    for limit, warnings in ((1, [()]), (100, [])):
+    for limit in (1, 100):
         fit = fit_tracks(MODEL, np.array([1.0, 1.0]), data, max_evaluations=limit)
         assert fit.is_converged is (limit > 1)
-        assert [item for item in fit_warnings(fit) if isinstance(item, NotConverged)] == warnings
+        assert any('limit' in text for text in fit_warnings(fit)) is (limit == 1)
 
 
 def test_overflowing_fit_is_refused():

@@ -7,7 +7,6 @@ from soft_throw_ros.identification.fit_description import (
     FitDescription,
     FREE,
     IDEAL_BENCH,
-    SEARCHED,
 )
 from soft_throw_ros.identification.parameter_layout import ParameterLayout
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
@@ -34,10 +33,3 @@ def test_shared_values_come_first_and_names_have_the_number_of_the_throw():
     assert layout.is_per_throw('engine.amplitude')
     assert not layout.is_per_throw('engine.frequency')
     assert 'layer.thickness' not in layout
-
-
-def test_ringing_has_two_values_for_each_throw():
-    throw = ThrowTracks(name='a', plate=TRACK)
-    layout = ParameterLayout.of([throw], FitDescription({**IDEAL_BENCH, **SEARCHED}))
-    assert {'plate.ringing_cosine', 'plate.ringing_sine'} < set(layout.names)
-    assert 'layer.wave_speed' not in layout  # nothing is seen of the projectile

@@ -19,10 +19,9 @@ from soft_throw_ros.identification.fit_description import (
     IDEAL_BENCH,
     LAYER,
     PARAMETERS,
-    ThrowConditions,
     values_of,
 )
-from soft_throw_ros.identification.fit_warnings import fit_warnings, InseparablePair
+from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
 from soft_throw_ros.identification.rig_fit import fit_rig
@@ -148,8 +147,8 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     known = replace(rig, layer=Layer(thickness=2.6e-3))
     found = fit_rig([seen], known, FitDescription({**IDEAL_BENCH, 'layer.thickness': FREE}))
     fit = found.fit
-    (pair,) = [item for item in fit_warnings(fit) if isinstance(item, InseparablePair)]
-    assert pair.names == ('layer.wave_speed', 'layer.thickness')
+    pairs = [text for text in fit_warnings(fit) if 'hardly separated' in text]
+    assert any('layer.wave_speed and layer.thickness' in pair for pair in pairs)
     speed, thickness = fit['layer.wave_speed'], fit['layer.thickness']
     assert thickness.value / speed.value**2 == pytest.approx(2e-3 / 9.0, rel=0.02)
     assert thickness.error / thickness.value > 0.05
@@ -219,10 +218,11 @@ def test_effects_outside_the_model_are_within_the_errors(see, case):
     found = fit_rig([tracks], Rig())
     truth = values_of(Rig(), DEFAULT_FREE)
     for name in DEFAULT_FREE:
-        estimate = found.estimate(name)
+        is_speed = name == 'layer.wave_speed'
+        estimate = found.rest_wave_speed() if is_speed else found.estimate(name)
         assert estimate.value == pytest.approx(truth[name], abs=2.5 * estimate.error), name
-    ejection = ejection_of(found)
-    for estimate, value in ((ejection.time, release.time), (ejection.speed, release.velocity)):
+    first = ejection_of(found).first
+    for estimate, value in ((first.time, release.time), (first.speed, release.velocity)):
         assert estimate.value == pytest.approx(value, abs=2.5 * estimate.error)
 
 
@@ -232,24 +232,6 @@ def imperfect_throw(see, rig, imperfections):
     time = np.arange(0.0, 0.08, 2e-4)
     since = time - 0.0153
     return see(time, thrown.plate(since), thrown.projectile(since)), thrown.events[0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('phase', [0.5, 3.5])
-def test_ringing_before_the_throw_leads_to_no_other_minimum(see, phase):
-    # So thin a layer that the projectile does not leave it before the throw
-    rig = Rig(layer=Layer(thickness=8e-3))
-    ringing = Imperfections(ringing=0.015, ringing_phase=phase)
-    tracks, release = imperfect_throw(see, rig, ringing)
-    assert release.time > 0.0
-    found = fit_rig([tracks], replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0)))
-    assert 'plate.ringing_sine' in found.fit
-    assert fit_warnings(found.fit) == []
-    assert_true(found, rig, DEFAULT_FREE, errors=3.5)
-    ejection = ejection_of(found)
-    peak, truth = ejection.peak_plate_speed, Underdamped.of(Rig().engine).peak_velocity
-    assert peak.value == pytest.approx(truth, abs=3.5 * peak.error)
-    assert ejection.speed.value == pytest.approx(release.velocity, rel=0.02)
 
 
 def test_free_loss_may_be_zero(see):
@@ -287,10 +269,7 @@ def test_value_held_for_one_of_two_layers_is_kept(make_throw):
     ]
     held = {'layer.wave_speed': FIXED._replace(value=7.8)}
     thickness = {'layer.thickness': FIXED._replace(value=5.6e-3)}
-    layers = {
-        'a': ThrowConditions(thickness, {'layer': 'one'}),
-        'b': ThrowConditions(held, {'layer': 'two'}),
-    }
+    layers = {'a': {**thickness, 'layer.wave_speed': FREE}, 'b': held}
     found = fit_rig(throws, Rig(layer=Layer(wave_speed=50.0)), replace(EXACT, throws=layers))
     assert not found.fit.is_mismatch
     speed = found.fit['layer.wave_speed[1]']

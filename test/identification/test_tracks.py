@@ -39,9 +39,15 @@ def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
             ],
             'mm',
         ),
-        (['t,zp [µm],z_m', *rows(scale=1e6)], 'um'),
+        (['t,zp [\N{MICRO SIGN}m],z_m', *rows(scale=1e6)], 'um'),
+        (
+            ['time [ms]\tz_p [\N{GREEK SMALL LETTER MU}m]\tz_m [m]', *(
+                f'{1e3 * t:.1f}\t{1e6 * t**2:.6f}\t{t + 0.01:.6f}' for t in TIME
+            )], 'm',
+        ),
+        (['t,plate,projectile', *rows('"{:.4f}","{:.6f}",{:.6f}'), ',,'], 'm'),
     ],
-    ids=['bare', 'semicolons', 'micrometres'],
+    ids=['bare', 'semicolons', 'micrometres', 'own units', 'quotes and an empty row'],
 )
 def test_csv_gives_the_tracks_of_its_bodies(lines, unit):
     tracks = read_csv(lines, 'file', BODIES, unit=unit)
@@ -54,7 +60,7 @@ def test_csv_gives_the_tracks_of_its_bodies(lines, unit):
 def test_csv_skips_missing_positions():
     lines = rows()
     lines[3] = '0.0006,,0.5'
-    lines[5] = '0.0010,0.5,nan'
+    lines[5] = '0.0010,0.5,NA'
     tracks = read_csv(lines, 'file', BODIES)
     assert tracks['plate'].time == pytest.approx(np.delete(TIME, 3))
     assert tracks['projectile'].time == pytest.approx(np.delete(TIME, 5))
@@ -73,8 +79,8 @@ def with_line(number, text):
         (with_line(5, '0.0006,1e9,0'), "file:5: plate must be within +- 1e+06, got '1e9'"),
         (with_line(1, 't,piston,ball'), 'no column is named plate or z_plate or zp or z_p, got'),
         (with_line(1, 'frame,plate,projectile'), 'file:1: no column is named t or time, got'),
-        (with_line(1, 't,plate [mm],projectile'), "got 'plate [mm]'; see --unit mm"),
-        (with_line(1, 't [ms],plate,projectile'), "file:1: time is read in s, got 't [ms]'"),
+        (with_line(1, 't,plate [inch],projectile'), "got 'plate [inch]'"),
+        (with_line(1, 't [h],plate,projectile'), 'file:1: time must be in s or ms or us, got'),
         (rows()[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
     ],
 )
@@ -124,21 +130,19 @@ def test_noise_of_rounded_heights_is_at_least_the_rounding_error(noise):
     assert 0.99 * rounding < np.mean(noises) < 1.1 * np.hypot(noise, rounding)
 
 
-@pytest.mark.parametrize('lost', [0.0, 0.03, 0.5])
-def test_late_stamps_are_isolated_unlike_neighbours_of_lost_samples(lost):
-    rng = np.random.default_rng(2)
+@pytest.mark.parametrize('step', [0.0, 1e-5, 5e-5])
+@pytest.mark.parametrize(('first', 'count', 'height'), [(250, 3, 0.0), (300, 200, None)])
+def test_heights_that_stand_still_in_motion_are_stuck(step, first, count, height):
     time = np.arange(0.0, 0.1, 2e-4)
-    time = time[rng.random(time.size) >= lost]
-    is_late = rng.random(time.size) < 0.05
-    stamps = np.where(is_late, time + 0.3, time)
-    order = np.argsort(stamps)
-    track = Track(time=stamps[order], position=PLATE.position(time - 0.03)[order])
-    np.testing.assert_array_equal(track.is_lone, is_late[order])
-
-
-def test_gaps_are_where_samples_are_missing():
-    time = np.delete(np.arange(30.0), [0, 7, 20, 21])
-    assert Track(time=time, position=time).gaps == [(6.0, 8.0), (19.0, 22.0)]
+    rng = np.random.default_rng(4)
+    position = 0.01 + PLATE.position(time - 0.03) + 5e-6 * rng.normal(size=time.size)
+    position = step * np.rint(position / step) if step else position
+    assert not Track(time=time, position=position).is_stuck.any()
+    stuck = slice(first, first + count)
+    position[stuck] = position[first - 1] if height is None else height
+    track = Track(time=time, position=position)
+    assert track.is_stuck[first + 1:first + count].all()
+    assert track.is_stuck.sum() <= count + 1
 
 
 @pytest.mark.parametrize(('factor', 'gravity'), [(1.0, 9.81), (2.0, 2.4525)])

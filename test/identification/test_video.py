@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Videos read from files."""
 
+import struct
+
 import numpy as np
 import pytest
 from soft_throw_ros.identification.tracks import TrackError
@@ -92,6 +94,23 @@ def test_stack_is_read_page_by_page(tmp_path, monkeypatch):
     pages = read_pictures(str(path))
     np.testing.assert_array_equal(next(pages), STACK[0])
     assert sum(1 for _ in pages) == 199
+
+
+@pytest.mark.parametrize('quarters', [0, 1, 2, 3])
+def test_turned_video_is_read_as_players_show_it(tmp_path, quarters):
+    path = tmp_path / 'turned.mp4'
+    upright = np.zeros((32, 64), dtype=np.uint8)
+    upright[4:12, 6:14] = 250
+    pictures = np.repeat(np.rot90(upright, quarters)[None, ..., None], 3, axis=3)
+    imageio.imwrite(path, np.repeat(pictures, 4, axis=0), plugin='pyav', codec='libx264', fps=30)
+    data = bytearray(path.read_bytes())
+    cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters]
+    start, one = data.find(b'tkhd') + 44, 1 << 16  # the matrix of the track header
+    matrix = (cosine * one, sine * one, 0, -sine * one, cosine * one, 0, 0, 0, 1 << 30)
+    data[start:start + 36] = struct.pack('>9i', *matrix)
+    path.write_bytes(data)
+    picture = next(read_pictures(str(path)))
+    np.testing.assert_allclose(picture, upright, atol=40)
 
 
 def test_empty_folder_is_refused(tmp_path):

@@ -6,7 +6,7 @@ import math
 
 from bags import BEGIN, text
 import pytest
-from soft_throw_ros.configuration.interface import JOINT_STATE
+from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder
@@ -24,7 +24,11 @@ def read(tmp_path):
     def read(messages):
         with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
             for topic, data in messages:
-                channel = Channel(topic=topic, type=JOINT_STATE, schema='string name')
+                is_text = topic.endswith('journal')
+                channel = Channel(
+                    topic=topic, type=TEXT if is_text else JOINT_STATE,
+                    schema='string data' if is_text else 'string name',
+                )
                 writer.write(Message(channel, data, BEGIN, BEGIN))
         with BagReader(tmp_path / 'bag') as reader:
             return read_positions(reader, [TOPIC, OTHER], JOINTS)
@@ -58,3 +62,17 @@ def test_messages_of_another_content_are_counted(read):
     recorded = read([(TOPIC, text('no joint state')), (TOPIC, encode(BEGIN, JOINTS, [1.0, 2.0]))])
     assert recorded[TOPIC].unreadable == 1
     assert len(recorded[TOPIC].rows) == 1
+
+
+def test_journal_names_the_joints_and_the_time_scale(read):
+    settings = '{"kind":"start","settings":{"joint_names.plate":"table","time_scale":0.1}}'
+    recorded = read([
+        ('/rig/journal', text(settings)),
+        (TOPIC, encode(BEGIN, ('plate', 'table'), [1.0, 2.0])),
+        (OTHER, encode(BEGIN, ('plate', 'table'), [3.0, 4.0])),
+    ])
+    assert recorded[TOPIC].rows[BEGIN][0] == 2.0
+    assert recorded[TOPIC].time_scale == 0.1
+    assert recorded[OTHER].rows[BEGIN][0] == 3.0
+    assert recorded[OTHER].time_scale == 1.0
+    assert recorded[TOPIC].names == {'plate', 'table'}
