@@ -197,8 +197,6 @@ def _draw(scene: Scene, reader: BagReader) -> None:
     path, damage = reader.path, f', {scene.damage}' if scene.damage else ''
     if scene.is_empty:
         raise ValueError(f'{path}: nothing of a twin could be read{damage}')
-    if reader.damage:
-        print_note('inspect', f'{reader.damage}; the undamaged part is shown')
     if scene.damaged:
         print_note('inspect', f'{path}: {scene.damaged} messages are left out{damage}')
 

@@ -191,9 +191,7 @@ class Player(RunnableNode):
                 self._woken.wait(min(pause, POLL))
                 self._woken.clear()
         self._wait_for_acknowledgement()
-        if self._reader.damage:
-            _print_line(f'damaged, so that something may be missing: {self._reader.damage}')
-        is_bad = self._is_damaged or self._reader.damage or not self._publishers_by_channel
+        is_bad = self._is_damaged or not self._publishers_by_channel
         if not self._is_stopping:
             self._code = 1 if is_bad else 0
 

@@ -66,8 +66,6 @@ class RawSubscription:
     ----------
     received : int
         Number of received messages.
-    is_latched : bool
-        Whether it is transient local, as of topics that may be published only once.
     publishers : set of bytes
         Identifiers of the publishers of the topic, as of the last call of `poll_losses`.
 
@@ -81,7 +79,6 @@ class RawSubscription:
     def __init__(self, node: Node, channel: Channel, profile: QoSProfile) -> None:
         self.channel = channel
         self.received = 0
-        self.is_latched = profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
         self.publishers: set[bytes] = set()
         self._node = node
         self._profile = profile
@@ -111,11 +108,6 @@ class RawSubscription:
     def lost(self) -> int:
         """Number of lost messages, as of the last call of `poll_losses`."""
         return self._counter.lost
-
-    @property
-    def missed_before_join(self) -> int:
-        """Number of messages published before the first received message of their publisher."""
-        return self._counter.missed_before_join
 
     def drain(self, max_size: float = math.inf) -> list[Message]:
         """Return the next messages: at most `DEPTH`, and none beyond a total size [bytes]."""

@@ -67,10 +67,10 @@ class NoGraphicsError(ViewerError):
 
 
 def new_stream(name: str) -> rr.RecordingStream:
-    """Return a new recording without a sink."""
+    """Return a new recording without a sink, whose layout is not that of another name."""
     import rerun as rr
 
-    stream = rr.RecordingStream('soft_throw_ros', send_properties=False)
+    stream = rr.RecordingStream(f'soft_throw_ros {name}', send_properties=False)
     stream.send_recording_name(name)
     return stream
 

@@ -9,11 +9,10 @@ import json
 from pathlib import Path
 import shutil
 import socket
-import subprocess
 import sys
 from typing import Any
 
-from bags import attachments, saved
+from bags import saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -21,7 +20,6 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration import ParameterError, RECORDER
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
-from soft_throw_ros.nodes import recording
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder, viewer_hint
 from soft_throw_ros.nodes.twin import Twin
@@ -131,43 +129,6 @@ def test_losses_are_in_diagnostics_and_bag(
     assert notes['losses'] == {'total': '2', '/talk': '2'}
 
 
-QUIET = """
-import sys
-import rclpy
-from std_msgs.msg import String
-rclpy.init()
-node = rclpy.create_node('quiet')
-publisher = node.create_publisher(String, '/talk/quiet', 1)
-once = node.create_publisher(String, '/talk/once', rclpy.qos.QoSProfile(depth=1, durability=1))
-while not publisher.get_subscription_count():
-    pass
-for _ in range(int(sys.argv[1])):
-    publisher.publish(String())
-sys.stdin.read()
-"""
-
-
-@pytest.mark.parametrize('count', ['0', '1'])
-def test_process_that_is_present_and_sends_nothing_is_reported_once(
-    ros, recorder, start, listen_to, monkeypatch, count
-) -> None:
-    monkeypatch.setattr(recording, 'SILENCE_LIMIT', 1)
-    node = recorder(name='bag')
-    listener = listen_to(node)
-    log = listener.log()
-    listener.listen(RECORDER_TOPICS.diagnostics)
-    process = start(sys.executable, '-c', QUIET, count, stdin=subprocess.PIPE)
-    warning = listener.status(
-        RECORDER_TOPICS.diagnostics, 'losses', lambda item: item.level == DiagnosticStatus.WARN
-    )
-    assert warning.message.endswith(' /talk/quiet')
-    listener.hear(RECORDER_TOPICS.diagnostics, len(listener.heard['/diagnostics']) + 2)
-    assert sum('/talk/quiet' in line for line in log) == 1
-    process.close()
-    ros.spin_until(lambda: not node.recording.unheard_topics, 'the end of the process')
-    node.close()
-
-
 def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, tmp_path) -> None:
     node = recorder(name='first')
     client = ros.parameters(node)
@@ -225,37 +186,17 @@ def test_recorder_records_the_twin_in_its_own_namespace(ros, recorder, tmp_path)
     assert len(recorded[f'{name}/layer/joint_states'][0].name) == 64
     with Reader(tmp_path / 'bag') as bag:
         assert bag.ros_distro in ('jazzy', 'kilted')
-    with BagReader(tmp_path / 'bag') as bag:
-        notes = {item.name: item.metadata for item in bag.metadata}
-    files = {name: data.decode() for name, data in attachments(tmp_path / 'bag').items()}
-    assert notes[f'parameters of {name}']['throw.period'] == '0.2'
-    assert notes[f'versions of {name}']['python'] == sys.version.split()[0]
-    assert 'period: 0.2' in files[f'{name[1:].replace("/", "_")}.yaml']
-    assert "name: 'bag'" in files['recorder.yaml']
 
 
-def test_deleted_bag_is_a_failure_and_not_counted_as_recorded(
-    ros, recorder, talker, listen_to, tmp_path
-) -> None:
+def test_deleted_bag_is_a_failure(ros, recorder, talker, listen_to, tmp_path) -> None:
     node = recorder(name='bag')
     listener = listen_to(node)
-    listener.listen(RECORDER_TOPICS.diagnostics)
-    topics = [f'/talk/a{number}' for number in range(12)]
-    for topic in topics:
-        say(ros, node, talker.create_publisher(String, topic, 100), ['a'])
-    ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 12, 'the messages in the bag')
+    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
+    ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 1, 'the message in the bag')
     shutil.rmtree(tmp_path / 'bag')
-    status = listener.status(
-        RECORDER_TOPICS.diagnostics, 'bag', lambda item: item.level == DiagnosticStatus.WARN
-    )
-    assert 'deleted' in status.message
-    recording = node.recording
     response = listener.trigger(RECORDER_SERVICES.stop)
     assert not response.success
-    assert '12 lost' in response.message
-    assert 'deleted' in response.message
-    assert response.message.count('/talk/') <= 3  # not all topics
-    assert recording.losses() == dict.fromkeys(topics, 1)
+    assert 'No such file' in response.message
     assert node.exit_code is None  # it can record again
     assert listener.trigger(RECORDER_SERVICES.start).success
     assert listener.trigger(RECORDER_SERVICES.stop).success
@@ -314,17 +255,6 @@ def test_topic_without_publisher_is_reported(ros, recorder, talker, tmp_path, ca
     ros.spin_until(is_logged, 'the warning')
     assert '/silence' in warnings[0]
     assert '/talk' not in warnings[0]
-
-
-def test_foreign_journal_is_harmless(ros, recorder, talker, tmp_path) -> None:
-    node = recorder(name='bag')
-    publisher = talker.create_publisher(String, '/talk/journal', 100)
-    throw = '{"kind":"throw","step":1,"settings":5,"versions":[]}'
-    contents = ['', '[]', throw, '{"kind":1,"step":null}', 'after']
-    say(ros, node, publisher, contents)
-    assert node.exit_code is None
-    node.close()
-    assert texts(tmp_path / 'bag', '/talk/journal') == contents
 
 
 def test_viewer_of_the_recorder_gets_its_topics_and_sink(
