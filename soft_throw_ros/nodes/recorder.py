@@ -26,19 +26,11 @@ DISCOVERY_TIME = 0.2
 
 
 class Recorder(RunnableNode):
-    """
-    Node that records.
-
-    Attributes
-    ----------
-    recording : Recording or None
-        The recording under way; None while it is stopped.
-
-    """
+    """Node that records."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
-        self.recording: Recording | None = None
+        self.recording: Recording | None = None  # the one under way
         self.add_cleanup(self.close)
         self._arguments = arguments
         self._code: int | None = None
@@ -82,15 +74,7 @@ class Recorder(RunnableNode):
         self._code = 1 if self._has_failed else None
 
     def begin(self) -> None:
-        """
-        Start a recording.
-
-        Raises
-        ------
-        ParameterError
-            If neither a bag nor a viewer is wanted, or the bag exists.
-
-        """
+        """Start a recording; ParameterError without a bag and a viewer, or if the bag exists."""
         _check(self.parameters.settings)
         self.recording = Recording(self, self.parameters.settings, self._arguments)
         self._on_discovery()

@@ -38,19 +38,7 @@ _MAX_NAMES = 2  # in a sentence
 
 
 class Recording:
-    """
-    One recording from start to stop: subscriptions, bag and viewer.
-
-    Attributes
-    ----------
-    subscriptions : RawSubscriptions
-        Subscriptions to the recorded topics.
-    writer : WriterThread or None
-        Thread that writes the bag; None if nothing is written.
-    viewer : ChildProcess or None
-        Process that shows the topics; None if nothing is shown.
-
-    """
+    """One recording from start to stop: subscriptions, bag and viewer, each None if not wanted."""
 
     def __init__(
         self, recorder: Node, settings: Settings, arguments: Sequence[str] = ()

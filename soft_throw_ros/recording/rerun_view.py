@@ -96,17 +96,8 @@ class Scene:
     """
     The drawing of all twins.
 
-    Parameters
-    ----------
-    stream : RecordingStream
-        The recording.
-    is_live : bool
-        Whether the latest messages are shown instead of a throw.
-    is_picture : bool
-        Whether panels for the mouse are left out.
-    throw : ThrowStart, optional
-        The throw that is shown; times count from its start.
-
+    A live drawing shows the latest messages; else times count from the start of `throw`. A picture
+    has no panels for the mouse.
     """
 
     def __init__(

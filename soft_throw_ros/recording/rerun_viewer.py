@@ -136,16 +136,10 @@ def free_port() -> int:
 
 class Viewer:
     """
-    A viewer process in a session of its own.
+    A viewer process in a session of its own; ViewerError is raised if there is none.
 
     It listens on this machine only, has limits on its memory, and sends no statistics. One that
     `stays` is for a user, and goes on when this process ends.
-
-    Raises
-    ------
-    ViewerError
-        If there is none.
-
     """
 
     def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:

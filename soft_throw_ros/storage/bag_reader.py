@@ -152,24 +152,8 @@ class BagReader:
     """
     A finished bag opened for reading: a folder with MCAP files, or one such file.
 
-    Attributes
-    ----------
-    channels : tuple of Channel
-        The topics; all files share one object for each.
-    counts : Counter of Channel
-        Numbers of messages.
-    metadata : list of Metadata
-        Named texts in their order.
-    start_time, end_time : int
-        Log times of the first and the last message; 0 if there is none. [ns]
-
-    Raises
-    ------
-    UnfinishedError
-        If a file is damaged, missing or empty, has no index, or is being written.
-    BagError
-        If there is no bag of ROS 2 in MCAP; the message gives the remedy.
-
+    UnfinishedError is raised if a file is damaged, missing or empty, has no index, or is being
+    written; BagError, if there is no bag of ROS 2 in MCAP. The message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -186,12 +170,13 @@ class BagReader:
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
                 raise BagError(f'{self.path} is being written; stop the recorder before') from None
             raise
-        self.counts: Counter[Channel] = Counter()
+        self.counts: Counter[Channel] = Counter()  # of messages
         for file in self._files:
             self.counts.update(file.counts)
-        self.channels = tuple(self.counts)
+        self.channels = tuple(self.counts)  # all files share one object for each
         self.metadata = [item for file in self._files for item in file.metadata]
         self._spans = [file.span for file in self._files if file.span is not None]
+        # Log times of the first and the last message; 0 if there is none [ns]
         self.start_time = min((first for first, _ in self._spans), default=0)
         self.end_time = max((last for _, last in self._spans), default=0)
 
