@@ -16,9 +16,8 @@ from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_T
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.recording import bag_path, has_rerun, Recording
+from soft_throw_ros.nodes.recording import bag_path, Recording
 from soft_throw_ros.nodes.topics import create_service, Publishers
-from soft_throw_ros.recording.rerun_viewer import has_display, listens
 from soft_throw_ros.twin.session import RequestRejected
 
 DISCOVERY_TIME = 0.2
@@ -83,8 +82,6 @@ class Recorder(RunnableNode):
             self.get_logger().error(self.recording.error)
         else:
             self.get_logger().info(self._message())
-        if hint := viewer_hint(self.parameters.settings, self.recording.bag):
-            self.get_logger().warning(hint)
 
     def end(self) -> bool:
         """Finish the recording, and return whether it has failed."""
@@ -204,24 +201,6 @@ def _check(settings: Settings) -> None:
             f'or none, got name {settings["name"]!r}',
             'name',
         )
-
-
-def viewer_hint(settings: Settings, bag: Path | None) -> str:
-    """Return why nothing is shown live here, and the remedy; empty if something may be."""
-    if settings['rerun.sink'] == 'none':
-        return ''
-    if not has_rerun(settings):
-        return (
-            "nothing is shown, since Rerun is not installed: pip install 'soft_throw_ros[rerun]', "
-            'or name a Python that has it by rerun.python'
-        )
-    is_shown = has_display() or listens(settings['rerun.port'])
-    if settings['rerun.sink'] == 'viewer' and not is_shown:
-        return (
-            'there is no screen for a viewer (DISPLAY and WAYLAND_DISPLAY are not set): '
-            f'`soft-throw inspect {bag or "BAG"} --screenshot FILE.png` draws the bag'
-        )
-    return ''
 
 
 main = partial(run, 'recorder', Recorder)

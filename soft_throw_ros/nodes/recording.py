@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from importlib import util
 import json
 from pathlib import Path
 import sys
@@ -53,7 +52,7 @@ class Recording:
         self._began = time.monotonic()
         if settings['storage'] == 'mcap':
             self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
-        if settings['rerun.sink'] != 'none' and has_rerun(settings):
+        if settings['rerun.sink'] != 'none':
             self.viewer = ChildProcess(self._viewer_command(recorder, arguments))
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
@@ -207,11 +206,6 @@ def first_few(names: Sequence[str]) -> str:
     """Return the first names of a list, and the number of the others."""
     others = len(names) - _MAX_NAMES
     return ', '.join(names[:_MAX_NAMES]) + (f' and {others} more' if others > 0 else '')
-
-
-def has_rerun(settings: Settings) -> bool:
-    """Return whether Rerun is installed, as far as that can be known without starting it."""
-    return bool(settings['rerun.python']) or util.find_spec('rerun') is not None
 
 
 def bag_path(settings: Settings) -> Path:

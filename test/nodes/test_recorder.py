@@ -8,8 +8,6 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 import shutil
-import socket
-import sys
 from typing import Any
 
 from bags import saved
@@ -18,10 +16,10 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
-from soft_throw_ros.configuration import ParameterError, RECORDER
+from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.recorder import Recorder, viewer_hint
+from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.storage.bag_reader import BagReader
@@ -318,33 +316,6 @@ def test_viewer_that_ends_is_reported_once(
     assert 'exit code 1' in line
     node.close()
     assert texts(tmp_path / 'bag') == ['a']
-
-
-def test_recorder_without_rerun_warns_on_rosout_and_starts_no_viewer(
-    ros, recorder, listen_to, monkeypatch
-) -> None:
-    monkeypatch.setitem(sys.modules, 'rerun', None)  # as if it were not installed
-    node = recorder(start='false', rerun__sink='serve')
-    listener = listen_to(node)
-    log = listener.log()
-    assert listener.trigger(RECORDER_SERVICES.start).success
-    assert node.recording.viewer is None
-    ros.spin_until(lambda: any('soft_throw_ros[rerun]' in line for line in log), 'the hint')
-
-
-def test_recorder_without_a_screen_names_the_command_for_a_picture(monkeypatch) -> None:
-    monkeypatch.delenv('DISPLAY', raising=False)
-    monkeypatch.delenv('WAYLAND_DISPLAY', raising=False)
-    monkeypatch.delenv('WAYLAND_SOCKET', raising=False)
-    with socket.socket() as unused:  # bound, so that no viewer listens there
-        unused.bind(('127.0.0.1', 0))
-        settings = {**RECORDER.defaults(), 'rerun.python': sys.executable}
-        settings |= {'rerun.sink': 'viewer', 'rerun.port': unused.getsockname()[1]}
-        hint = viewer_hint(settings, Path('bags/today'))
-        assert 'soft-throw inspect bags/today --screenshot' in hint
-        assert viewer_hint(settings | {'rerun.sink': 'serve'}, None) == ''
-        monkeypatch.setenv('DISPLAY', ':0')
-        assert viewer_hint(settings, None) == ''
 
 
 def test_program_to_run_can_be_set_at_the_start_only(ros, recorder) -> None:
