@@ -52,16 +52,15 @@ class Outcome(NamedTuple):
 
 
 class System:
-    """A twin, a recorder with a viewer sink, and a subscriber, started on this or other hosts."""
+    """A twin, a recorder, a viewer and a subscriber, started on this or other hosts."""
 
-    def __init__(self, start: Callable[..., Any], folder: Path, *, sink: str = 'file') -> None:
+    def __init__(self, start: Callable[..., Any], folder: Path, *, shows: bool = True) -> None:
         self.bags: list[Path] = []
         self.running: dict[str, Any] = {}
         self._start = start
         self._folder = folder
-        self._sink = sink
         self._heard = folder / 'heard'  # stamps written by the subscriber
-        for name in ('recorder', 'subscriber', 'twin'):
+        for name in ('recorder', *(['viewer'] if shows else []), 'subscriber', 'twin'):
             self.start(name)
         self.wait_for_states()
 
@@ -71,25 +70,22 @@ class System:
             self.bags.append(self._folder / f'bag{len(self.bags)}')
             rules = (f'folder:={self._folder}', f'name:={self.bags[-1].name}')
             words = [word for rule in rules for word in ('-p', rule)]
-            words += ['-p', f'rerun.sink:={self._sink}']
             process = self._start(name, *SOFT_THROW, name, '--ros-args', *words)
         elif name == 'subscriber':
             self._heard = self._folder / f'heard{len(list(self._folder.glob("heard*")))}'
             command = (sys.executable, '-m', 'bench.soak', '--subscribe', str(self._heard))
             process = self._start(name, *command, cwd=ROOT)
         else:
-            process = self._start(name, *SOFT_THROW, name)
+            words = ('--ros-args', '-p', 'sink:=serve') if name == 'viewer' else ()
+            process = self._start(name, *SOFT_THROW, name, *words)
         if name != 'subscriber':
             process.wait_for('ready')
         self.running[name] = process
 
     def pids(self, name: str) -> list[int]:
-        """Return the process numbers of a node, of the viewer sink, or of all."""
-        sinks = processes.children_of(self.running['recorder'].process.pid)
-        if name == 'viewer':
-            return sinks
-        nodes = [process.process.pid for process in self.running.values()]
-        return nodes + sinks if name == 'all' else [self.running[name].process.pid]
+        """Return the process numbers of a node, or of all."""
+        names = list(self.running) if name == 'all' else [name]
+        return [self.running[name].process.pid for name in names]
 
     def wait_for_states(self) -> None:
         """Wait until recorder and subscriber receive states published after the call."""
@@ -126,7 +122,6 @@ class System:
             self.running[name].end_well()
         last = self.running['recorder'].lines[-1]
         assert ' lost' in last
-        # Lost states, and states published before a late recorder joined.
         missing = sum(map(int, re.findall(r'(\d+) of /twin/joint_states', last)))
         reports = processes.recorded_statuses(self.bags[-1])
         reported, timing = [item[::2] for item in reports if item[1] == '/twin: timing'][-1]
@@ -140,9 +135,9 @@ class System:
 
 
 def missing(states: processes.RecordedStates) -> int:
-    """Count missing sequence numbers of a twin, which begin at 1."""
+    """Count missing sequence numbers of a twin since the first recorded one."""
     assert (np.diff(states.numbers) > 0).all()
-    return int(states.numbers[-1]) - states.numbers.size
+    return int(states.numbers[-1] - states.numbers[0]) + 1 - states.numbers.size
 
 
 def _size(path: Path) -> int:

@@ -153,7 +153,7 @@ def test_states_of_another_host_arrive_or_are_counted(hosts, start, tmp_path):
         return hosts[name].call(start, *command, env=apart, **kwargs)
 
     with Cable(list(hosts.values()), delay=0.02, loss=0.02) as cable:
-        system = System(start_on_host, tmp_path, sink='none')
+        system = System(start_on_host, tmp_path, shows=False)
         assert cable.lost > 0
         cable.is_cut = True
         time.sleep(10.0)
