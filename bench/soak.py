@@ -28,6 +28,7 @@ from bench.race import head
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.recording.child_process import bound_to_parent
+from soft_throw_ros.recording.rerun_viewer import free_port
 
 SUBSCRIBERS = 4
 """Number of subscribers."""
@@ -102,10 +103,11 @@ class _Soak:
         self._changes: list[str] = []  # reason of each rejected change, empty if accepted
         self._codes: dict[str, int] = {}
         recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag')
+        port = ('-p', f'port:={free_port()}')
         subscriber = (sys.executable, '-m', 'bench.soak', '--subscribe')
         self._commands = {
             'recorder': (*SOFT_THROW, 'recorder', '--ros-args', *recorder),
-            'viewer': (*SOFT_THROW, 'viewer', '--ros-args', '-p', 'sink:=serve'),
+            'viewer': (*SOFT_THROW, 'viewer', '--ros-args', '-p', 'sink:=serve', *port),
             **{
                 f'subscriber {number}': (*subscriber, str(folder / str(number)))
                 for number in range(1, SUBSCRIBERS + 1)

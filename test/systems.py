@@ -52,15 +52,15 @@ class Outcome(NamedTuple):
 
 
 class System:
-    """A twin, a recorder, a viewer and a subscriber, started on this or other hosts."""
+    """A twin, a recorder, a viewer and a subscriber."""
 
-    def __init__(self, start: Callable[..., Any], folder: Path, *, shows: bool = True) -> None:
+    def __init__(self, start: Callable[..., Any], folder: Path) -> None:
         self.bags: list[Path] = []
         self.running: dict[str, Any] = {}
         self._start = start
         self._folder = folder
         self._heard = folder / 'heard'  # stamps written by the subscriber
-        for name in ('recorder', *(['viewer'] if shows else []), 'subscriber', 'twin'):
+        for name in ('recorder', 'viewer', 'subscriber', 'twin'):
             self.start(name)
         self.wait_for_states()
 
@@ -70,14 +70,15 @@ class System:
             self.bags.append(self._folder / f'bag{len(self.bags)}')
             rules = (f'folder:={self._folder}', f'name:={self.bags[-1].name}')
             words = [word for rule in rules for word in ('-p', rule)]
-            process = self._start(name, *SOFT_THROW, name, '--ros-args', *words)
+            process = self._start(*SOFT_THROW, name, '--ros-args', *words)
         elif name == 'subscriber':
             self._heard = self._folder / f'heard{len(list(self._folder.glob("heard*")))}'
             command = (sys.executable, '-m', 'bench.soak', '--subscribe', str(self._heard))
-            process = self._start(name, *command, cwd=ROOT)
+            process = self._start(*command, cwd=ROOT)
         else:
-            words = ('--ros-args', '-p', 'sink:=serve') if name == 'viewer' else ()
-            process = self._start(name, *SOFT_THROW, name, *words)
+            words = ('sink:=file', f'file:={self._folder}/live.rrd') if name == 'viewer' else ()
+            rules = [word for rule in words for word in ('-p', rule)]
+            process = self._start(*SOFT_THROW, name, '--ros-args', *rules)
         if name != 'subscriber':
             process.wait_for('ready')
         self.running[name] = process
@@ -99,13 +100,6 @@ class System:
         size = _size(self._heard) + 8 * count
         self._wait(lambda: _size(self._heard) >= size, 'no states are received')
 
-    def wait_for_states_of(self, moment: int) -> None:
-        """Wait until the subscriber receives states published after a given time [ns]."""
-        self._wait(
-            lambda: int(np.fromfile(self._heard, dtype='<i8')[-1]) >= moment,
-            'only old states are received',
-        )
-
     def _wait(self, is_reached: Callable[[], bool], failure: str) -> None:
         """Wait, or fail with the last lines of all processes."""
         deadline = time.monotonic() + TIMEOUT
@@ -118,7 +112,7 @@ class System:
     def end(self) -> Outcome:
         """End all processes, the twin first, and return the outcome."""
         time.sleep(SETTLING)
-        for name in ('twin', 'subscriber', 'recorder'):
+        for name in ('twin', 'subscriber', 'recorder', 'viewer'):
             self.running[name].end_well()
         last = self.running['recorder'].lines[-1]
         assert ' lost' in last

@@ -133,7 +133,7 @@ class TwinMessages(Run):
             self._send('phase_change', data, 4)
             self._send('phase', serialize_message(String(data=phase.value)), 4)
         if outputs.throw_field is not None:
-            field = outputs.throw_field
+            field = outputs.throw_field()
             for name, points in (
                 ('throw_field', field.points), ('throw_energies', field.energies)
             ):

@@ -179,11 +179,13 @@ def named(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def same(ours: Outputs, theirs: Outputs) -> bool:
-    """Compare outputs: numbers by all digits, and arrays by bytes."""
+    """Compare outputs: numbers by all digits, arrays by bytes, and fields of throws by calls."""
     return _content(ours) == _content(theirs)
 
 
 def _content(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_content(part) for part in value]
+    if callable(value):
+        return _content(value())
     return value.tobytes() if hasattr(value, 'tobytes') else repr(value)

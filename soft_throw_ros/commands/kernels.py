@@ -24,7 +24,7 @@ from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.twin import outlier_filter, plate_observer
-from soft_throw_ros.twin.prepared_rig import PreparedRig
+from soft_throw_ros.twin.prepared_rig import prepare
 
 Say = Callable[[str], object]
 
@@ -35,10 +35,10 @@ _SOURCES = (  # of kernels
 )
 
 
-def _prepare(stepper: ModuleType, **layer: float) -> None:
+def _step(stepper: ModuleType, **layer: float) -> None:
     """Run the kernels of a stepper once, with a plate driven by the engine and a measured one."""
     changes = {f'layer.{name}': value for name, value in layer.items()}
-    PreparedRig.from_config(TwinConfig.from_settings({**TWIN.defaults(), **changes}))
+    prepare({**TWIN.defaults(), **changes})
     stepper.warm_up()
 
 
@@ -49,10 +49,10 @@ def _measure() -> None:
 
 
 PARTS: dict[str, Callable[[], object]] = {
-    'travelling_wave': lambda: _prepare(wave_stepper),
+    'travelling_wave': lambda: _step(wave_stepper),
     'design': lambda: solve_request(TWIN.defaults()),
     'measured': _measure,
-    'cells': lambda: _prepare(cell_stepper, loss_tangent=0.1),
+    'cells': lambda: _step(cell_stepper, loss_tangent=0.1),
     'imperfect_rig': imperfect_rig.warm_up,
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""

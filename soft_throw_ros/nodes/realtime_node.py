@@ -21,6 +21,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.nodes.process import RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
 from soft_throw_ros.recording.child_process import bound_to_parent
+from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 
@@ -43,7 +44,7 @@ class RealTimeNode(RunnableNode):
     """
     Abstract node that advances a session at the deadlines of its steps.
 
-    A subclass declares its parameters, calls `load_kernels`, creates its publishers, and calls
+    A subclass declares its parameters with the check `prepare`, creates its publishers, and calls
     `attach_session` last.
 
     Parameters
@@ -75,7 +76,21 @@ class RealTimeNode(RunnableNode):
         self._compiling: subprocess.Popen[bytes] | None = None
         self._started = time.monotonic()
 
-    def load_kernels(self, settings: Settings) -> None:
+    def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
+        """
+        Return the rig of complete settings of a twin, after the kernels are loaded at the start.
+
+        ValueError if `prepared_rig.prepare` raises it, or the kernels are still being compiled.
+        """
+        if before is None:
+            self._load_kernels(settings)
+        elif self.is_compiling:
+            needed = set(kernels.needed_parts(settings)).intersection(kernels.missing_parts())
+            if needed:
+                raise ValueError(f'{", ".join(needed)} is being compiled, try again in seconds')
+        return prepare(settings, before)
+
+    def _load_kernels(self, settings: Settings) -> None:
         """
         Load the kernels that these settings of a twin require, and compile missing ones.
 

@@ -24,7 +24,6 @@ from soft_throw_ros.nodes.throw_texts import throw_text
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
-from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session
 from trajectory_msgs.msg import JointTrajectory
@@ -62,18 +61,17 @@ class SimulatedRig(RealTimeNode):
             self,
             RIG,
             self._on_changed,
-            check=lambda settings, config: check_settings(to_twin(settings), config),
+            check=lambda settings, before: self.prepare(to_twin(settings), before),
             arguments=arguments,
         )
         self._joints = joint_names(self.parameters.settings)
         outgoing = Publishers(self, RIG_TOPICS, self._joints)
         self.send = outgoing.sender(RIG_TOPICS.measured_joint_states)
         settings = self.parameters.settings
-        self._played = self.parameters.checked.settings
-        self.load_kernels(self._played)
+        self._played = self.parameters.checked.config.settings
         self._faults = _faults_of(SensorFaults, settings)
         self._deviations = self._next_deviations = self._find_deviations()
-        self.attach_session(Session(self._played))
+        self.attach_session(Session(self._played, prepared=self.parameters.checked))
         create_subscription(self, RIG_TOPICS.plate_trajectory, self._on_trajectory)
 
     # Tick thread
@@ -135,7 +133,7 @@ class SimulatedRig(RealTimeNode):
 
     def _on_changed(self, _changes: Settings) -> None:
         settings = self.parameters.settings
-        before, self._played = self._played, self.parameters.checked.settings
+        before, self._played = self._played, self.parameters.checked.config.settings
         self._faults = _faults_of(SensorFaults, settings)
         deviations = self._find_deviations()
         changes = {name: value for name, value in self._played.items() if value != before[name]}

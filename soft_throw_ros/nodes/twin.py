@@ -40,7 +40,6 @@ from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_t
 from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.prepared_rig import check_settings
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
@@ -83,6 +82,7 @@ class Twin(RealTimeNode):
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
+        self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -LINE_INTERVAL_NS
         self._logged_throws = 0
         self._rig_beyond_range: tuple[Rig, float] | None = None
@@ -92,11 +92,10 @@ class Twin(RealTimeNode):
             TWIN,
             self._on_changed,
             describe=self._describe_change,
-            check=check_settings,
+            check=self.prepare,
             arguments=arguments,
         )
         self._joints = joint_names(self.parameters.settings)
-        self.load_kernels(self.parameters.settings)
         self._serialize_command()
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
@@ -104,7 +103,9 @@ class Twin(RealTimeNode):
         self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
         self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
         self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
-        session = Session(self.parameters.settings, on_entry=self.on_entry)
+        session = Session(
+            self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
+        )
         self.measurement = Measurement(
             self, session, self._joints, now=lambda: self._current_clock().now()
         )
@@ -116,15 +117,13 @@ class Twin(RealTimeNode):
         )
         self._worker = LatestOnlyWorker(
             self._recommend,
-            self._on_recommendation,
-            on_failure=lambda config, error: RecommendationState(
-                config=config, reason=f'the search has failed: {error!r}'
-            ),
+            self._on_uncertainty,
+            on_failure=self._on_failed_search,
             log=self.get_logger().error,
             interval=RECOMMENDATION_INTERVAL,
         )
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
-        self._worker.submit(self.parameters.checked)
+        self._worker.submit(self.parameters.checked.config)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)
         create_service(self, TWIN_SERVICES.apply_recommendation, self._on_apply_recommendation)
@@ -166,16 +165,29 @@ class Twin(RealTimeNode):
         """Schedule the publication of a line of the journal."""
         self._run_in_executor(lambda: self.outgoing.send(TWIN_TOPICS.journal, line))
 
-    def _on_recommendation(self, recommended: RecommendationState) -> None:
-        self._run_in_executor(lambda: self._publish_recommendation(recommended))
-
     # Worker thread
 
-    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
-        """Wait until the kernels of the search are compiled, and return a recommendation."""
+    def _recommend(
+        self, config: TwinConfig, cancelled: Callable[[], bool]
+    ) -> tuple[Rig, dict[str, float]]:
+        """Publish a recommendation, and return a rig with the uncertainty of its throws."""
         while self.is_compiling and 'design' in missing_parts() and not cancelled():
             time.sleep(_COMPILING_POLL)
-        return recommend_for(config, cancelled)
+        recommended = recommend_for(config, cancelled)
+        if cancelled():
+            return config.rig, {}
+        self._run_in_executor(lambda: self._publish_recommendation(recommended))
+        return config.rig, uncertainty_values(config.rig, config.settings)
+
+    def _on_uncertainty(self, found: tuple[Rig, dict[str, float]]) -> None:
+        self._uncertainty = found
+
+    def _on_failed_search(
+        self, config: TwinConfig, error: Exception
+    ) -> tuple[Rig, dict[str, float]]:
+        state = RecommendationState(config=config, reason=f'the search has failed: {error!r}')
+        self._run_in_executor(lambda: self._publish_recommendation(state))
+        return config.rig, {}
 
     # Executor thread
 
@@ -192,7 +204,7 @@ class Twin(RealTimeNode):
         if outputs.phases:
             send(TWIN_TOPICS.phase, outputs.phases[-1].phase.value)
         if outputs.throw_field is not None:
-            field = outputs.throw_field
+            field = outputs.throw_field()
             send(TWIN_TOPICS.throw_field, field.start_ns, field.points)
             send(TWIN_TOPICS.throw_energies, field.start_ns, field.energies)
         for result in outputs.results:
@@ -202,10 +214,8 @@ class Twin(RealTimeNode):
         """Publish a result as one message, and the numbers of its first release, or NaN."""
         last, self._last_result = self._last_result, result
         send = self.outgoing.send
-        settings = self.parameters.settings
-        beside = {}
-        if not self.is_compiling:  # otherwise this process would compile their kernels, too
-            beside = uncertainty_values(result.rig, settings)
+        rig, uncertainty = self._uncertainty
+        beside = uncertainty if rig == result.rig else {}
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first
@@ -305,11 +315,11 @@ class Twin(RealTimeNode):
         self.session.change(changes, self.parameters.checked)
         if any(affects_recommendation(name) for name in changes):
             self.recommendation = None
-            self._worker.submit(self.parameters.checked)
+            self._worker.submit(self.parameters.checked.config)
 
     def _serialize_command(self) -> None:
         """Serialize the motion of a commanded plate in advance, which is too slow for a tick."""
-        config = self.parameters.checked
+        config = self.parameters.checked.config
         motion = config.rig.engine.motion
         if config.command_lead is not None and motion is not None:
             encode_command(0, motion, self._joints[0], frame_of(self))

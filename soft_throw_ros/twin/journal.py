@@ -262,8 +262,6 @@ class _Checksum:
         self.states = crc32(STATE.pack(*outputs.state), self.states)
         for array in outputs.layer or ():
             self.fields = crc32(array.data, self.fields)
-        if outputs.throw_field is not None:
-            self.fields = crc32(outputs.throw_field.checksum.to_bytes(4, 'little'), self.fields)
 
     def values(self) -> dict[str, int]:
         return {'states': self.states, 'fields': self.fields}

@@ -10,7 +10,7 @@ advances with any continuation of the plate's motion (see `Stepper.sync_from`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import dataclasses
 from dataclasses import dataclass, field
 from functools import partial
@@ -317,7 +317,7 @@ class MeasuredThrow(OngoingThrow):
             disturbances=disturbances,
         )
 
-    def throw_field(self) -> ThrowField | None:
+    def throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when the plate is known for long enough or lost."""
         release, times = self.first_release, self._times
         if self._has_shown_field or not times.size or not (release or self.ended_by):
@@ -326,10 +326,14 @@ class MeasuredThrow(OngoingThrow):
         if length > times[-1] and not self.ended_by:
             return None
         self._has_shown_field = True
-        stepper = stepper_of(self._prepared.config)
-        stepper.append_plate_states(times, self._states)
-        length = min(length, stepper.horizon)
-        return throw_field_of(stepper, length, start_ns=self._onset.onset_ns)
+        config, states, start_ns = self._prepared.config, self._states, self._onset.onset_ns
+
+        def throw_field() -> ThrowField:
+            stepper = stepper_of(config)
+            stepper.append_plate_states(times, states)
+            return throw_field_of(stepper, min(length, stepper.horizon), start_ns=start_ns)
+
+        return throw_field
 
 
 def peak_speed(times: Floats, states: Floats) -> float:

@@ -9,14 +9,12 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
-from zlib import crc32
 
 import numpy as np
-from soft_throw_ros.configuration import motions, Settings
+from soft_throw_ros.configuration import motions, Settings, TWIN
 from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core.cell_stepper import cells_per_layer, UPDATE_COST
-from soft_throw_ros.core.plate import motion_of
+from soft_throw_ros.core.plate import motion_of as motion_of_engine
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     EventLimitError,
@@ -25,7 +23,6 @@ from soft_throw_ros.core.stepper import (
     Stepper,
 )
 from soft_throw_ros.core.throw import make_stepper
-from soft_throw_ros.core.wave_stepper import STEP_COST, steps_per_crossing
 from soft_throw_ros.twin.plate_observer import ReleaseWeights
 from soft_throw_ros.twin.results import LayerState, State, ThrowField
 
@@ -71,6 +68,14 @@ _LONGEST_CONTACT = 4
 """Oscillation cycles in contact after which the projectile counts as never leaving. [-]"""
 
 
+_WAITING = frozenset(
+    entry.name
+    for entry in TWIN.entries
+    if entry.is_of_rig or entry.group in ('rate', 'time_scale', 'measured')
+)
+"""Parameters whose changes wait until the rig is put back."""
+
+
 class ForkedStepper(NamedTuple):
     """A stepper of a measured plate, and two forks that run ahead."""
 
@@ -97,32 +102,6 @@ class PreparedRig:
     throw_field: ThrowField | None  # None if the plate is measured
     forked: ForkedStepper | None = None  # with a measured plate
     release_weights: ReleaseWeights | None = None  # likewise
-
-    @classmethod
-    def from_config(cls, config: TwinConfig) -> PreparedRig:
-        """
-        Prepare a rig, which takes milliseconds.
-
-        Raises
-        ------
-        ValueError
-            If the rig cannot be stepped in real time, with the number.
-
-        """
-        stepper = stepper_of(config)
-        is_measured = config.is_measured
-        path, motion = config.motion_file, config.rig.engine.motion
-        return cls(
-            config=config,
-            encoded_motion={path: motions.encode(motion)} if path and motion else {},
-            stepper=stepper,
-            rest=State._make(stepper.state.tolist()[1:]),
-            rest_layer=layer_of(stepper),
-            peak_plate_speed=motion_of(config.rig.engine).peak_velocity,
-            throw_field=None if is_measured else _throw_field(stepper),
-            forked=ForkedStepper.of(stepper) if is_measured else None,
-            release_weights=_release_weights(config) if is_measured else None,
-        )
 
     @property
     def rig(self) -> Rig:
@@ -175,9 +154,8 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
             energies.append((time, *_energies(stepper)))
         stepper.read_layer(layer)
         strain[row] = layer[3]
-    checksum = crc32(strain.data, crc32(times.data))  # takes a tenth of a millisecond
     heights = np.linspace(0.0, stepper.rig.layer.thickness, FIELD_POINTS)
-    return ThrowField(times, heights, strain, np.array(energies), checksum, start_ns)
+    return ThrowField(times, heights, strain, np.array(energies), start_ns)
 
 
 def _energies(stepper: Stepper) -> tuple[float, float, float, float]:
@@ -236,46 +214,73 @@ def _release_weights(config: TwinConfig) -> ReleaseWeights:
     return ReleaseWeights(times, np.array([*rows, times < peak_time]), expected)
 
 
-def check_settings(settings: Settings, before: TwinConfig | None = None) -> TwinConfig:
+def prepare(
+    settings: Settings,
+    before: PreparedRig | None = None,
+    motion_of: motions.MotionSource = motions.read,
+) -> PreparedRig:
     """
-    Return the configuration that complete settings describe if it can be stepped in real time.
+    Prepare the rig that complete settings describe, which takes milliseconds.
 
-    The rig of an earlier configuration is reused unless a parameter of the rig changes.
+    The steppers of the rig `before` are used again unless a parameter in `waiting_values` differs.
 
     Raises
     ------
     ValueError
-        If the rig cannot be stepped in real time, with the number and the remedy, or a controller
-        cannot play the motion that is to be commanded.
+        If the rig cannot be stepped in real time, with the number, or a controller cannot play
+        the motion that is to be commanded.
 
     """
-    config = TwinConfig.from_settings(settings) if before is None else before.change(settings)
+    if before is None:
+        config = TwinConfig.from_settings(settings, motion_of)
+    else:
+        config = before.config.change(settings, motion_of)
     if config.command_lead is not None:
         _require_playable(config, config.command_lead)
-    crossing = config.rig.crossing_time
-    if config.rig.layer.needs_cells:
-        cost = UPDATE_COST * cells_per_layer(config.rig) ** 2 / crossing
-    else:
-        cost = STEP_COST * steps_per_crossing(config.rig) / crossing
+    if before is not None and waiting_values(settings) == waiting_values(before.config.settings):
+        return dataclasses.replace(before, config=config)
+    stepper = stepper_of(config)
+    if config.is_measured:
+        _require_time(config, stepper)
+    path, motion = config.motion_file, config.rig.engine.motion
+    return PreparedRig(
+        config=config,
+        encoded_motion={path: motions.encode(motion)} if path and motion else {},
+        stepper=stepper,
+        rest=State._make(stepper.state.tolist()[1:]),
+        rest_layer=layer_of(stepper),
+        peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
+        throw_field=None if config.is_measured else _throw_field(stepper),
+        forked=ForkedStepper.of(stepper) if config.is_measured else None,
+        release_weights=_release_weights(config) if config.is_measured else None,
+    )
+
+
+def waiting_values(settings: Settings) -> Settings:
+    """Return the settings whose changes wait until the rig is put back."""
+    return {name: value for name, value in settings.items() if name in _WAITING}
+
+
+def _require_time(config: TwinConfig, stepper: Stepper) -> None:
+    """Raise ValueError unless a measured throw can be stepped in real time."""
     window, frequency = config.measurement.smoothing_window, config.rig.engine.frequency
-    if config.is_measured and window * frequency > LONGEST_WINDOW:
+    if window * frequency > LONGEST_WINDOW:
         raise ValueError(
             f'measured.smoothing_window must be at most {LONGEST_WINDOW:g} of the plate period, '
             f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
             f'got {window:g} s'
         )
     # in each step, the forks advance by the time that they are ahead
-    ahead = 2.0 * crossing + window
-    share = cost * (1.0 + ahead * config.state_rate)
-    if config.is_measured and share > MOST_SHARE:
+    ahead = 2.0 * config.rig.crossing_time + window
+    share = stepper.cost * (1.0 + ahead * config.state_rate)
+    if share > MOST_SHARE:
         message = (
             f'rate.state {config.state_rate:g} Hz with a measured plate needs '
             f'{1e3 * share / config.state_rate:.3g} ms of processor time in a step of '
             f'{1e3 / config.state_rate:.3g} ms, the limit is {100.0 * MOST_SHARE:g} %'
         )
-        feasible = (MOST_SHARE / cost - 1.0) / ahead
+        feasible = (MOST_SHARE / stepper.cost - 1.0) / ahead
         raise ValueError(f'{message}; feasible: rate.state of {0.999 * feasible:.4g} Hz or less')
-    return config
 
 
 def _require_playable(config: TwinConfig, lead: float) -> None:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any, NamedTuple
@@ -70,7 +70,6 @@ class ThrowField(NamedTuple):
     strain: Floats  # shape (rows, points) [-]
     # Rows up to the first release, with the columns `interface.ENERGIES`. [s], [J]
     energies: Floats
-    checksum: int  # CRC-32 of times and strain
     start_ns: int = 0  # when the throw began, by the clock of the ticks [ns]
 
     @property
@@ -276,7 +275,7 @@ class Outputs(NamedTuple):
     events: tuple[Event, ...] = ()  # that happened, or became certain, in this step
     results: tuple[ThrowResult, ...] = ()  # of the present throw, or the one that has just ended
     layer: LayerState | None = None  # at `rate.field`
-    throw_field: ThrowField | None = None  # once per throw
+    throw_field: Callable[[], ThrowField] | None = None  # once per throw; it takes milliseconds
     prediction: PredictedState | None = None  # in a throw of a measured plate
     residual: Residual | None = None  # if the projectile is measured as well
     command: PlateCommand | None = None  # before a throw, if the plate is commanded

@@ -16,10 +16,10 @@ from threading import Lock
 from soft_throw_ros.configuration import motions, Settings
 from soft_throw_ros.configuration.motions import MotionSource
 from soft_throw_ros.configuration.table import quote
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.plate_estimator import SampleCounts
+from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorFault
@@ -29,7 +29,7 @@ from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
 class RequestRejected(Exception):
-    """A refused request; the message has the reason, and the time until it is possible."""
+    """A refused request; the message has the reason."""
 
 
 class Session:
@@ -51,6 +51,8 @@ class Session:
         Pending changes of a session that continues another one from its journal.
     motion_of : callable
         Returns the motion of a plate by the path of its file; by default it reads the file.
+    prepared : PreparedRig, optional
+        The result of `prepared_rig.prepare` for the settings; by default they are prepared here.
 
     Raises
     ------
@@ -67,12 +69,13 @@ class Session:
         on_entry: Callable[[str], None] = lambda _line: None,
         pending: Settings | None = None,
         motion_of: MotionSource = motions.read,
+        prepared: PreparedRig | None = None,
     ) -> None:
         self.step = step  # number of the next step
         self._lock = Lock()  # held for microseconds
-        self._changing = Lock()  # held while a rig is prepared, for milliseconds
-        config = TwinConfig.from_settings(settings, motion_of)
-        self._staged = StagedSettings(config, config.change(pending or {}, motion_of))
+        self._staged = StagedSettings(prepared or prepare(settings, motion_of=motion_of))
+        if pending:
+            self._staged.stage(self._staged.prepare(pending, motion_of))
         self._journal = JournalWriter(on_entry, step=step)
         self._cycle = ThrowCycle(self._staged, self._journal, step=step)
         if pending is None:
@@ -167,17 +170,16 @@ class Session:
         Raises
         ------
         RequestRejected
-            If a throw is under way, with the time until it is over, or if the plate is measured.
+            If a throw is under way, or if the plate is measured.
 
         """
         with self._lock:
             if self.is_measured:
                 raise RequestRejected('the plate is measured: a throw starts when it jumps up')
-            refusal = self._cycle.request_throw(self.step)
-            if refusal is None:
-                self._journal.write('input', self.step, input='throw')
-                return self.throws + 1
-        raise RequestRejected(refusal())  # may take milliseconds, outside the lock
+            if refusal := self._cycle.request_throw(self.step):
+                raise RequestRejected(refusal)
+            self._journal.write('input', self.step, input='throw')
+            return self.throws + 1
 
     def reset(self) -> None:
         """Abort a throw under way, return to rest, and count the period from here."""
@@ -188,14 +190,15 @@ class Session:
     def change(
         self,
         values: Settings,
-        config: TwinConfig | None = None,
+        prepared: PreparedRig | None = None,
         *,
         motion_of: MotionSource = motions.read,
     ) -> None:
         """
         Change settings: at once, or when the rig is put back, see `StagedSettings`.
 
-        The values include all implied changes. A configuration that has them already saves time.
+        The values include all implied changes, and `prepared` is the rig with all of them; by
+        default it is prepared here. Changes come from one thread.
 
         Raises
         ------
@@ -203,18 +206,16 @@ class Session:
             If the rig could not be stepped in real time; then nothing has changed.
 
         """
-        with self._changing:
-            staged = self._staged
-            wanted = config or staged.change(values, motion_of)
-            prepared = staged.prepare(wanted)
-            with self._lock:
-                before = staged.encoded_motions
-                staged.stage(wanted, prepared)
-                after = staged.encoded_motions
-                new = {path: after[path] for path in after if path not in before}
-                self._journal.write(
-                    'input', self.step, input='parameters', values=dict(values), motions=new
-                )
+        staged = self._staged
+        wanted = prepared or staged.prepare(values, motion_of)
+        with self._lock:
+            before = staged.encoded_motions
+            staged.stage(wanted)
+            after = staged.encoded_motions
+            new = {path: after[path] for path in after if path not in before}
+            self._journal.write(
+                'input', self.step, input='parameters', values=dict(values), motions=new
+            )
 
     def measure(self, samples: Sequence[Sample], *, clock_offset_ns: int = 0) -> None:
         """

@@ -29,12 +29,7 @@ from soft_throw_ros.twin.results import (
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.sensor_checks import SensorChecks, SensorFault
 from soft_throw_ros.twin.staged_settings import StagedSettings
-from soft_throw_ros.twin.throws import (
-    OngoingThrow,
-    ScheduledThrow,
-    Tick,
-    time_until_over,
-)
+from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, Tick
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 _PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
@@ -100,7 +95,7 @@ class _RareOutputs:
     # with the time of each change [ns]; None for the deadline of the step
     phases: tuple[tuple[Phase, int | None], ...] = ()
     results: tuple[ThrowResult, ...] = ()
-    throw_field: ThrowField | None = None
+    throw_field: Callable[[], ThrowField] | None = None
     command: PlateCommand | None = None
 
 
@@ -182,33 +177,20 @@ class ThrowCycle:
         if 'schedule' in entry:
             self.schedule = journal.decode_schedule(entry['schedule'])
 
-    def request_throw(self, step: int) -> Callable[[], str] | None:
-        """
-        Request a throw; return None, or a function that returns the reason of a refusal.
-
-        That function finds the time until the rig is ready, which may take as long as computing a
-        throw.
-        """
+    def request_throw(self, step: int) -> str:
+        """Request a throw; return the reason of a refusal, or an empty text."""
         rig_state = self._rig_state
         if isinstance(rig_state, AtRest):
             if rig_state.is_requested or rig_state.start_step is not None:
-                return lambda: f'throw {self.throws + 1} is about to start'
+                return f'throw {self.throws + 1} is about to start'
             self._rig_state = AtRest(is_requested=True)
-            return None
-        prepared, config, due = self._prepared, self._staged.config, self._due
-        elapsed = (step - self._period_start) * prepared.tick
-
-        def refusal() -> str:
-            if isinstance(rig_state, Returning):
-                reason, ticks = 'resetting the rig', max(rig_state.end - step, 0.0)
-            else:
-                reason = f'throw {rig_state.number} is under way'
-                remaining = time_until_over(prepared, elapsed, max_events=config.max_events)
-                returning = prepared.return_ticks(config.throw_period)
-                ticks = min(remaining / prepared.tick + returning, due - step)
-            return f'{reason}: ready in {ticks / config.state_rate:.2f} s'
-
-        return refusal
+            return ''
+        if isinstance(rig_state, Returning):
+            reason, end = 'resetting the rig', float(rig_state.end)
+        else:
+            reason, end = f'throw {rig_state.number} is under way', self._due
+        left = (end - step) / self._staged.config.state_rate
+        return f'{reason}: ready in at most {left:.2f} s' if left < math.inf else reason
 
     def reset(self, step: int) -> None:
         """Abort a throw under way, return to rest, and count the period from here."""

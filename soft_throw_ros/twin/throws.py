@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-import dataclasses
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
 from soft_throw_ros.twin.plate_estimator import PlateStates
-from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig, stepper_of
+from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
@@ -81,8 +80,12 @@ class OngoingThrow(ABC):
         """
 
     @abstractmethod
-    def throw_field(self) -> ThrowField | None:
-        """Return the layer over time once, when it is known for long enough or the throw ends."""
+    def throw_field(self) -> Callable[[], ThrowField] | None:
+        """
+        Return the layer over time once, when it is known for long enough or the throw ends.
+
+        It is a function, which takes milliseconds and may be called in any thread.
+        """
 
     @abstractmethod
     def event_ns(self, event: Event, tick: Tick) -> int:
@@ -200,7 +203,7 @@ class ScheduledThrow(OngoingThrow):
             peak_plate_speed=self._prepared.peak_plate_speed,
         )
 
-    def throw_field(self) -> ThrowField | None:
+    def throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when that time has passed or the throw is over."""
         field = self._prepared.throw_field
         if self._has_shown_field or field is None:
@@ -208,21 +211,4 @@ class ScheduledThrow(OngoingThrow):
         if self._time < field.times[-1] and not self.ended_by:
             return None
         self._has_shown_field = True
-        return field._replace(start_ns=self._start_ns)
-
-
-def time_until_over(prepared: PreparedRig, elapsed: float, *, max_events: int) -> float:
-    """
-    Return the remaining time of a throw that has lasted for `elapsed`, by a second simulation.
-
-    The result is at most `LONGEST_THROW`, and exact to a millisecond or a tick. [s]
-    """
-    # the stepper of the rig is in use by the throw under way
-    another = dataclasses.replace(prepared, stepper=stepper_of(prepared.config))
-    throw = ScheduledThrow(another, number=0)
-    tick = max(prepared.tick, 1e-3)
-    ticks = 0
-    while not throw.ended_by:
-        ticks += 1
-        throw._go_to(ticks * tick, max_events)
-    return max(ticks * tick - elapsed, 0.0)
+        return partial(field._replace, start_ns=self._start_ns)

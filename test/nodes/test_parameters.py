@@ -12,7 +12,7 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.configuration.layers import default_file
-from soft_throw_ros.nodes.parameters import NodeParameters, shown
+from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import RunnableNode
 import yaml
 
@@ -246,14 +246,6 @@ def test_file_for_several_nodes_starts_each_of_them(ros, start, tmp_path: Path) 
     path.write_text('/**/twin: {ros__parameters: {folder: bags}}')
     with pytest.raises(ParameterError, match=r"shared\.yaml: .*'folder'"):
         start('--params-file', str(path))
-
-
-@pytest.mark.parametrize(
-    ('value', 'text'),
-    [(7.3 * 0.93, '6.789'), (200.0, '200.0'), (5e-06, '5e-06'), (20, '20'), ('peak', 'peak')],
-)
-def test_values_are_shown_without_meaningless_digits(value, text) -> None:
-    assert shown(value) == text
 
 
 def test_refusal_of_a_huge_value_is_short(twin, client) -> None:

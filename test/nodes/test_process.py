@@ -180,12 +180,3 @@ def test_refused_argument_is_one_line_and_exit_code_2(
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith(f'{node.__name__.rpartition(".")[2]}: ')
     assert re.search(words, line), line
-
-
-@pytest.mark.parametrize('node', [twin, recorder, rig, calibrator])  # a viewer ends its process
-def test_help_has_the_usage_and_the_purpose_of_the_node(capsys, node) -> None:
-    name = node.__name__.rpartition('.')[2]
-    assert node.main(['--help']) == 0
-    printed = capsys.readouterr().out
-    assert printed.startswith(f'usage: {name} [--ros-args')
-    assert f'The node `{name}`' in printed

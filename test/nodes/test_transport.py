@@ -8,21 +8,15 @@ import os
 from pathlib import Path
 import subprocess
 import sys
-from xml.etree import ElementTree as ET
 
 import pytest
-from soft_throw_ros.nodes.transport import (
-    describe_discovery,
-    discovery_range,
-    use_transport_profile,
-)
+from soft_throw_ros.nodes.transport import use_transport_profile
 
 VARIABLES = (
     'FASTDDS_BUILTIN_TRANSPORTS',
     'FASTDDS_DEFAULT_PROFILES_FILE',
     'FASTRTPS_DEFAULT_PROFILES_FILE',
 )
-CONFIG = Path(__file__).parents[2] / 'config'
 LISTEN = """
 from pathlib import Path
 from soft_throw_ros.nodes.transport import use_transport_profile
@@ -60,43 +54,6 @@ def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
             assert present == {chosen: 'theirs'}
 
 
-@pytest.mark.parametrize(
-    ('reach', 'localhost_only', 'expected'),
-    [
-        ('', '', 'SUBNET'),
-        ('SYSTEM_DEFAULT', '0', 'SYSTEM_DEFAULT'),
-        ('SUBNET', '1', 'LOCALHOST'),
-        ('OFF', '', 'OFF'),
-    ],
-)
-def test_discovery_range_is_logged_with_the_way_to_limit_it(
-    monkeypatch, reach, localhost_only, expected
-) -> None:
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', reach)
-    monkeypatch.setenv('ROS_LOCALHOST_ONLY', localhost_only)
-    assert discovery_range() == expected
-    text = describe_discovery()
-    assert expected in text
-    assert ('ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST' in text) != (
-        expected in {'LOCALHOST', 'OFF'}
-    )
-
-
-def test_profiles_buffer_a_second_and_differ_in_reach() -> None:
-    plain, local = (ET.parse(CONFIG / f'fastdds{end}.xml').getroot() for end in ('', '_loopback'))
-    sizes = [int(item.text) for item in plain.iter() if item.tag.endswith('queue_capacity')]
-    assert min(sizes) > 5000  # messages of a second at the highest rate
-    (udp,) = (
-        item
-        for item in local.iter()
-        if any(part.tag.endswith('interfaceWhiteList') for part in item)
-    )
-    (heard,) = (part for part in udp if part.tag.endswith('interfaceWhiteList'))
-    assert [address.text for address in heard] == ['127.0.0.1']
-    udp.remove(heard)
-    assert _values(plain) == _values(local)
-
-
 def test_ports_are_local_unless_other_machines_are_allowed(domain_id) -> None:
     environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
     expected = {'LOCALHOST': '0100007F', 'OFF': '0100007F', 'SUBNET': '00000000'}
@@ -117,7 +74,3 @@ def test_ports_are_local_unless_other_machines_are_allowed(domain_id) -> None:
         assert expected[reach] in present, reach
         # 239.255.0.1 is the group for discovery
         assert present <= {expected[reach], '0100FFEF'}, (reach, printed)
-
-
-def _values(root: ET.Element) -> list[tuple[str, str]]:
-    return [(item.tag, (item.text or '').strip()) for item in root.iter()]

@@ -73,7 +73,7 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
 def test_energies_are_shown_up_to_the_release(twin, recording) -> None:
     times, values = recording.scalars('/twin/energy')
     ends = np.flatnonzero(np.isnan(values[:, 0]))
-    published = [outputs.throw_field.energies for outputs in twin.outputs if outputs.throw_field]
+    published = [outputs.throw_field().energies for outputs in twin.outputs if outputs.throw_field]
     assert np.diff(ends, prepend=-1).tolist() == [len(energies) + 1 for energies in published]
     np.testing.assert_array_equal(values[:ends[0]], 1e3 * published[0][:, 1:])
     duration = 1e-9 * (times[ends[0]] - times[0])

@@ -81,7 +81,7 @@ def joined(items: Sequence[Any], index: int) -> Any:
 def test_energies_of_a_throw_have_its_times(slow) -> None:
     ((stamps, energies),) = slow.read.contents[TWIN_TOPICS.throw_energies]
     (field,) = slow.read.fields
-    (shown,) = [outputs.throw_field for outputs in slow.outputs if outputs.throw_field]
+    (shown,) = [outputs.throw_field() for outputs in slow.outputs if outputs.throw_field]
     np.testing.assert_array_equal(energies, shown.energies[:, 1:])
     assert stamps.tolist() == field.stamps[::4][:stamps.size].tolist()
     assert 0.0 < field.throw.ejection_time - shown.energies[-1, 0] <= field.times[4]
@@ -102,7 +102,7 @@ def test_layer_agrees_with_the_session(slow) -> None:
 def test_field_of_a_throw_has_its_times_and_ends_at_the_projectile(slow) -> None:
     read = slow.read
     (field,), ((position, layer),) = read.fields, read.throws
-    (shown,) = [outputs.throw_field for outputs in slow.outputs if outputs.throw_field]
+    (shown,) = [outputs.throw_field() for outputs in slow.outputs if outputs.throw_field]
     np.testing.assert_allclose(field.times, shown.times, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(field.strain, shown.strain)
     assert field.stamps[0] == slow.schedule.deadline(0)

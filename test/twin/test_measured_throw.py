@@ -138,11 +138,11 @@ def test_residual_without_noise_is_zero(quiet) -> None:
 
 
 def test_throw_field_agrees_with_the_throw(quiet) -> None:
-    (field,) = (outputs.throw_field for outputs in quiet.outputs if outputs.throw_field)
+    (field,) = (outputs.throw_field() for outputs in quiet.outputs if outputs.throw_field)
     exact = Run(throw__period=0.0)
     exact.session.request_throw()
     exact.go(60)
-    (expected,) = (outputs.throw_field for outputs in exact.outputs if outputs.throw_field)
+    (expected,) = (outputs.throw_field() for outputs in exact.outputs if outputs.throw_field)
     assert field.times == pytest.approx(expected.times, rel=2e-3)
     assert np.abs(field.strain - expected.strain).max() < 5e-3
     time, *energies = field.energies.T
@@ -517,7 +517,7 @@ def test_throw_lost_at_any_moment_ends_with_its_known_results(factor) -> None:
         run.go(1200)  # which is longer than samples may be late
         assert run.session.throws in (0, 1)
         assert [final.ended_by for final in run.results('final')] == ['gap'] * run.session.throws
-        fields = [outputs.throw_field for outputs in run.outputs if outputs.throw_field]
+        fields = [outputs.throw_field() for outputs in run.outputs if outputs.throw_field]
         assert len(fields) <= run.session.throws
     assert run.session.throws == 1
 
