@@ -428,7 +428,9 @@ class _TwinView:
     def _draw_recommendation(self, stamp: int, rig: Rig | None) -> None:
         """Write the table of the last recommendation, and draw the map of a rig."""
         self._rig, (message, values) = rig, self._recommendation
-        self._stamp = stamp = max(self._stamp, stamp)  # the last one is shown last
+        if stamp > self._stamp - _STEP_BACK:  # else it is of the next repetition
+            stamp = max(self._stamp, stamp)  # the last one is shown last
+        self._stamp = stamp
         text = words.recommendation_text(message, values)
         self._write('recommendation', stamp, text, stays=True)
         if rig is not None:
