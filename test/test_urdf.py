@@ -9,7 +9,6 @@ import pytest
 from soft_throw_ros.configuration import files, rig_of, TWIN
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, LAYER_JOINTS
 from soft_throw_ros.configuration.robot_model import urdf_of_file
-from soft_throw_ros.core.throw import simulate
 from urdf_parser_py.urdf import URDF
 import yaml
 
@@ -82,24 +81,3 @@ def test_sizes_are_those_of_the_parameters(robot, bodies_of, request_, thickness
     assert middles[0] - halves[0] == pytest.approx(0.0, abs=1e-12)
     assert middles[-1] + halves[-1] == pytest.approx(thickness)
     assert np.sum(halves) == pytest.approx(0.5 * thickness * 10.0 / 14.0)
-
-
-def test_prefix_names_the_links_as_the_frames_and_keeps_the_joints(robot, bodies_of):
-    prefixed, _ = bodies_of(TWIN.defaults(), frame_prefix='rig1/')
-    assert [link.name for link in prefixed.links] == [f'rig1/{link.name}' for link in robot.links]
-    assert [joint.name for joint in prefixed.joints] == [joint.name for joint in robot.joints]
-    assert {joint.parent for joint in prefixed.joints} == {f'rig1/{FRAME}'}
-    assert prefixed.get_root() == f'rig1/{FRAME}'
-
-
-def test_limits_cover_the_rig(robot):
-    largest = TWIN.by_name['engine.amplitude'].high
-    fastest = TWIN.by_name['engine.frequency'].high
-    plate, projectile = (robot.joint_map[name].limit for name in JOINTS)
-    assert plate.lower < 0.0
-    assert plate.upper == 2.0 * largest
-    assert plate.velocity > 2.0 * np.pi * fastest * largest
-    apex = RIG.layer.thickness + simulate(RIG).ejection_speed ** 2 / (2.0 * RIG.gravity)
-    assert projectile.lower < 0.0
-    assert projectile.upper > 5.0 * apex
-    assert projectile.velocity > 2.1 * plate.velocity

@@ -9,7 +9,6 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2.metadata import dump_qos_v8, dump_qos_v9, parse_qos
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
@@ -118,14 +117,3 @@ def test_quality_of_service_is_read_as_any_recorder_writes_it() -> None:
 )
 def test_text_without_quality_of_service_gives_none(text, count) -> None:
     assert len(text_to_profiles(text)) == count
-
-
-def test_incomplete_quality_of_service_can_be_offered() -> None:
-    text = (
-        '[{history: unknown, depth: 3, durability: transient_local, reliability: telepathic, '
-        'liveliness: manual_by_node, deadline: {sec: 99999999999, nsec: 0}}]'
-    )
-    (profile,) = text_to_profiles(text)
-    assert profile.liveliness is LivelinessPolicy.SYSTEM_DEFAULT
-    assert (profile.history, profile.depth) == (HistoryPolicy.KEEP_LAST, 3)
-    assert profile.durability is DurabilityPolicy.TRANSIENT_LOCAL

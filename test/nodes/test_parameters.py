@@ -132,12 +132,6 @@ def test_bad_request_changes_nothing(twin, client) -> None:
     assert unchanged(twin)
 
 
-def test_set_accepts_parameters_of_others(twin, client) -> None:
-    assert client.set_atomically(use_sim_time=True, gravity=0.0) == ''
-    assert twin.get_clock().ros_time_is_active
-    assert twin.changes == [{'gravity': 0.0}]
-
-
 def test_results_and_names_of_joints_are_read_only(twin, client) -> None:
     twin.parameters.set_results({'thickness': 0.04, 'density': 1})
     for name, value in (('recommended.thickness', 0.01), ('joint_names.plate', 'carriage')):
@@ -153,15 +147,6 @@ def test_results_and_names_of_joints_are_read_only(twin, client) -> None:
     twin.parameters.set_results({'wave_speed': 20.0})
     assert math.isnan(client.get('recommended.thickness'))
     assert unchanged(twin)
-
-
-def test_apply_changes_all_or_nothing(twin) -> None:
-    twin.parameters.apply({'layer.thickness': 0.04, 'layer.wave_speed': 20})
-    expected = {'layer.thickness': 0.04, 'layer.wave_speed': 20.0, 'layer.name': 'custom'}
-    assert twin.changes == [expected]
-    with pytest.raises(ParameterError, match=r'0\.2'):
-        twin.parameters.apply({'layer.wave_speed': 10.0, 'layer.thickness': 0.2})
-    assert twin.parameters.settings == {**TWIN.defaults(), **expected}
 
 
 def test_check_of_the_node_can_refuse(ros) -> None:

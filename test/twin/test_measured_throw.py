@@ -23,7 +23,7 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_VELOCITY,
 )
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
+from soft_throw_ros.nodes.throw_texts import comparison_text, throw_text
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import RequestRejected
@@ -95,23 +95,6 @@ def test_predicted_release_agrees_with_the_release(quiet) -> None:
     assert certain.ended_by == ''
 
 
-def test_release_is_predicted_more_than_a_crossing_ahead(quiet) -> None:
-    first, certain = quiet.results('predicted')
-    assert first.lead > 1.4 * quiet.rig.crossing_time > certain.lead > 0.0
-    assert first.is_ahead
-    assert f'{1e3 * first.lead:.2f} ms' in lead_text(first)
-    error = first.accuracy.ejection_speed_error
-    assert error < 0.03 * first.first.ejection_speed
-    assert certain.accuracy.ejection_speed_error < 0.5 * error
-
-
-def test_prediction_reaches_a_crossing_beyond_the_known_plate(quiet) -> None:
-    crossing = quiet.rig.crossing_time
-    leads = [outputs.prediction.lead_ns for outputs in quiet.outputs if outputs.prediction]
-    latest = 0.5e-3 + 0.25e-3 + 0.2e-3 + 0.15e-3 + 0.05e-3  # window, states, sample, transport
-    assert crossing - latest < min(leads) / SECOND <= max(leads) / SECOND < crossing - 0.1e-3
-
-
 def test_projectile_follows_the_prediction_and_the_state_follows_the_rig(quiet) -> None:
     flying = [outputs for outputs in quiet.outputs if outputs.prediction][:20]
     predictions = [outputs.prediction for outputs in flying]
@@ -163,13 +146,6 @@ def test_release_from_a_layer_with_loss_is_predicted() -> None:
     assert predicted.is_ahead
     assert predicted.first.ejection_time == pytest.approx(expected.first.ejection_time, rel=2e-3)
     assert predicted.first.ejection_speed == pytest.approx(expected.first.ejection_speed, rel=2e-3)
-
-
-def test_without_a_projectile_there_is_no_residual() -> None:
-    run = Run(**MEASURED)
-    run.measure(change=lambda samples: [item._replace(projectile=math.nan) for item in samples])
-    assert not any(outputs.residual for outputs in run.outputs)
-    assert run.results('release')[0].comparison is None
 
 
 @pytest.mark.parametrize(('factor', 'noise'), [(0.93, 5e-6), (0.97, 0.0)])
@@ -323,19 +299,6 @@ def test_throw_that_noise_may_release_is_invalid() -> None:
     assert not run.results('release')
 
 
-def test_throws_of_another_engine_are_followed_despite_stamp_errors() -> None:
-    run = Run(**MEASURED, layer__name='gelatin_29.1mm')
-    engine = replace(run.rig.engine, frequency=61.8, amplitude=2.1e-3, damping_ratio=0.075)
-    for seed in range(12):
-        run.measure(
-            replace(run.rig, engine=engine), duration=0.2, rate=2500.0, noise=5e-6, seed=seed,
-            jitter=0.025, change=partial(with_stamp_errors, error=6e-6, seed=seed),
-        )
-        run.session.reset()
-        run.go(3)
-    assert [final.is_valid for final in run.results('final')] == [True] * 12
-
-
 def test_cause_of_a_residual_is_named_from_the_measurement() -> None:
     missing, stalled, steady = (
         Run(**MEASURED, measured__residual_threshold=5e-5) for _ in range(3)
@@ -370,17 +333,6 @@ def test_noise_that_hides_a_rest_is_reported_with_its_size() -> None:
     assert 'measured.position_noise 5 um' in notice
     scatter = float(notice.partition(' scatters by ')[2].split()[0])
     assert scatter == pytest.approx(30.0, rel=0.25)
-
-
-@pytest.mark.parametrize('frequency', [55.0, 70.0])
-def test_another_engine_is_followed(frequency) -> None:
-    run = Run(**MEASURED)
-    other = with_frequency(run.rig, frequency)
-    run.measure(other, noise=5e-6, duration=0.2)
-    exact = simulate(other, max_events=1)
-    for result in (run.results('predicted')[-1], run.results('release')[-1]):
-        assert np.abs(deviations(result, exact, run.begin_ns + 0.05 * SECOND)).max() < 3.0
-        assert result.accuracy.ejection_speed_error < 0.01 * exact.ejection_speed
 
 
 def ramp(time: Floats) -> Floats:

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION, OUTLIER_SIGMAS, OutlierFilter
+from soft_throw_ros.twin.outlier_filter import OutlierFilter
 
 NOISE = 5e-6  # [m]
 INTERVAL = 2e-4  # of samples [s]
@@ -23,11 +23,6 @@ def find(positions, *, acceleration=0.0, noise=NOISE, stamp_error=0.0) -> list[i
     assert is_outlier.shape == both.shape
     assert not is_outlier[:, 1].any()
     return np.flatnonzero(is_outlier[:, 0]).tolist()
-
-
-def test_constants_are_those_of_normal_noise() -> None:
-    assert math.erf(MEDIAN_DEVIATION / math.sqrt(2.0)) == pytest.approx(0.5, abs=1e-5)
-    assert math.erfc(OUTLIER_SIGMAS / math.sqrt(2.0)) == pytest.approx(1.0 / 5e8, rel=0.02)
 
 
 @pytest.mark.parametrize(

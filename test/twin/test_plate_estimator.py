@@ -150,15 +150,6 @@ def test_gap_longer_than_the_window_is_reported_once() -> None:
     assert max(gaps) == pytest.approx(61 * INTERVAL / SECOND)
 
 
-def test_memory_does_not_grow() -> None:
-    estimator = PlateEstimator(MEASUREMENT)
-    run(estimator, make_samples(5000))
-    assert len(estimator.samples(0)) < 400
-    later = BEGIN + 3600 * SECOND  # after an hour of nothing
-    estimator.add_samples([Sample(later, 0.3)], later)
-    assert estimator.advance(later).times.size == 0
-
-
 @pytest.mark.parametrize(
     ('frequency', 'crossing_time', 'rate', 'span'),
     [
