@@ -85,15 +85,13 @@ demo loop: SHELL := /bin/bash
 
 demo: $(SHOWABLE) $(KERNELS)
 	@$(BEGIN_NODES); \
-	for node in recorder viewer; do \
-		$(BIN)/soft-throw $$node --ros-args --params-file config/demo.yaml & \
-	done; \
+	$(BIN)/soft-throw recorder --ros-args --params-file config/demo.yaml & \
 	$(BIN)/soft-throw twin --ros-args --params-file config/demo.yaml $(ARGS) & \
 	$(END_NODES)
 
 loop: $(SHOWABLE) $(KERNELS)
 	@$(BEGIN_NODES); \
-	for node in recorder viewer calibrator rig; do \
+	for node in recorder calibrator rig; do \
 		$(BIN)/soft-throw $$node --ros-args --params-file config/loop.yaml & \
 	done; \
 	$(BIN)/soft-throw twin --ros-args --params-file config/loop.yaml $(ARGS) & \

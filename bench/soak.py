@@ -3,7 +3,7 @@
 """
 Run twin, recorder and subscribers together for a long time, and check the promises.
 
-The system is a twin at 1 kHz, a recorder, a viewer, four subscribers in separate
+The system is a twin at 1 kHz, a recorder with a sink for viewers, four subscribers in separate
 processes, and a client that sets a parameter every ten seconds. The check is independent of the
 nodes: publication times come from the bag, read by the mcap library, and are compared with the
 stamps that the subscribers received and with the twin's reports; processor time, memory and open
@@ -28,7 +28,6 @@ from bench.race import head
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.recording.child_process import bound_to_parent
-from soft_throw_ros.recording.rerun_viewer import free_port
 
 SUBSCRIBERS = 4
 """Number of subscribers."""
@@ -74,13 +73,15 @@ def main(args: list[str] | None = None) -> int:
     """Run the system, print the results, and return 1 if a promise was broken."""
     parser = argparse.ArgumentParser(prog='python -m bench.soak', description=__doc__)
     parser.add_argument('--minutes', type=float, default=30.0, help='duration (default 30)')
+    parser.add_argument('--sink', default='serve', choices=('viewer', 'serve', 'file', 'none'),
+                        help='sink of the recorder (default serve, which needs no screen)')
     parser.add_argument('--subscribe', type=Path, metavar='FILE', help=argparse.SUPPRESS)
     arguments = parser.parse_args(args)
     if arguments.subscribe is not None:
         _subscribe(arguments.subscribe)
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        soak = _Soak(Path(folder))
+        soak = _Soak(Path(folder), arguments.sink)
         soak.run(60.0 * arguments.minutes)
         promises = list(soak.judge())
     print(*head(f'{arguments.minutes:g} min at 1 kHz', *COLUMNS), sep='\n')
@@ -95,19 +96,17 @@ def main(args: list[str] | None = None) -> int:
 class _Soak:
     """The processes of a run, their resource usage and exit codes."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, sink: str) -> None:
         self.usages: dict[str, list[tuple[float, ...]]] = {}
         """Time [s], processor time [s], memory [bytes] and handles of each process."""
         self._folder = folder
         self._seconds = 0.0
         self._changes: list[str] = []  # reason of each rejected change, empty if accepted
         self._codes: dict[str, int] = {}
-        recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag')
-        port = ('-p', f'port:={free_port()}')
+        recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag', '-p', f'rerun.sink:={sink}')
         subscriber = (sys.executable, '-m', 'bench.soak', '--subscribe')
         self._commands = {
             'recorder': (*SOFT_THROW, 'recorder', '--ros-args', *recorder),
-            'viewer': (*SOFT_THROW, 'viewer', '--ros-args', '-p', 'sink:=serve', *port),
             **{
                 f'subscriber {number}': (*subscriber, str(folder / str(number)))
                 for number in range(1, SUBSCRIBERS + 1)
@@ -139,7 +138,8 @@ class _Soak:
         client = AsyncParameterClient(heard.node, '/twin')
         begin = time.monotonic()
         while (now := time.monotonic()) < begin + seconds:
-            for name, pid in pids.items():
+            sinks = {f'viewer {pid}': pid for pid in processes.children_of(pids['recorder'])}
+            for name, pid in (pids | sinks).items():
                 with contextlib.suppress(OSError):  # has ended; judge() checks its exit code
                     usage = processes.usage(pid)
                     self.usages.setdefault(name, []).append((now, *usage))
@@ -166,7 +166,7 @@ class _Soak:
         yield 'recorder and subscribers lose no states', text, not any(lost)
         line = (self._folder / 'recorder.log').read_text('utf-8').strip().splitlines()[-1]
         counted = [sum(map(int, re.findall(rf'(\d+) of {topic}', line))) for topic in TOPICS]
-        gaps = [topic.lost for topic in (states, layers)]
+        gaps = [topic.lost + int(topic.numbers[0]) - 1 for topic in (states, layers)]
         text = f'{sum(counted)} of {sum(gaps)}'
         yield 'the recorder counts missing messages', text, counted == gaps
         late, unreported, skipped, reported = _late_ticks(self._folder / 'bag', states)
@@ -175,7 +175,7 @@ class _Soak:
         yield 'the twin reports late and skipped ticks', text, is_kept
         texts, is_flat = [], True
         for name, usages in self.usages.items():
-            if name != 'viewer':  # keeps messages for a Rerun that connects later
+            if not name.startswith('viewer'):  # keeps messages for a Rerun that connects later
                 _, _, memory, _, handles = _summary(usages)
                 texts.append(f'{memory:+.1f} MB {handles:+g}')
                 limit = MAX_GROWTH + INDEX_GROWTH * self._seconds * (name == 'recorder')

@@ -18,7 +18,7 @@ ARGUMENTS = (
     ),
     DeclareLaunchArgument('record', default_value='true', description='Record into a bag'),
     DeclareLaunchArgument(
-        'rerun', default_value='viewer', description='Sink of the viewer'
+        'rerun', default_value='viewer', description='rerun.sink of the recorder'
     ),
 )
 

@@ -73,8 +73,8 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         'rerun',
         default_value='none',
-        choices=['none', 'viewer', 'serve'],
-        description='Show the throws live in Rerun: sink of the viewer',
+        choices=['none', 'viewer', 'serve', 'file'],
+        description='rerun.sink of the recorder',
     ),
     _flag('description', 'Publish the frames of the rig and its model, robot_description'),
     _flag('use_rviz', 'Start RViz with the model of the rig; sets description:=true'),
@@ -101,12 +101,9 @@ def _nodes(context: LaunchContext) -> list[Node]:
     parameters = [values['params_file'], {'use_sim_time': use_sim_time}]
     motion = [{'engine.motion': values['motion']}] if values['motion'] else []
     nodes = [_ours('twin', parameters=[*parameters, *motion], **common)]
-    if (recording := _recording(values)) is not None:
+    if recording := _recording(values):
         recorder = {**common, 'parameters': [*parameters, recording], 'on_exit': _on_recorder_exit}
         nodes.append(_ours('recorder', **recorder))
-    if values['rerun'] != 'none':
-        sink = {'sink': values['rerun']}
-        nodes.append(_ours('viewer', parameters=[*parameters, sink], **common))
     with_rviz = _is_set(values, 'use_rviz', 'rviz')
     if with_rviz:
         _check_installed('use_rviz', 'robot_state_publisher', 'rviz2')
@@ -128,8 +125,8 @@ def _on_recorder_exit(event: ProcessExited, _context: LaunchContext) -> None:
         raise RuntimeError(f'the recorder has ended with exit code {event.returncode}')
 
 
-def _recording(values: dict[str, str]) -> dict[str, str] | None:
-    """Return the parameters of the recorder, or None without a recorder."""
+def _recording(values: dict[str, str]) -> dict[str, str]:
+    """Return the parameters of the recorder, or none without a recorder."""
     paths = {name: values[name] for name in ('output', 'uri') if values[name]}
     if len(paths) > 1:
         given = ' and '.join(f'{name}:={path}' for name, path in paths.items())
@@ -137,9 +134,12 @@ def _recording(values: dict[str, str]) -> dict[str, str] | None:
     for name, path in paths.items():
         if Path(path).exists():
             raise RuntimeError(f'{name}:={path}: exists already, and no bag is overwritten')
-    if not (_is_set(values, 'record') or paths):
-        return None
-    recording = {'folder': values['folder']} if values['folder'] else {}
+    records = _is_set(values, 'record') or bool(paths)
+    if not records and values['rerun'] == 'none':
+        return {}
+    recording = {'storage': 'mcap' if records else 'none', 'rerun.sink': values['rerun']}
+    if values['folder']:
+        recording['folder'] = values['folder']
     for path in paths.values():
         recording |= {'folder': str(Path(path).parent), 'name': Path(path).name}
     return recording

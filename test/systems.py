@@ -52,7 +52,7 @@ class Outcome(NamedTuple):
 
 
 class System:
-    """A twin, a recorder, a viewer and a subscriber."""
+    """A twin, a recorder with a viewer sink, and a subscriber."""
 
     def __init__(self, start: Callable[..., Any], folder: Path) -> None:
         self.bags: list[Path] = []
@@ -60,7 +60,7 @@ class System:
         self._start = start
         self._folder = folder
         self._heard = folder / 'heard'  # stamps written by the subscriber
-        for name in ('recorder', 'viewer', 'subscriber', 'twin'):
+        for name in ('recorder', 'subscriber', 'twin'):
             self.start(name)
         self.wait_for_states()
 
@@ -70,23 +70,25 @@ class System:
             self.bags.append(self._folder / f'bag{len(self.bags)}')
             rules = (f'folder:={self._folder}', f'name:={self.bags[-1].name}')
             words = [word for rule in rules for word in ('-p', rule)]
+            words += ['-p', 'rerun.sink:=file']
             process = self._start(*SOFT_THROW, name, '--ros-args', *words)
         elif name == 'subscriber':
             self._heard = self._folder / f'heard{len(list(self._folder.glob("heard*")))}'
             command = (sys.executable, '-m', 'bench.soak', '--subscribe', str(self._heard))
             process = self._start(*command, cwd=ROOT)
         else:
-            words = ('sink:=file', f'file:={self._folder}/live.rrd') if name == 'viewer' else ()
-            rules = [word for rule in words for word in ('-p', rule)]
-            process = self._start(*SOFT_THROW, name, '--ros-args', *rules)
+            process = self._start(*SOFT_THROW, name)
         if name != 'subscriber':
             process.wait_for('ready')
         self.running[name] = process
 
     def pids(self, name: str) -> list[int]:
-        """Return the process numbers of a node, or of all."""
-        names = list(self.running) if name == 'all' else [name]
-        return [self.running[name].process.pid for name in names]
+        """Return the process numbers of a node, of the viewer sink, or of all."""
+        sinks = processes.children_of(self.running['recorder'].process.pid)
+        if name == 'viewer':
+            return sinks
+        nodes = [process.process.pid for process in self.running.values()]
+        return nodes + sinks if name == 'all' else [self.running[name].process.pid]
 
     def wait_for_states(self) -> None:
         """Wait until recorder and subscriber receive states published after the call."""
@@ -112,10 +114,11 @@ class System:
     def end(self) -> Outcome:
         """End all processes, the twin first, and return the outcome."""
         time.sleep(SETTLING)
-        for name in ('twin', 'subscriber', 'recorder', 'viewer'):
+        for name in ('twin', 'subscriber', 'recorder'):
             self.running[name].end_well()
         last = self.running['recorder'].lines[-1]
         assert ' lost' in last
+        # Lost states, and states published before a late recorder joined.
         missing = sum(map(int, re.findall(r'(\d+) of /twin/joint_states', last)))
         reports = processes.recorded_statuses(self.bags[-1])
         reported, timing = [item[::2] for item in reports if item[1] == '/twin: timing'][-1]
@@ -129,9 +132,9 @@ class System:
 
 
 def missing(states: processes.RecordedStates) -> int:
-    """Count missing sequence numbers of a twin since the first recorded one."""
+    """Count missing sequence numbers of a twin, which begin at 1."""
     assert (np.diff(states.numbers) > 0).all()
-    return int(states.numbers[-1] - states.numbers[0]) + 1 - states.numbers.size
+    return int(states.numbers[-1]) - states.numbers.size
 
 
 def _size(path: Path) -> int:

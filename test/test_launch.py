@@ -131,19 +131,28 @@ def test_twin_starts_alone_with_its_parameter_file():
     assert values == {'use_sim_time': False}
 
 
+@pytest.mark.parametrize(
+    ('arguments', 'storage', 'sink'),
+    [
+        ({'record': 'true'}, 'mcap', 'none'),
+        ({'rerun': 'viewer'}, 'none', 'viewer'),
+        ({'record': 'true', 'rerun': 'file'}, 'mcap', 'file'),
+    ],
+)
 @pytest.mark.parametrize('folder', ['', 'bags'])
-def test_recorder_and_viewer_start_on_request(folder):
-    started = nodes(folder=folder, record='true', rerun='serve')
-    assert list(started) == ['twin', 'recorder', 'viewer']
-    assert started['recorder']['parameters'][-1] == ({'folder': folder} if folder else {})
-    assert started['viewer']['parameters'][-1] == {'sink': 'serve'}
-    assert list(nodes(rerun='viewer')) == ['twin', 'viewer']
+def test_recorder_has_the_requested_storage_and_sink(arguments, storage, sink, folder):
+    recording = nodes(folder=folder, **arguments)['recorder']['parameters'][-1]
+    expected = {'storage': storage, 'rerun.sink': sink} | ({'folder': folder} if folder else {})
+    assert recording == expected
+    assert set(recording) <= set(RECORDER.by_name)
 
 
 def test_one_path_of_a_bag_starts_the_recorder_as_in_rosbag2():
     for name in ('output', 'uri'):
         recording = nodes(folder='other', **{name: 'bags/first'})['recorder']['parameters'][-1]
-        assert recording == {'folder': 'bags', 'name': 'first'}
+        assert recording == {
+            'storage': 'mcap', 'rerun.sink': 'none', 'folder': 'bags', 'name': 'first'
+        }
         assert set(recording) <= set(RECORDER.by_name)
     with pytest.raises(RuntimeError, match='output:=a and uri:=b'):
         nodes(output='a', uri='b')

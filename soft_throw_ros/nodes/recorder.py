@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The node `recorder`: records topics into a bag."""
+"""The node `recorder`: records topics into a bag, and starts a viewer that shows them live."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.twin.session import RequestRejected
 
 DISCOVERY_TIME = 0.2
-"""Time between two searches for new topics. [s]"""
+"""Time between two searches for new topics, and two looks at the viewer. [s]"""
 
 
 class Recorder(RunnableNode):
@@ -31,6 +31,7 @@ class Recorder(RunnableNode):
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None  # the one under way
         self.add_cleanup(self.close)
+        self._arguments = arguments
         self._code: int | None = None
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
@@ -39,6 +40,7 @@ class Recorder(RunnableNode):
             self,
             RECORDER,
             describe=lambda _name: when if self.recording is not None else '',
+            check=_check_python,
             arguments=arguments,
         )
         if self.parameters.settings['start']:
@@ -71,13 +73,13 @@ class Recorder(RunnableNode):
         self._code = 1 if self._has_failed else None
 
     def begin(self) -> None:
-        """Start a recording; ParameterError if the bag exists, or has no valid name."""
+        """Start a recording; ParameterError without a bag and a viewer, or if the bag exists."""
         _check(self.parameters.settings)
-        self.recording = Recording(self, self.parameters.settings)
+        self.recording = Recording(self, self.parameters.settings, self._arguments)
         self._on_discovery()
         self._report()
-        if self.recording.writer.error:
-            self.get_logger().error(self.recording.writer.error)
+        if self.recording.error:
+            self.get_logger().error(self.recording.error)
         else:
             self.get_logger().info(self._message())
 
@@ -124,10 +126,12 @@ class Recorder(RunnableNode):
             return
         if silent := recording.take_silent_topics():
             self.get_logger().warning(f'nothing is published yet on {", ".join(silent)}')
-        if error := recording.writer.error:
+        if failure := recording.take_viewer_failure():
+            self.get_logger().error(failure)
+        if recording.writer is not None and recording.error:
             lost = sum(recording.losses().values())
             self.get_logger().error(
-                f'{error}; {recording.writer.waiting} messages wait, {lost} are lost'
+                f'{recording.error}; {recording.writer.waiting} messages wait, {lost} are lost'
             )
 
     def _report(self) -> None:
@@ -140,6 +144,8 @@ class Recorder(RunnableNode):
         recording = self.recording
         if recording is None:
             return f'stopped: {self._last}'
+        if recording.writer is None:
+            return 'showing only'
         return f'recording into {recording.bag}' if recording.bag else 'recording nothing'
 
     def _statuses(self) -> list[DiagnosticStatus]:
@@ -153,22 +159,43 @@ class Recorder(RunnableNode):
             'messages': recording.received,
             'topics': len(list(recording.subscriptions)),
         }
-        message, error = self._message(), recording.writer.error
+        message, error = self._message(), recording.error
         losses, missing = recording.losses(), recording.missing_sources
         lost = sum(losses.values())
         text = f'{lost} messages lost{missing}'
-        return [
+        statuses = [
             status('bag', error or message, values, warn=bool(error)),
             status('losses', text, {'lost': lost, **losses}, warn=lost > 0 or bool(missing)),
         ]
+        if recording.viewer is not None:
+            error = recording.viewer.error
+            statuses.append(status('viewer', error or 'started', {}, warn=bool(error)))
+        return statuses
+
+
+def _check_python(settings: Settings, present: str | None) -> str:
+    """Refuse a changed program, since anybody in the network may set parameters."""
+    python = str(settings['rerun.python'])
+    if present not in (None, python):
+        raise ValueError(
+            f'rerun.python names a program to run and is set at the start only: restart the '
+            f'recorder with -p rerun.python:=PATH, got {python[:80]!r}'
+        )
+    return python
 
 
 def _check(settings: Settings) -> None:
     """Raise ParameterError for settings that make recording impossible."""
+    if settings['storage'] == settings['rerun.sink'] == 'none':
+        raise ParameterError(
+            "storage and rerun.sink are both 'none', so nothing would be recorded or shown; set "
+            "storage to 'mcap', or rerun.sink to 'viewer', 'serve' or 'file'",
+            'storage',
+        )
     name = settings['name']
     if name and (name != Path(name).name or name in ('.', '..')):
         raise ParameterError(f'the name of a bag must be that of a folder, got {name!r}', 'name')
-    if name and bag_path(settings).exists():
+    if settings['storage'] == 'mcap' and name and bag_path(settings).exists():
         raise ParameterError(
             f'{bag_path(settings)} exists, and a bag is never overwritten; choose another name, '
             f'or none, got name {settings["name"]!r}',

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-One recording: topics on their way into a bag.
+One recording: topics on their way into a bag, and the viewer that shows them meanwhile.
 
-One thread takes the received messages every few milliseconds; another one writes them.
+One thread takes the received messages every few milliseconds; another one writes them. The viewer
+is a process with subscriptions of its own.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+import json
 from pathlib import Path
+import sys
 import threading
 import time
 
@@ -21,6 +24,7 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.child_process import ChildProcess
 from soft_throw_ros.recording.writer_thread import WriterThread
 
 DRAIN_TIME = 0.01
@@ -33,23 +37,37 @@ _MAX_NAMES = 2  # in a sentence
 
 
 class Recording:
-    """One recording from start to stop: subscriptions and bag."""
+    """One recording from start to stop: subscriptions, bag and viewer, each None if not wanted."""
 
-    def __init__(self, recorder: Node, settings: Settings) -> None:
+    def __init__(
+        self, recorder: Node, settings: Settings, arguments: Sequence[str] = ()
+    ) -> None:
         self._wanted = [full_name(recorder, name) for name in settings['topics']]
         self._are_silent_topics_reported = False
+        self._is_viewer_failure_reported = False
+        self.subscriptions = RawSubscriptions(recorder, self._wanted)
+        self.writer: WriterThread | None = None
+        self.viewer: ChildProcess | None = None
         self._settings = settings
         self._began = time.monotonic()
-        self.subscriptions = RawSubscriptions(recorder, self._wanted)
-        self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
+        if settings['storage'] == 'mcap':
+            self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
+        if settings['rerun.sink'] != 'none':
+            self.viewer = ChildProcess(self._viewer_command(recorder, arguments))
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
         self._thread.start()
 
     @property
     def bag(self) -> Path | None:
-        """Folder of the bag; None if there is none yet."""
-        return self.writer.bag.folder if self.writer.bag is not None else None
+        """Folder of the bag; None if there is none, or none yet."""
+        written = self.writer.bag if self.writer is not None else None
+        return written.folder if written is not None else None
+
+    @property
+    def error(self) -> str:
+        """Reason why nothing is written at present; empty if the bag is being written."""
+        return self.writer.error if self.writer is not None else ''
 
     @property
     def received(self) -> int:
@@ -64,34 +82,50 @@ class Recording:
         topics = [item.channel.topic for item in self.subscriptions]
         return [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
 
+    def take_viewer_failure(self) -> str:
+        """Return, once, the reason why the viewer does not run; empty otherwise."""
+        reason = self.viewer.error if self.viewer is not None else ''
+        if not reason or self._is_viewer_failure_reported:
+            return ''
+        self._is_viewer_failure_reported = True
+        return f'the viewer does not run: {reason}; recording goes on without it'
+
     def losses(self) -> dict[str, int]:
         """Return the number of lost messages by topic: published, but not in the bag."""
         lost = Counter({item.channel.topic: item.lost for item in self.subscriptions})
-        for channel, count in self.writer.lost().items():
-            lost[channel.topic] += count
+        if self.writer is not None:
+            for channel, count in self.writer.lost().items():
+                lost[channel.topic] += count
         return dict(sorted((+lost).items()))
 
     @property
     def saved(self) -> int:
         """Number of received messages that the writer has not lost."""
-        return max(self.received - sum(self.writer.lost().values()), 0)
+        lost = sum(self.writer.lost().values()) if self.writer is not None else 0
+        return max(self.received - lost, 0)
 
     @property
     def has_failed(self) -> bool:
         """Whether, after `stop`, the bag has no end, or has none of the received messages."""
-        return bool(self.writer.error) or 0 == self.saved < self.received
+        return bool(self.error) or 0 == self.saved < self.received
 
     def stop(self) -> None:
-        """Take the last messages, and finish the bag; see `has_failed`."""
+        """Take the last messages, and finish bag and viewer; see `error` and `has_failed`."""
+        if self.viewer is not None:
+            self.viewer.terminate()  # it ends while the bag is finished
         self._is_stopping.set()
         self._thread.join()
-        self.writer.flush()  # first, since the process may be killed soon
+        if self.writer is not None:
+            self.writer.flush()  # first, since the process may be killed soon
         self.subscriptions.close()
-        losses = self.losses()
-        self._note('losses', {'total': sum(losses.values()), **losses})
-        if refused := self.subscriptions.refused:
-            self._note('not recorded', refused)
-        self.writer.close()
+        if self.writer is not None:
+            losses = self.losses()
+            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
+            if refused := self.subscriptions.refused:
+                self._note(self.writer, 'not recorded', refused)
+            self.writer.close()
+        if self.viewer is not None:
+            self.viewer.close()
 
     def summary(self) -> str:
         """Return a sentence with the numbers of recorded and lost messages."""
@@ -99,13 +133,12 @@ class Recording:
         losses = self.losses()
         text = f'{self.received} messages in {seconds:.1f} s, {sum(losses.values())} lost'
         if losses:
-            largest = Counter(losses).most_common()
-            text += f', {_first_few([f"{count} of {topic}" for topic, count in largest])}'
+            text += f', {_largest(losses)}'
         if self.bag is not None:
             text += f', in {self.bag}'
         text += self.missing_sources
-        if self.writer.error:
-            text += f'; the end is missing: {self.writer.error}'
+        if self.error:
+            text += f'; the end is missing: {self.error}'
             if self.saved and self.bag is not None:
                 text += f'; `soft-throw recover {self.bag}` writes a repaired bag'
         return text
@@ -114,7 +147,7 @@ class Recording:
     def missing_sources(self) -> str:
         """Clause on publishers of which nothing is recorded; mostly empty."""
         refused = list(self.subscriptions.refused)
-        return f'; not recorded: {_first_few(refused)}' if refused else ''
+        return f'; not recorded: {first_few(refused)}' if refused else ''
 
     def _open_bag(self) -> BagWriter:
         settings = self._settings
@@ -132,15 +165,44 @@ class Recording:
         is_last = False
         while not is_last:
             is_last = self._is_stopping.wait(DRAIN_TIME)
-            self.writer.put(self.subscriptions.drain())
+            messages = self.subscriptions.drain()
+            if self.writer is not None:
+                self.writer.put(messages)
 
-    def _note(self, name: str, values: Mapping[str, object]) -> None:
+    @staticmethod
+    def _note(writer: WriterThread, name: str, values: Mapping[str, object]) -> None:
         """Add named values to the metadata of the bag."""
         texts = {key: str(value) for key, value in values.items()}
-        self.writer.call(lambda bag: bag.add_metadata(name, texts))
+        writer.call(lambda bag: bag.add_metadata(name, texts))
+
+    def _viewer_command(self, recorder: Node, arguments: Sequence[str]) -> list[str]:
+        """Return the command that shows the recorded topics."""
+        settings = self._settings
+        path = bag_path(settings) if self.bag is None else self.bag / self.bag.name
+        parameters = {
+            'topics': self._wanted,
+            'sink': settings['rerun.sink'],
+            'port': settings['rerun.port'],
+            'file': f'{path.absolute()}.rrd' if settings['rerun.sink'] == 'file' else '',
+        }
+        rules = [f'{name}:={json.dumps(value)}' for name, value in parameters.items()]
+        names = [f'__node:={recorder.get_name()}_viewer', f'__ns:={recorder.get_namespace()}']
+        is_secured = '--enclave' in arguments
+        enclave = arguments[arguments.index('--enclave'):][:2] if is_secured else ()
+        return [
+            settings['rerun.python'] or sys.executable,
+            *('-m', 'soft_throw_ros', 'viewer', '--ros-args', *enclave),
+            *(word for name in names for word in ('-r', name)),
+            *(word for rule in rules for word in ('-p', rule)),
+        ]
 
 
-def _first_few(names: Sequence[str]) -> str:
+def _largest(counts: dict[str, int]) -> str:
+    """Return the largest counts by topic as text."""
+    return first_few([f'{count} of {topic}' for topic, count in Counter(counts).most_common()])
+
+
+def first_few(names: Sequence[str]) -> str:
     """Return the first names of a list, and the number of the others."""
     others = len(names) - _MAX_NAMES
     return ', '.join(names[:_MAX_NAMES]) + (f' and {others} more' if others > 0 else '')

@@ -47,8 +47,9 @@ def kill(system, name):
     (pid,) = system.pids(name)
     stop(pid)  # at a time at which it holds no lock of the middleware
     os.kill(pid, signal.SIGKILL)
-    assert system.running[name].wait() == -signal.SIGKILL
-    system.start(name)
+    if name != 'viewer':  # which the recorder does not start again
+        assert system.running[name].wait() == -signal.SIGKILL
+        system.start(name)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,7 @@ def test_restarted_twin_is_still_recorded(system):
 @pytest.mark.timeout(300)
 def test_promises_are_kept_for_half_a_minute(domain_id, capsys):
     pytest.importorskip('rerun')
-    code = soak.main(['--minutes', '0.5'])
+    code = soak.main(['--minutes', '0.5', '--sink', 'file'])
     output = capsys.readouterr().out
     assert code == 0, output
     assert output.count(' | yes |') == 6

@@ -19,6 +19,7 @@ from soft_throw_ros import configuration
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import JOINTS
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult, Count
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder
@@ -203,6 +204,21 @@ def test_two_twins_in_a_bag_are_checked_and_a_foreign_journal_is_reported(tmp_pa
     assert codes == {'/left/twin': 0, '/right/twin': 0, '/x': 2}
     assert results['/right/twin'].results.same >= 3
     assert results['/x'].reason
+
+
+def test_every_file_of_a_bag_may_be_checked_alone(plain, tmp_path) -> None:
+    with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
+        for number, message in enumerate(plain.messages):
+            writer.write(message)
+            if number in (1300, 2600):
+                writer.split()
+    states = 0
+    for path in [tmp_path / 'bag', *sorted((tmp_path / 'bag').glob('*.mcap'))]:
+        with BagReader(path) as reader:
+            (result,) = check_bag(reader)
+        assert (result.exit_code, result.differences) == (0, [])
+        states += result.states.same
+    assert 2200 + 1000 < states < 2 * 2200  # a file is checked from its first throw on
 
 
 # something different
