@@ -66,6 +66,8 @@ class RawSubscription:
     ----------
     received : int
         Number of received messages.
+    is_latched : bool
+        Whether it is transient local, as of topics that may be published only once.
     publishers : set of bytes
         Identifiers of the publishers of the topic, as of the last call of `poll_losses`.
 
@@ -79,6 +81,7 @@ class RawSubscription:
     def __init__(self, node: Node, channel: Channel, profile: QoSProfile) -> None:
         self.channel = channel
         self.received = 0
+        self.is_latched = profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
         self.publishers: set[bytes] = set()
         self._node = node
         self._profile = profile

@@ -16,7 +16,7 @@ from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_T
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.recording import bag_path, Recording
+from soft_throw_ros.nodes.recording import bag_path, first_few, Recording, SILENCE_LIMIT
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.twin.session import RequestRejected
 
@@ -120,10 +120,16 @@ class Recorder(RunnableNode):
     def _on_second(self) -> None:
         """Publish the state of the recording, and log its problems."""
         recording = self.recording
+        unheard = recording.watch_publishers() if recording is not None else []
         now = self.get_clock().now().nanoseconds
         self._outgoing.send(RECORDER_TOPICS.diagnostics, now, self._statuses())
         if recording is None:
             return
+        if unheard:
+            self.get_logger().warning(
+                f'no message on {first_few(unheard)} for {SILENCE_LIMIT} s: if there should be, '
+                'run publisher and recorder as one user (docs/ros.md), or restart the recorder'
+            )
         if silent := recording.take_silent_topics():
             self.get_logger().warning(f'nothing is published yet on {", ".join(silent)}')
         if failure := recording.take_viewer_failure():

@@ -20,7 +20,7 @@ import time
 
 from rclpy.node import Node
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
+from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
@@ -32,6 +32,11 @@ DRAIN_TIME = 0.01
 
 PUBLISHER_TIMEOUT = 2.0
 """Time after which wanted topics without a publisher are logged. [s]"""
+
+SILENCE_LIMIT = 5
+"""Time without messages after which topics are reported although they have publishers. [s]"""
+
+_PARTICIPANT = slice(12)  # part of the identifier of a publisher that names its process, in DDS
 
 _MAX_NAMES = 2  # in a sentence
 
@@ -45,6 +50,9 @@ class Recording:
         self._wanted = [full_name(recorder, name) for name in settings['topics']]
         self._are_silent_topics_reported = False
         self._is_viewer_failure_reported = False
+        self.unheard_topics: list[str] = []  # of processes that are present, and silent
+        self._silences: dict[bytes, tuple[int, int]] = {}  # received messages and silent seconds
+        self._reported: set[str] = set()
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
         self.writer: WriterThread | None = None
         self.viewer: ChildProcess | None = None
@@ -73,6 +81,31 @@ class Recording:
     def received(self) -> int:
         """Number of received messages."""
         return sum(item.received for item in self.subscriptions)
+
+    def watch_publishers(self) -> list[str]:
+        """
+        Update `unheard_topics`; call this once a second. Return each of them once.
+
+        A process is silent if nothing comes on any of its topics. Latched topics do not count,
+        since they may be published only once, nor do topics of several processes, since ROS 2
+        Jazzy does not tell whose messages come.
+        """
+        items_by_process: dict[bytes, list[RawSubscription]] = {}
+        for item in self.subscriptions:
+            processes = {publisher[_PARTICIPANT] for publisher in item.publishers}
+            if len(processes) == 1 and not item.is_latched:
+                items_by_process.setdefault(processes.pop(), []).append(item)
+        self.unheard_topics = []
+        for process, items in items_by_process.items():
+            received = sum(item.received for item in items)
+            before, seconds = self._silences.get(process, (received, 0))
+            seconds = seconds + 1 if received == before else 0
+            self._silences[process] = received, seconds
+            if seconds >= SILENCE_LIMIT:
+                self.unheard_topics += [item.channel.topic for item in items]
+        new = [topic for topic in self.unheard_topics if topic not in self._reported]
+        self._reported.update(new)
+        return new
 
     def take_silent_topics(self) -> list[str]:
         """Return, once, the wanted topics without a publisher after `PUBLISHER_TIMEOUT`."""
@@ -145,9 +178,10 @@ class Recording:
 
     @property
     def missing_sources(self) -> str:
-        """Clause on publishers of which nothing is recorded; mostly empty."""
-        refused = list(self.subscriptions.refused)
-        return f'; not recorded: {first_few(refused)}' if refused else ''
+        """Clauses on topics and publishers of which nothing is recorded; mostly empty."""
+        refused, unheard = list(self.subscriptions.refused), self.unheard_topics
+        text = f'; not recorded: {first_few(refused)}' if refused else ''
+        return text + (f'; nothing comes on {first_few(unheard)}' if unheard else '')
 
     def _open_bag(self) -> BagWriter:
         settings = self._settings

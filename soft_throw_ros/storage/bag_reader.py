@@ -19,7 +19,7 @@ import struct
 import zlib
 
 from mcap import records as mcap
-from mcap.reader import SeekingReader
+from mcap.reader import NonSeekingReader, SeekingReader
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
 from soft_throw_ros.storage.mcap_records import (
@@ -34,6 +34,9 @@ from soft_throw_ros.storage.mcap_records import (
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
 __all__ = ['BagReader', 'UnfinishedError']
+
+MAX_UNINDEXED = 64 * 2**20
+"""Largest size of a file without an index, whose messages are kept in memory. [bytes]"""
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
@@ -76,7 +79,7 @@ class BagFolder:
 
 
 class _File:
-    """A finished MCAP file with a complete index."""
+    """A finished MCAP file; one without a complete index, as of `fastwrite`, is kept in memory."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -84,9 +87,12 @@ class _File:
         self.span: tuple[int, int] | None = None  # log times of the first and last message [ns]
         self._channels: dict[int, Channel] = {}
         self.metadata: list[mcap.Metadata] = []
+        self._messages: list[Message] | None = None  # by log time, without an index
         self._stream = open_mcap(path)
         try:
-            self._read_index()
+            self._check_end()
+            if not self._read_index():
+                self._read_messages()
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
@@ -99,15 +105,17 @@ class _File:
 
     def messages(self, topics: Collection[str] | None, *, by_log_time: bool) -> Iterator[Message]:
         """Yield messages; raise UnfinishedError where a chunk is damaged."""
+        if self._messages is not None:
+            yield from (m for m in self._messages if topics is None or m.channel.topic in topics)
+            return
         try:
             for _, _, record in self._reader.iter_messages(topics, log_time_order=by_log_time):
                 yield make_message(record, self._channels)
         except Exception as error:  # damaged bytes may cause any error in the library
             raise UnfinishedError(self.path, f'a chunk is damaged, {error!s:.150}') from error
 
-    def _read_index(self) -> None:
-        """Read the index; raise ValueError if it does not name all chunks, texts and channels."""
-        self._check_end()
+    def _read_index(self) -> bool:
+        """Read the index; return whether it names all chunks, texts and channels."""
         self._stream.seek(0)
         self._reader = SeekingReader(self._stream, validate_crcs=True)
         summary = self._reader.get_summary()
@@ -115,9 +123,9 @@ class _File:
         if summary is None or statistics is None or (
             statistics.chunk_count, statistics.metadata_count, statistics.channel_count
         ) != (len(summary.chunk_indexes), len(summary.metadata_indexes), len(summary.channels)):
-            raise ValueError('it has no complete index')
+            return False
         if statistics.message_count and not summary.chunk_indexes:
-            raise ValueError('its messages are in no chunks')
+            return False
         for chunk in summary.chunk_indexes:
             check_size(max(chunk.chunk_length, chunk.uncompressed_size))
         self._channels = {
@@ -132,6 +140,23 @@ class _File:
         if statistics.message_count:
             self.span = statistics.message_start_time, statistics.message_end_time
         self.metadata = [item for item in self._reader.iter_metadata() if item.name != 'rosbag2']
+        return True
+
+    def _read_messages(self) -> None:
+        """Read all messages of a file without an index."""
+        size = self._stream.seek(0, os.SEEK_END)
+        if size > MAX_UNINDEXED:
+            raise ValueError(f'it has no index, and {size} bytes are more than {MAX_UNINDEXED}')
+        self._stream.seek(0)
+        self._messages = []
+        reader = NonSeekingReader(self._stream, validate_crcs=True)
+        for schema, channel, record in reader.iter_messages():
+            if schema is not None:
+                self._channels[channel.id] = make_channel(channel, {schema.id: schema})
+                self._messages.append(make_message(record, self._channels))
+        self.counts = Counter(message.channel for message in self._messages)
+        if self._messages:
+            self.span = self._messages[0].log_time, self._messages[-1].log_time
 
     def _check_end(self) -> None:
         """Raise ValueError if there is no complete end, or the index has another checksum."""
@@ -152,8 +177,8 @@ class BagReader:
     """
     A finished bag opened for reading: a folder with MCAP files, or one such file.
 
-    UnfinishedError is raised if a file is damaged, missing or empty, has no index, or is being
-    written; BagError, if there is no bag of ROS 2 in MCAP. The message gives the remedy.
+    UnfinishedError is raised if a file is damaged, missing or empty, or is being written;
+    BagError, if there is no bag of ROS 2 in MCAP. The message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:

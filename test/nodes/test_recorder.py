@@ -8,6 +8,8 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 import shutil
+import subprocess
+import sys
 from typing import Any
 
 from bags import saved
@@ -18,6 +20,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
+from soft_throw_ros.nodes import recording
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.twin import Twin
@@ -125,6 +128,43 @@ def test_losses_are_in_diagnostics_and_bag(
     with BagReader(path) as bag:
         notes = {item.name: item.metadata for item in bag.metadata}
     assert notes['losses'] == {'total': '2', '/talk': '2'}
+
+
+QUIET = """
+import sys
+import rclpy
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node('quiet')
+publisher = node.create_publisher(String, '/talk/quiet', 1)
+once = node.create_publisher(String, '/talk/once', rclpy.qos.QoSProfile(depth=1, durability=1))
+while not publisher.get_subscription_count():
+    pass
+for _ in range(int(sys.argv[1])):
+    publisher.publish(String())
+sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize('count', ['0', '1'])
+def test_process_that_is_present_and_sends_nothing_is_reported_once(
+    ros, recorder, start, listen_to, monkeypatch, count
+) -> None:
+    monkeypatch.setattr(recording, 'SILENCE_LIMIT', 1)
+    node = recorder(name='bag')
+    listener = listen_to(node)
+    log = listener.log()
+    listener.listen(RECORDER_TOPICS.diagnostics)
+    process = start(sys.executable, '-c', QUIET, count, stdin=subprocess.PIPE)
+    warning = listener.status(
+        RECORDER_TOPICS.diagnostics, 'losses', lambda item: item.level == DiagnosticStatus.WARN
+    )
+    assert warning.message.endswith(' /talk/quiet')
+    listener.hear(RECORDER_TOPICS.diagnostics, len(listener.heard['/diagnostics']) + 2)
+    assert sum('/talk/quiet' in line for line in log) == 1
+    process.close()
+    ros.spin_until(lambda: not node.recording.unheard_topics, 'the end of the process')
+    node.close()
 
 
 def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, tmp_path) -> None:
