@@ -424,7 +424,6 @@ def test_mcap_with_any_index_or_none_is_read_and_recovered(
             index_types=index_types,
             use_chunking=chunked,
             use_statistics=has_statistics,
-            enable_data_crcs=True,
         )
         writer.start()
         file.write(b'\x80' + (3).to_bytes(8, 'little') + b'abc')  # a private record
