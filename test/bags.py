@@ -11,7 +11,7 @@ import struct
 from typing import Any
 
 from mcap.exceptions import EndOfFile
-from mcap.reader import make_reader, NonSeekingReader
+from mcap.reader import NonSeekingReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from soft_throw_ros.storage.bag_metadata import dump_yaml
@@ -60,15 +60,6 @@ def saved(folder: Path) -> list[tuple[str, bytes, int, int, int]]:
                 times = message.log_time, message.publish_time
                 rows.append((channel.topic, message.data, *times, message.sequence))
     return rows
-
-
-def attachments(folder: Path) -> dict[str, bytes]:
-    """Return the attached files of a bag, read by mcap's own reader."""
-    files = {}
-    for path in [folder] if folder.is_file() else sorted(folder.glob('*.mcap')):
-        with path.open('rb') as file:
-            files |= {item.name: item.data for item in make_reader(file).iter_attachments()}
-    return files
 
 
 def write(path: Path, messages: Iterable[Message], chunk: int = 1000, **kwargs: Any) -> Path:

@@ -171,9 +171,6 @@ def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track
     with BagReader(path) as reader:
         names = {channel.topic for channel in reader.channels if channel.type == JOINT_STATE}
         recorded = read_positions(reader, names, JOINTS)
-        damage = reader.damage
-    if damage:
-        notes.append(f'{damage}; the readable messages are used')
     with_plate = [
         name
         for name, item in recorded.items()

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-import contextlib
 from functools import partial
 import itertools
 import os
@@ -46,12 +45,8 @@ def main(args: list[str] | None = None) -> int:
     """
     Run the command.
 
-    Returns
-    -------
-    int
-        Exit code: 0; 1 if the viewer is not there; 2 if Rerun is not installed, or there is no
-        such bag, or none of a twin; 130 after Ctrl-C while a bag is read.
-
+    The exit code is 0; 1 if the viewer is not there; 2 if Rerun is not installed, or there is no
+    such bag, or none of a twin; 130 after Ctrl-C while a bag is read.
     """
     return run_command(_parser(), _run, args)
 
@@ -60,7 +55,7 @@ def _run(arguments: argparse.Namespace) -> int:
     require('inspect', 'rerun', 'rerun', 'matplotlib')
     os.environ.setdefault('RUST_LOG', 'off')  # the command has messages of its own
     handler = signal.getsignal(signal.SIGINT)
-    if arguments.sink == 'viewer' and not (arguments.save or arguments.screenshot):
+    if not (arguments.save or arguments.screenshot):
         # A call of Rerun does not return while its viewer hangs, and Python would wait for it
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
@@ -97,14 +92,8 @@ def _parser() -> CommandParser:
         help='show it at this time of the rig since the throw started, in seconds '
         '(default in the contact)',
     )
-    add(
-        '--sink', choices=('viewer', 'serve'), default='viewer',
-        help='show it in a viewer, or to viewers that connect (default viewer)',
-    )
-    add(
-        '--port', type=_port, default=viewer.PORT,
-        help='port of the viewer or the server (default %(default)s)',
-    )
+    add('--port', type=_port, default=viewer.PORT,
+        help='port of the viewer (default %(default)s)')
     return parser
 
 
@@ -151,13 +140,6 @@ def _show_bag(arguments: argparse.Namespace) -> None:
                 with viewer.Viewer(viewer.free_port(), *options) as process:
                     picture = process.photograph(THROW_TIME, cursor)
                 arguments.screenshot.write_bytes(picture)
-        elif arguments.sink == 'serve':
-            viewer.serve(stream, arguments.port)
-            print_note('inspect', f'to see it: rerun {viewer.url_of(arguments.port)}')
-            draw()
-            with contextlib.suppress(KeyboardInterrupt):
-                while True:
-                    signal.pause()
         else:
             viewer.show(stream, arguments.port, draw)
             cursor = _cursor(scene, throw, arguments.at)
@@ -197,8 +179,6 @@ def _draw(scene: Scene, reader: BagReader) -> None:
     path, damage = reader.path, f', {scene.damage}' if scene.damage else ''
     if scene.is_empty:
         raise ValueError(f'{path}: nothing of a twin could be read{damage}')
-    if reader.damage:
-        print_note('inspect', f'{reader.damage}; the undamaged part is shown')
     if scene.damaged:
         print_note('inspect', f'{path}: {scene.damaged} messages are left out{damage}')
 

@@ -44,35 +44,9 @@ _PUBLISHER_ERRORS = (
 
 class Player(RunnableNode):
     """
-    A node that plays a bag.
+    A node that plays topics of a bag, or all; `clock` is the rate of `/clock`, 0 for none [Hz].
 
-    Parameters
-    ----------
-    reader : BagReader
-        Open reader of the bag.
-    topics : collection of str
-        Topics to play; all if empty.
-    rate : float
-        Time of the bag over real time. [-]
-    loop, paused : bool
-        Whether the end is followed by the beginning, and whether to wait to be resumed.
-    clock : float
-        Rate of `/clock`; 0 for none. [Hz]
-    **kwargs
-        As for `rclpy.node.Node`.
-
-    Attributes
-    ----------
-    played : int
-        Number of published messages.
-    skipped : dict of Channel to str
-        Channels that cannot be published, with the reasons.
-
-    Raises
-    ------
-    BagError
-        If the beginning of the bag cannot be read.
-
+    BagError is raised if the beginning of the bag cannot be read.
     """
 
     def __init__(
@@ -87,8 +61,8 @@ class Player(RunnableNode):
         **kwargs: Any,
     ) -> None:
         super().__init__('replay', **kwargs)
-        self.played = 0
-        self.skipped: dict[Channel, str] = {}
+        self.played = 0  # number of published messages
+        self.skipped: dict[Channel, str] = {}  # channels that cannot be published, and why
         self._reader = reader
         self._is_paused_first = paused
         self._code: int | None = None
@@ -191,9 +165,7 @@ class Player(RunnableNode):
                 self._woken.wait(min(pause, POLL))
                 self._woken.clear()
         self._wait_for_acknowledgement()
-        if self._reader.damage:
-            _print_line(f'damaged, so that something may be missing: {self._reader.damage}')
-        is_bad = self._is_damaged or self._reader.damage or not self._publishers_by_channel
+        is_bad = self._is_damaged or not self._publishers_by_channel
         if not self._is_stopping:
             self._code = 1 if is_bad else 0
 

@@ -112,11 +112,6 @@ class RawSubscription:
         """Number of lost messages, as of the last call of `poll_losses`."""
         return self._counter.lost
 
-    @property
-    def missed_before_join(self) -> int:
-        """Number of messages published before the first received message of their publisher."""
-        return self._counter.missed_before_join
-
     def drain(self, max_size: float = math.inf) -> list[Message]:
         """Return the next messages: at most `DEPTH`, and none beyond a total size [bytes]."""
         messages: list[Message] = []

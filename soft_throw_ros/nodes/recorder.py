@@ -16,9 +16,8 @@ from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_T
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.recording import bag_path, first_few, has_rerun, Recording, SILENCE_LIMIT
+from soft_throw_ros.nodes.recording import bag_path, first_few, Recording, SILENCE_LIMIT
 from soft_throw_ros.nodes.topics import create_service, Publishers
-from soft_throw_ros.recording.rerun_viewer import has_display, listens
 from soft_throw_ros.twin.session import RequestRejected
 
 DISCOVERY_TIME = 0.2
@@ -26,19 +25,11 @@ DISCOVERY_TIME = 0.2
 
 
 class Recorder(RunnableNode):
-    """
-    Node that records.
-
-    Attributes
-    ----------
-    recording : Recording or None
-        The recording under way; None while it is stopped.
-
-    """
+    """Node that records."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
-        self.recording: Recording | None = None
+        self.recording: Recording | None = None  # the one under way
         self.add_cleanup(self.close)
         self._arguments = arguments
         self._code: int | None = None
@@ -82,15 +73,7 @@ class Recorder(RunnableNode):
         self._code = 1 if self._has_failed else None
 
     def begin(self) -> None:
-        """
-        Start a recording.
-
-        Raises
-        ------
-        ParameterError
-            If neither a bag nor a viewer is wanted, or the bag exists.
-
-        """
+        """Start a recording; ParameterError without a bag and a viewer, or if the bag exists."""
         _check(self.parameters.settings)
         self.recording = Recording(self, self.parameters.settings, self._arguments)
         self._on_discovery()
@@ -99,8 +82,6 @@ class Recorder(RunnableNode):
             self.get_logger().error(self.recording.error)
         else:
             self.get_logger().info(self._message())
-        if hint := viewer_hint(self.parameters.settings, self.recording.bag):
-            self.get_logger().warning(hint)
 
     def end(self) -> bool:
         """Finish the recording, and return whether it has failed."""
@@ -226,24 +207,6 @@ def _check(settings: Settings) -> None:
             f'or none, got name {settings["name"]!r}',
             'name',
         )
-
-
-def viewer_hint(settings: Settings, bag: Path | None) -> str:
-    """Return why nothing is shown live here, and the remedy; empty if something may be."""
-    if settings['rerun.sink'] == 'none':
-        return ''
-    if not has_rerun(settings):
-        return (
-            "nothing is shown, since Rerun is not installed: pip install 'soft_throw_ros[rerun]', "
-            'or name a Python that has it by rerun.python'
-        )
-    is_shown = has_display() or listens(settings['rerun.port'])
-    if settings['rerun.sink'] == 'viewer' and not is_shown:
-        return (
-            'there is no screen for a viewer (DISPLAY and WAYLAND_DISPLAY are not set): '
-            f'`soft-throw inspect {bag or "BAG"} --screenshot FILE.png` draws the bag'
-        )
-    return ''
 
 
 main = partial(run, 'recorder', Recorder)

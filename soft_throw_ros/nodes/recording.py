@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from importlib import util
 import json
 from pathlib import Path
 import sys
@@ -20,17 +19,13 @@ import threading
 import time
 
 from rclpy.node import Node
-from soft_throw_ros.configuration import files, RECORDER, Settings, TWIN
-from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.child_process import ChildProcess
 from soft_throw_ros.recording.writer_thread import WriterThread
-from soft_throw_ros.storage.cdr import decode, MessageError
-from soft_throw_ros.storage.message import Message
-from soft_throw_ros.twin import journal
 
 DRAIN_TIME = 0.01
 """Time between two calls that take the received messages. [s]"""
@@ -47,21 +42,7 @@ _MAX_NAMES = 2  # in a sentence
 
 
 class Recording:
-    """
-    One recording from start to stop: subscriptions, bag and viewer.
-
-    Attributes
-    ----------
-    subscriptions : RawSubscriptions
-        Subscriptions to the recorded topics.
-    writer : WriterThread or None
-        Thread that writes the bag; None if nothing is written.
-    viewer : ChildProcess or None
-        Process that shows the topics; None if nothing is shown.
-    unheard_topics : list of str
-        Topics of processes that are present, but have sent nothing for `SILENCE_LIMIT`.
-
-    """
+    """One recording from start to stop: subscriptions, bag and viewer, each None if not wanted."""
 
     def __init__(
         self, recorder: Node, settings: Settings, arguments: Sequence[str] = ()
@@ -69,8 +50,7 @@ class Recording:
         self._wanted = [full_name(recorder, name) for name in settings['topics']]
         self._are_silent_topics_reported = False
         self._is_viewer_failure_reported = False
-        self._node = recorder
-        self.unheard_topics: list[str] = []
+        self.unheard_topics: list[str] = []  # of processes that are present, and silent
         self._silences: dict[bytes, tuple[int, int]] = {}  # received messages and silent seconds
         self._reported: set[str] = set()
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
@@ -78,12 +58,9 @@ class Recording:
         self.viewer: ChildProcess | None = None
         self._settings = settings
         self._began = time.monotonic()
-        self._twins: dict[str, object] = {}
         if settings['storage'] == 'mcap':
             self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
-            text = files.render(settings, table=RECORDER, title='How this was recorded.')
-            self._attach(self.writer, 'recorder.yaml', text)
-        if settings['rerun.sink'] != 'none' and has_rerun(settings):
+        if settings['rerun.sink'] != 'none':
             self.viewer = ChildProcess(self._viewer_command(recorder, arguments))
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
@@ -154,13 +131,6 @@ class Recording:
                 lost[channel.topic] += count
         return dict(sorted((+lost).items()))
 
-    def missed_before_join(self) -> dict[str, int]:
-        """Return the number of messages by topic that were published before the first one."""
-        counts = Counter(
-            {item.channel.topic: item.missed_before_join for item in self.subscriptions}
-        )
-        return dict(sorted((+counts).items()))
-
     @property
     def saved(self) -> int:
         """Number of received messages that the writer has not lost."""
@@ -184,8 +154,6 @@ class Recording:
         if self.writer is not None:
             losses = self.losses()
             self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
-            if missed := self.missed_before_join():
-                self._note(self.writer, 'published before recording', missed)
             if refused := self.subscriptions.refused:
                 self._note(self.writer, 'not recorded', refused)
             self.writer.close()
@@ -201,8 +169,6 @@ class Recording:
             text += f', {_largest(losses)}'
         if self.bag is not None:
             text += f', in {self.bag}'
-        if missed := self.missed_before_join():
-            text += f'; joined late, after {sum(missed.values())} messages, {_largest(missed)}'
         text += self.missing_sources
         if self.error:
             text += f'; the end is missing: {self.error}'
@@ -230,47 +196,12 @@ class Recording:
 
     def _run(self) -> None:
         """Record messages until `stop` is called, and then once more."""
-        while not self._is_stopping.wait(DRAIN_TIME):
-            self._record_messages()
-        self._record_messages()
-
-    def _record_messages(self) -> None:
-        """Hand the received messages over to the writer."""
-        messages = self.subscriptions.drain()
-        if not messages:
-            return
-        if self.writer is not None:
-            self.writer.put(messages)
-            for message in messages:
-                if message.channel.type == TWIN_TOPICS.journal.type:
-                    self._read_journal(self.writer, message)
-
-    def _read_journal(self, writer: WriterThread, message: Message) -> None:
-        """Write the settings of a twin into the bag, at first and after changes."""
-        channel = message.channel
-        source = find_topic(channel.topic, channel.type)
-        if source is None or source.topic != TWIN_TOPICS.journal:
-            return
-        try:
-            entry = journal.decode(decode(message).data)
-            settings, versions = journal.checked_settings(entry, 'settings'), entry['versions']
-        except (MessageError, journal.JournalError, KeyError):
-            return  # an entry without settings, or a topic of another package
-        node = source.node
-        if node not in self._twins:
-            name = f'{node.strip("/").replace("/", "_")}.yaml'
-            text = files.render(settings, table=TWIN, title=f'The parameters of {node}.')
-            self._attach(writer, name, text)
-        if self._twins.get(node) != (settings, versions):
-            self._twins[node] = settings, versions
-            self._note(writer, f'parameters of {node}', settings)
-            self._note(writer, f'versions of {node}', versions)
-
-    @staticmethod
-    def _attach(writer: WriterThread, name: str, text: str) -> None:
-        """Attach a file of parameters to the bag."""
-        data, now = text.encode(), time.time_ns()
-        writer.call(lambda bag: bag.attach(name, data, 'application/yaml', time=now))
+        is_last = False
+        while not is_last:
+            is_last = self._is_stopping.wait(DRAIN_TIME)
+            messages = self.subscriptions.drain()
+            if self.writer is not None:
+                self.writer.put(messages)
 
     @staticmethod
     def _note(writer: WriterThread, name: str, values: Mapping[str, object]) -> None:
@@ -309,11 +240,6 @@ def first_few(names: Sequence[str]) -> str:
     """Return the first names of a list, and the number of the others."""
     others = len(names) - _MAX_NAMES
     return ', '.join(names[:_MAX_NAMES]) + (f' and {others} more' if others > 0 else '')
-
-
-def has_rerun(settings: Settings) -> bool:
-    """Return whether Rerun is installed, as far as that can be known without starting it."""
-    return bool(settings['rerun.python']) or util.find_spec('rerun') is not None
 
 
 def bag_path(settings: Settings) -> Path:

@@ -34,23 +34,9 @@ def main(args: list[str] | None = None) -> int:
     """
     Play a bag until its end, or check it.
 
-    Parameters
-    ----------
-    args : list of str, optional
-        Arguments; those of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after the end, a signal, or a check without differences; 1 if the bag is
-        damaged, cannot be played, or differs from its repetition; 2 if the bag is missing, or has
-        no messages to play or to check; 130 after Ctrl-C during a check.
-
-    Raises
-    ------
-    SystemExit
-        With exit code 2 after an error in an argument, which is printed in one line.
-
+    The exit code is 0 after the end, a signal, or a check without differences; 1 if the bag is
+    damaged, cannot be played, or differs from its repetition; 2 for a wrong argument, or if the
+    bag is missing, or has no messages to play or to check; 130 after Ctrl-C during a check.
     """
     own, of_ros = _split(sys.argv[1:] if args is None else args)
     options = _parse(own)
@@ -143,7 +129,5 @@ def _check(reader: BagReader) -> int:
                 print(f'replay: {result.twin}: {line}', file=sys.stderr)
             else:
                 print(f'{result.twin}: {line}')
-    if reader.damage:
-        print(f'replay: the bag is damaged, and messages may be missing: {reader.damage}')
     codes = {result.exit_code for result in results}
-    return 1 if reader.damage or 1 in codes else max(codes)
+    return 1 if 1 in codes else max(codes)

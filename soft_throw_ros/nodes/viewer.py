@@ -39,11 +39,8 @@ class Viewer(RunnableNode):
     """
     Node that shows the topics of twins live in Rerun.
 
-    Raises
-    ------
-    ParameterError
-        In one line, if a parameter is refused, Rerun is missing, or the sink cannot be opened.
-
+    ParameterError is raised, in one line, if a parameter is refused, Rerun is missing, or the sink
+    cannot be opened.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:

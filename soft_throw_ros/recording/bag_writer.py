@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 import math
 import os
 from pathlib import Path
@@ -43,13 +42,14 @@ class BagWriter:
 
     Chunks are written as they fill up, and the last one at `flush`. From then on their messages
     survive the end of this process, so call `flush` about once a second; with `sync` also a loss
-    of power. Every file can be read alone: it contains all channels, metadata and attachments so
-    far. A new one is begun beyond `max_size` [bytes] or `max_duration` [s], if these are not 0.
+    of power. Every file can be read alone: it contains all channels so far. A new one is begun
+    beyond `max_size` [bytes] or `max_duration` [s], if these are not 0.
 
     `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
     whether to try again, which is False by default. After any BagError the bag can only be closed.
-    `saved_size` is the size of all data handed to the operating system [bytes]. The folder is
-    locked (`flock`) while it is written.
+    `saved_size` is the size of all data handed to the operating system [bytes]; `counts` are the
+    numbers of messages in the bag at the last flush. The folder is locked (`flock`) while it is
+    written.
     """
 
     def __init__(
@@ -71,11 +71,9 @@ class BagWriter:
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
         self.saved_size = 0
         self._error = ''  # after which the bag can only be closed
-        self._is_deleted = False
         self._files: list[_FileInformation] = []
         self._written: Counter[Channel] = Counter()  # accepted by `write`
-        self._saved: Counter[Channel] = Counter()  # at the last flush
-        self._repeated: dict[tuple[str, str], Callable[[Writer], None]] = {}  # in every file
+        self.counts: Counter[Channel] = Counter()
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
@@ -124,24 +122,9 @@ class BagWriter:
         self._written[channel] += 1
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write named texts; later files repeat the last texts of each name."""
-        self._add('metadata', name, partial(Writer.add_metadata, name=name, data=dict(values)))
-
-    def attach(self, name: str, data: bytes, media_type: str, *, time: int = 0) -> None:
-        """
-        Write an attachment into the bag, with a time [ns] and a type, such as `application/yaml`.
-
-        Later files repeat the last one of each name.
-        """
-        add = partial(
-            Writer.add_attachment,
-            create_time=time,
-            log_time=time,
-            name=name,
-            media_type=media_type,
-            data=data,
-        )
-        self._add('attachment', name, add)
+        """Write named texts."""
+        self._open_disk()
+        self._writer.add_metadata(name, dict(values))
 
     def split(self) -> None:
         """Continue in a new file, unless the present one is empty."""
@@ -154,14 +137,11 @@ class BagWriter:
         """
         Hand all messages so far to the system, which keeps them if this process is killed.
 
-        BagError is raised if the disk does not take them, or the file was deleted.
+        BagError is raised if the disk does not take them.
         """
         disk = self._open_disk()
         self._writer.flush()
         self._mark_saved(disk)
-        self._is_deleted = not disk.path.exists()
-        if self._is_deleted:
-            raise BagError(f'{disk.path}: it was deleted while it was written')
 
     def close(self) -> None:
         """
@@ -179,15 +159,9 @@ class BagWriter:
             self._close_files()
 
     @property
-    def counts(self) -> Counter[Channel]:
-        """Numbers of messages in the bag at the last `flush`, by channel."""
-        return Counter() if self._is_deleted else self._saved.copy()
-
-    @property
     def lost(self) -> Counter[Channel]:
-        """Numbers of messages in a deleted file or not saved before the end, by channel."""
-        is_over = self._is_deleted or self._disk is None
-        return self._written.copy() - self.counts if is_over else Counter()
+        """Numbers of messages not saved before the end, by channel."""
+        return self._written - self.counts if self._disk is None else Counter()
 
     def _open_disk(self) -> _RawFile:
         """Return the present file; raise BagError if the bag is closed or has failed."""
@@ -220,12 +194,7 @@ class BagWriter:
         """Note that all messages so far are written."""
         if self._sync:
             self._try(disk.path, os.fsync, disk.descriptor)
-        self._saved = self._written.copy()
-
-    def _add(self, kind: str, name: str, add: Callable[[Writer], None]) -> None:
-        self._open_disk()
-        self._repeated[kind, name] = add
-        add(self._writer)
+        self.counts = self._written.copy()
 
     def _define(self, channel: Channel) -> int:
         """Define a channel in the present file, and return its number."""
@@ -252,8 +221,6 @@ class BagWriter:
         self._writer.start(PROFILE, LIBRARY)
         self._ids: dict[Channel, int] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
-        for add in self._repeated.values():
-            add(self._writer)
         for channel in self._written:
             self._define(channel)
         self._write_metadata()

@@ -98,23 +98,8 @@ def draw_map(
     """
     Draw values over two axes as colours, with a bar of colours and up to two marks.
 
-    Parameters
-    ----------
-    panel : Axes
-        Axes of Matplotlib, to draw into.
-    axes : tuple of MapAxis
-        Horizontal and vertical axis.
-    values : ndarray, shape (n, m)
-        Values along the first and the second axis, from 0 on; NaN where there are none.
-    label : str
-        Name of the values.
-    colours : str
-        Name of the map of colours.
-    highest : float, optional
-        Value where the colours end; by default the largest one.
-    marks : iterable of tuple
-        Marked points, whose titles are for the legend.
-
+    `values`, shape (n, m), are along the first and the second axis, from 0 to `highest`, or the
+    largest one; NaN where there are none. The titles of marks are for a legend.
     """
     x, y = axes
     image = panel.pcolormesh(

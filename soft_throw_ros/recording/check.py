@@ -11,13 +11,12 @@ are not compared, because these compute other last bits.
 
 from __future__ import annotations
 
-from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 import itertools
+import struct
 
-import numpy as np
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TEXT, TWIN_TOPICS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
@@ -30,6 +29,7 @@ MAX_STEPS_BETWEEN_LINES = 20_000
 """Largest number of steps from one line of a journal to the next [-]: checksums come every second,
 which has 5000 steps at the highest rate."""
 
+_STATE = struct.Struct(f'<{len(State._fields)}d')
 _COMPARED = ('throw', 'result', 'checksum')
 _NOT_COMPARED = ('line', 'versions', 'motions', 'onset')
 _SHOWN = 5  # differences that are described one by one
@@ -235,79 +235,54 @@ class _Check:
             self._result.count(self._result.results, where, difference)
 
     def _compare_states(self, session: Session, outputs: Iterable[Outputs]) -> None:
-        """Compare the recorded states of steps."""
-        due, steps = [], []
-        try:
-            for item in outputs:
-                due.append(session.due_ns(item.step))
-                steps.append(item)
-        finally:
-            self._is_repeated |= bool(steps)
-            count = self._result.states
-            same, missing, different = self._states.compare(due, [item.state for item in steps])
-            count.same += same
-            count.missing += missing
-            for index, recorded in different:
-                step = steps[index]
-                difference = _first_difference(recorded._asdict(), step.state._asdict())
-                where = f'states: step {step.step}'
-                self._result.count(count, where, difference or 'other bits of a value')
+        """Compare the recorded states of steps, all those of the same stamp, to the last bit."""
+        count, first = self._result.states, None
+        for item in outputs:
+            self._is_repeated = True
+            due = session.due_ns(item.step)
+            first = due if first is None else first
+            rows = self._states.take(first, due)
+            count.missing += not rows
+            for row in rows:
+                difference = ''
+                if row != _STATE.pack(*item.state):
+                    recorded = State(*_STATE.unpack(row))._asdict()
+                    difference = _first_difference(recorded, item.state._asdict())
+                    difference = difference or 'other bits of a value'
+                self._result.count(count, f'states: step {item.step}', difference)
 
 
 class _RecordedStates:
-    """The states on a topic of a bag, found by their stamps."""
+    """The states on a topic of a bag, as bytes by their stamps."""
 
     def __init__(self, reader: BagReader, topic: str) -> None:
         self.unreadable = 0  # number of messages that are no state of plate and projectile
-        recorded, values, read = array('q'), array('d'), JointStateReader().read
+        self._rows: dict[int, list[bytes]] = {}
+        self._spans: dict[int, int] = {}  # last stamps of compared steps by their first ones [ns]
+        read = JointStateReader().read
         for message in reader.messages([topic]):
             try:
                 stamp, _, *series = read(message.data)
             except MessageError:
                 series = []
             if [len(numbers) for numbers in series] == [len(JOINTS)] * 3:
-                recorded.append(stamp)
-                values.extend(itertools.chain(*series))
+                row = _STATE.pack(*itertools.chain(*series))
+                self._rows.setdefault(stamp, []).append(row)
             else:
                 self.unreadable += 1
-        order = np.argsort(recorded, kind='stable')
-        self._stamps = np.asarray(recorded)[order]
-        self._bits = np.asarray(values).view(np.int64).reshape(-1, len(State._fields))[order]
-        # whether a step has the stamp, and whether the stamp is between those of steps
-        self._is_compared, self._is_between = np.zeros((2, order.size), np.bool_)
 
-    def compare(
-        self, stamps: list[int], states: list[State]
-    ) -> tuple[int, int, list[tuple[int, State]]]:
-        """
-        Compare the states of steps with all recorded states of the same stamps, to the last bit.
-
-        Return the number of equal states, the number of steps without a recorded state, and the
-        index of each step with a recorded state that is different, with that state.
-        """
-        if not stamps:
-            return 0, 0, []
-        order = np.argsort(stamps, kind='stable')
-        due = np.asarray(stamps)[order]
-        bits = np.array(states).view(np.int64)[order]
-        begin, end = np.searchsorted(self._stamps, due[0]), np.searchsorted(
-            self._stamps, due[-1], 'right'
-        )
-        self._is_between[begin:end] = True
-        index = np.searchsorted(due, self._stamps[begin:end])
-        is_found = due[index] == self._stamps[begin:end]
-        rows, index = begin + np.flatnonzero(is_found), index[is_found]
-        self._is_compared[rows] = True
-        is_same = (self._bits[rows] == bits[index]).all(axis=1)
-        different = [
-            (int(order[step]), State(*self._bits[row].view(np.float64).tolist()))
-            for row, step in zip(rows[~is_same], index[~is_same], strict=True)
-        ]
-        return int(is_same.sum()), due.size - np.unique(index).size, different
+    def take(self, first: int, stamp: int) -> list[bytes]:
+        """Remove and return the states of a step, in steps that are compared from `first` on."""
+        self._spans[first] = stamp
+        return self._rows.pop(stamp, [])
 
     def count_strays(self) -> int:
         """Return the number of states without a step between states that have one."""
-        return int((self._is_between & ~self._is_compared).sum())
+        return sum(
+            len(rows)
+            for stamp, rows in self._rows.items()
+            if any(first < stamp < last for first, last in self._spans.items())
+        )
 
 
 def _entry(message: Message) -> journal.Entry:

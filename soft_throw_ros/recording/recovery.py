@@ -9,11 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 import shutil
 
+from mcap import records as mcap
+from mcap.stream_reader import breakup_chunk, StreamReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.bag_lock import is_being_written
-from soft_throw_ros.storage.bag_reader import BagFolder, unrepeated
-from soft_throw_ros.storage.mcap_stream import McapStream, UnfinishedError
-from soft_throw_ros.storage.message import BagError
+from soft_throw_ros.storage.bag_reader import BagFolder
+from soft_throw_ros.storage.mcap_records import (
+    check_size,
+    make_channel,
+    make_message,
+    MAX_RECORD,
+    open_mcap,
+)
+from soft_throw_ros.storage.message import BagError, Channel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +42,9 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     """
     Write all before the first damage in each file of a bag into a new bag of one file.
 
-    The messages keep their order, times and numbers; metadata and attachments come last. BagError
-    is raised, and there is no new bag, if nothing can be recovered, the bag is being written, or
-    the new one exists or cannot be written.
+    The messages keep their order, times and numbers, and the metadata their order; attachments are
+    left out. BagError is raised, and there is no new bag, if nothing can be recovered, the bag is
+    being written, or the new one exists or cannot be written.
     """
     source, target = Path(source), Path(target)
     if is_being_written(source):
@@ -44,28 +52,14 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
-    files = [McapStream(path) for path in folder.files]
-    omitted = []
     writer = BagWriter(target, distribution=folder.distribution)
     try:
         with writer:
-            for file in files:
-                try:
-                    for message in file.messages():
-                        writer.write(message)
-                except UnfinishedError as error:
-                    if size := file.rest():  # else only the end of the file is missing
-                        reason = error.__cause__ or error
-                        rest = f'the last {size} of {file.path.stat().st_size} bytes'
-                        omitted.append(f'{file.path}: {rest}, {reason!s:.200}')
-            for text in unrepeated(file.metadata for file in files):
-                writer.add_metadata(text.name, text.metadata)
-            for item in unrepeated(file.attachments for file in files):
-                writer.attach(item.name, item.data, item.media_type, time=item.log_time)
+            ends = [_copy(path, writer) for path in folder.files]
     except BaseException:
         shutil.rmtree(target, ignore_errors=True)
         raise
-    omitted += folder.defects
+    omitted = [*filter(None, ends), *folder.defects]
     saved = Counter[str]()
     for channel, count in writer.counts.items():
         saved[channel.topic] += count
@@ -73,3 +67,53 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         shutil.rmtree(target, ignore_errors=True)
         raise BagError(f'{omitted[0] if omitted else source}; there is no message to recover')
     return Recovery(target=target, saved=dict(saved), omitted=tuple(omitted))
+
+
+def _copy(path: Path, writer: BagWriter) -> str:
+    """Copy a file up to its end or the first damage; return a description of the remainder."""
+    end, copier = 0, _Copier(writer)  # end of the last whole record
+    with open_mcap(path) as stream:
+        size = path.stat().st_size
+        reader = StreamReader(stream, emit_chunks=True, record_size_limit=MAX_RECORD)
+        try:
+            for record in reader.records:
+                if isinstance(record, mcap.Chunk):
+                    check_size(record.uncompressed_size)
+                    for item in breakup_chunk(record, validate_crc=True):
+                        copier.add(item)
+                else:
+                    copier.add(record)
+                end = stream.tell()
+        except BagError as error:
+            raise BagError(f'{path}: {error}') from None
+        except Exception as error:  # noqa: BLE001  damaged bytes may cause any
+            if end < size:  # else only the end of the file is missing
+                reason = str(error) or type(error).__name__
+                return f'{path}: the last {size - end} of {size} bytes, {reason:.200}'
+    return ''
+
+
+class _Copier:
+    """Copies the records of a file into a bag."""
+
+    def __init__(self, writer: BagWriter) -> None:
+        self._writer = writer
+        self._schemas: dict[int, mcap.Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._count = 0  # of messages
+
+    def add(self, record: mcap.McapRecord) -> None:
+        """Copy a message or a metadata record; raise ValueError if messages are missing."""
+        match record:
+            case mcap.Schema():
+                self._schemas[record.id] = record
+            case mcap.Channel() if record.schema_id in self._schemas:
+                self._channels[record.id] = make_channel(record, self._schemas)
+            case mcap.Message():
+                self._count += 1
+                self._writer.write(make_message(record, self._channels))
+            case mcap.Metadata() if record.name != 'rosbag2':
+                self._writer.add_metadata(record.name, record.metadata)
+            case mcap.Statistics() if record.message_count > self._count:
+                missing = record.message_count - self._count
+                raise ValueError(f'{missing} messages are missing before the index')

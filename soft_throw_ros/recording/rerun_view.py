@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from functools import partial
 import math
 from typing import Any
@@ -27,7 +28,7 @@ from soft_throw_ros.recording import timeseries as series
 from soft_throw_ros.recording.charts import Bytes
 from soft_throw_ros.recording.rerun_layout import BLACK, BLUE, Colour, GREY, RED, WHITE
 from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart, Values
-from soft_throw_ros.storage.cdr import decode
+from soft_throw_ros.storage.cdr import decode, stamp_of
 from soft_throw_ros.storage.message import Message
 
 _MILLI, _MICRO = 1e3, 1e6
@@ -40,6 +41,9 @@ _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEB
 _PLATE_WIDTH = 1.5
 """Width of the plate, over the diameter of the layer."""
 
+_STEP_BACK = 1_000_000_000
+"""Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
+
 _DEFAULT_STRAIN = 0.2
 """Upper end of the colours of strain before the first throw. [-]"""
 
@@ -48,7 +52,8 @@ class Canvas:
     """
     Draws into a recording.
 
-    The start of `throw` is the origin of `THROW_TIME`; without it, there is only `STAMP`.
+    The start of `throw` is the origin of `THROW_TIME`; without it, there is only `STAMP`. `delay`
+    is added to all stamps [ns].
     """
 
     def __init__(
@@ -57,6 +62,7 @@ class Canvas:
         self.stream = stream
         self.throw = throw
         self.is_live = is_live
+        self.delay = 0
 
     def style(self, path: str, style: rr.AsComponents) -> None:
         """Set the style of an entity, for all times."""
@@ -68,6 +74,7 @@ class Canvas:
 
         In a live view, content that `stays` is kept for viewers that connect much later.
         """
+        stamp += self.delay
         self.stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
         if self.throw is not None:
             self.stream.set_time(layout.THROW_TIME, duration=self.throw.seconds_to(stamp))
@@ -77,6 +84,7 @@ class Canvas:
         """Draw rows of a quantity that changes with every step."""
         if not stamps.size:
             return
+        stamps = stamps + self.delay
         indexes = [rr.TimeColumn(layout.STAMP, timestamp=stamps.astype('datetime64[ns]'))]
         if self.throw is not None:
             seconds = self.throw.seconds_to(stamps)
@@ -88,17 +96,8 @@ class Scene:
     """
     The drawing of all twins.
 
-    Parameters
-    ----------
-    stream : RecordingStream
-        The recording.
-    is_live : bool
-        Whether the latest messages are shown instead of a throw.
-    is_picture : bool
-        Whether panels for the mouse are left out.
-    throw : ThrowStart, optional
-        The throw that is shown; times count from its start.
-
+    A live drawing shows the latest messages; else times count from the start of `throw`. A picture
+    has no panels for the mouse.
     """
 
     def __init__(
@@ -135,8 +134,13 @@ class Scene:
             node, topic = _identify(message.channel.topic, message.channel.type)
             if topic is None:
                 continue
-            if topic == TWIN_TOPICS.journal:  # earlier messages belong to the former rig
+            is_state = topic == TWIN_TOPICS.joint_states
+            back = self._twin(node).step_back(message) if is_state else 0
+            # Earlier messages belong to the former rig, or to the former repetition
+            if back or topic == TWIN_TOPICS.journal:
                 self._read(node, waiting.pop(node, {}))
+            if back:
+                self._twin(node).begin_again(back)
             waiting.setdefault(node, {}).setdefault(topic, []).append(message)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
             self._read(node, groups)
@@ -149,15 +153,18 @@ class Scene:
             _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
         }
         if node:
-            if node not in self._twins:
-                self._twins[node] = _TwinView(node, self._canvas)
-            twin = self._twins[node]
+            twin = self._twin(node)
             readers = {topic: partial(twin.show, topic) for topic in series.READERS}
         for topic, read in readers.items():
             messages = groups.get(topic, ())
             at_once = [messages] if messages and topic.type == JOINT_STATE else messages
             for data in at_once:
                 self._attempt(read, data)
+
+    def _twin(self, node: str) -> _TwinView:
+        if node not in self._twins:
+            self._twins[node] = _TwinView(node, copy(self._canvas))
+        return self._twins[node]
 
     def _attempt(self, read: Callable[..., None], data: Message | Sequence[Message]) -> None:
         """Read messages at once, or individually if one is damaged or different."""
@@ -175,7 +182,7 @@ class Scene:
     def _draw_line(self, message: Message) -> None:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
         line = decode(message)
-        known = (t.reader.stamp_of(message) for t in self._twins.values() if t.is_drawn)
+        known = (twin.shown_stamp(message) for twin in self._twins.values() if twin.is_drawn)
         stamp = next(known, series.to_ns(line.stamp))
         level = next(name for bound, name in _LEVELS if line.level >= bound)
         self._has_log = True
@@ -227,7 +234,7 @@ class _TwinView:
         self._root = rr.new_entity_path(node.split('/'))
         self._canvas = canvas
         self._rig: Rig | None = None  # of the table and the map; None while unknown
-        self._stamp = 0  # of the table and the map [ns]
+        self._last = self._stamp = 0  # stamps of the last state, and of the table and the map [ns]
         self._recommendation: tuple[str, Values] = words.NO_RECOMMENDATION, {}  # the last one
         self._largest_strain = _DEFAULT_STRAIN  # where the colours end [-]
         self._track: dict[str, str] = {}  # texts by the task of the node
@@ -251,6 +258,22 @@ class _TwinView:
 
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
+
+    def step_back(self, state: Message) -> int:
+        """Return how far stamps go back to a state, as when a replay repeats a bag, or 0 [ns]."""
+        last, self._last = self._last, stamp_of(state.data) or self._last
+        return last - self._last if last > self._last + _STEP_BACK else 0
+
+    def begin_again(self, back: int) -> None:
+        """Draw all that follows after what is drawn, although stamps have gone back [ns]."""
+        self._canvas.delay += back
+        self.reader.forget_states()
+        self._stamp = self._last
+        self._draw_recommendation(self._last, self._rig)
+
+    def shown_stamp(self, message: Message) -> int:
+        """Return where a message without a stamp is drawn [ns]."""
+        return self.reader.stamp_of(message) + self._canvas.delay
 
     def show(self, topic: Topic, data: Message | Sequence[Message]) -> None:
         """Read and draw a message, or several messages of joints."""
@@ -405,7 +428,9 @@ class _TwinView:
     def _draw_recommendation(self, stamp: int, rig: Rig | None) -> None:
         """Write the table of the last recommendation, and draw the map of a rig."""
         self._rig, (message, values) = rig, self._recommendation
-        self._stamp = stamp = max(self._stamp, stamp)  # the last one is shown last
+        if stamp > self._stamp - _STEP_BACK:  # else it is of the next repetition
+            stamp = max(self._stamp, stamp)  # the last one is shown last
+        self._stamp = stamp
         text = words.recommendation_text(message, values)
         self._write('recommendation', stamp, text, stays=True)
         if rig is not None:

@@ -67,10 +67,10 @@ class NoGraphicsError(ViewerError):
 
 
 def new_stream(name: str) -> rr.RecordingStream:
-    """Return a new recording without a sink."""
+    """Return a new recording without a sink, whose layout is not that of another name."""
     import rerun as rr
 
-    stream = rr.RecordingStream('soft_throw_ros', send_properties=False)
+    stream = rr.RecordingStream(f'soft_throw_ros {name}', send_properties=False)
     stream.send_recording_name(name)
     return stream
 
@@ -136,16 +136,10 @@ def free_port() -> int:
 
 class Viewer:
     """
-    A viewer process in a session of its own.
+    A viewer process in a session of its own; ViewerError is raised if there is none.
 
     It listens on this machine only, has limits on its memory, and sends no statistics. One that
     `stays` is for a user, and goes on when this process ends.
-
-    Raises
-    ------
-    ViewerError
-        If there is none.
-
     """
 
     def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:

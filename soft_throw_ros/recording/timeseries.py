@@ -67,6 +67,10 @@ class RigStates(NamedTuple):
     force: Floats
 
 
+_TIMES, _NUMBERS = np.empty(0, np.int64), np.empty((0, len(JOINTS)))
+_NO_STATES = RigStates(_TIMES, _TIMES, _NUMBERS, _NUMBERS, _NUMBERS)
+
+
 class LayerStates(NamedTuple):
     """States of the layer over time."""
 
@@ -106,7 +110,7 @@ class StrainField(NamedTuple):
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
-    """Return the throws of each twin from the messages of journals."""
+    """Return the throws of each twin in journals; of a repeated one, that which is complete."""
     throws: dict[str, dict[int, ThrowStart]] = {}  # by twin and stamp
     readers: dict[str, TwinReader] = {}
     for message in messages:
@@ -114,8 +118,10 @@ def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
         reader = readers.setdefault(node, TwinReader())
         with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
             reader.read_journal(message)
-        if reader.throw is not None:
-            throws.setdefault(node, {})[reader.throw.stamp] = reader.throw
+        if (throw := reader.throw) is not None:
+            known = throws.setdefault(node, {})
+            if throw.is_over or not known.get(throw.stamp, throw).is_over:
+                known[throw.stamp] = throw
     return {node: list(by_stamp.values()) for node, by_stamp in throws.items()}
 
 
@@ -138,8 +144,7 @@ class TwinReader:
         self._rest_heights: tuple[float, float] | None = None  # heights measured before the throw
         self._clock_offset_ns = 0  # of the stamps of measurements [ns]
         self.span = math.inf, -math.inf  # stamps of the first and the last state [ns]
-        times, numbers = np.empty(0, np.int64), np.empty((0, len(JOINTS)))
-        self._states = RigStates(times, times, numbers, numbers, numbers)  # the last ones
+        self._states = _NO_STATES  # the last ones
 
     @property
     def time_scale(self) -> float:
@@ -154,6 +159,10 @@ class TwinReader:
     def wanted_rig(self) -> Rig | None:
         """Return the rig of the next throw, with all pending changes; None if unknown."""
         return rig_of(self.wanted, self._motion_of) if self.wanted else None
+
+    def forget_states(self) -> None:
+        """Clear the last states, when stamps go back."""
+        self._states = _NO_STATES
 
     def stamp_of(self, message: Message) -> int:
         """Return the stamp of the step of a message without a stamp [ns]."""

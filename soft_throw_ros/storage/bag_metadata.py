@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import functools
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from soft_throw_ros.storage.atomic_file import atomic_file
 from soft_throw_ros.storage.regular_file import read_regular_file
@@ -22,8 +22,6 @@ _KEY = 'rosbag2_bagfile_information'
 
 MAX_FILE_SIZE = 512 * 2**10
 """Largest size of the file [bytes]: 500 topics, or 16 twins and the files of a day, take half."""
-
-_WANTED = ('ros_distro', 'storage_identifier', 'compression_mode')
 
 _ERRORS = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """Errors for texts that are no YAML, or do not have the expected values."""
@@ -48,28 +46,32 @@ def write_metadata(path: Path, information: Mapping[str, object]) -> None:
         unfinished.write_text(dump_yaml({_KEY: information}), encoding='utf-8')
 
 
-def read_metadata(path: Path) -> dict[str, Any]:
-    """
-    Read the parts of the file of a bag that are needed to find and read the other files.
+class BagInformation(NamedTuple):
+    """The parts of the file of a bag that are needed to find and read the other files."""
 
-    ValueError is raised if there is none, it is too large, or it does not describe a bag. (LibYAML
-    would be faster, but many opening brackets make it overflow its stack.)
+    distribution: str = ''
+    storage: str = ''
+    compression_mode: str = ''
+    files: Sequence[str] = ()
+
+
+def read_metadata(path: Path) -> BagInformation:
+    """
+    Read the file of a bag; without one that describes a bag, all values are empty.
+
+    (LibYAML would be faster, but many opening brackets make it overflow its stack.)
     """
     try:
         text = read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode()
         information = yaml.safe_load(text)[_KEY]
-        result = {name: information[name] or '' for name in _WANTED if name in information}
-        files = list(information['relative_file_paths'])
-    except FileNotFoundError:
-        raise ValueError('the file is missing') from None
-    except OSError as error:
-        raise ValueError(f'the file {error.strerror}') from None
-    except _ERRORS as error:
-        reason = str(error).partition('\n')[0]
-        raise ValueError(f'the file does not describe a bag, {reason:.200}') from None
-    if not all(isinstance(text, str) for text in (*files, *result.values())):
-        raise ValueError('the file does not describe a bag, it has lists in place of texts')
-    return {**result, 'relative_file_paths': files}
+        return BagInformation(
+            distribution=str(information.get('ros_distro') or ''),
+            storage=str(information.get('storage_identifier') or ''),
+            compression_mode=str(information.get('compression_mode') or ''),
+            files=[str(name) for name in information['relative_file_paths']],
+        )
+    except (OSError, *_ERRORS):
+        return BagInformation()
 
 
 def load_profiles(text: str) -> list[Any]:

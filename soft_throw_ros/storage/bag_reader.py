@@ -10,27 +10,24 @@ The error for a damaged or unfinished bag names the command that recovers its me
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 import heapq
 import itertools
 import os
 from pathlib import Path
 import struct
-from typing import Any, TypeVar
 import zlib
 
 from mcap import records as mcap
-from mcap.reader import SeekingReader
-from mcap.summary import Summary
+from mcap.reader import NonSeekingReader, SeekingReader
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
-from soft_throw_ros.storage.mcap_stream import (
+from soft_throw_ros.storage.mcap_records import (
     check_size,
     CONVERSION,
     MAGIC,
     make_channel,
     make_message,
-    McapStream,
     open_mcap,
     UnfinishedError,
 )
@@ -44,74 +41,58 @@ MAX_UNINDEXED = 64 * 2**20
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
 
-Named = TypeVar('Named', mcap.Metadata, mcap.Attachment)
-
 
 class BagFolder:
     """
-    The files of a bag: those of a folder, by its `metadata.yaml`, or one MCAP file.
+    The files of a bag: those of a folder, in their order, or one MCAP file.
 
+    The files contain all data; `metadata.yaml` adds the ROS distribution, and names missing files.
     BagError is raised if there is no bag in MCAP; the message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.defects: list[str] = []  # files that are missing, empty or not readable
-        information = self._read_information() if self.path.is_dir() else {}
-        self.distribution = str(information.get('ros_distro') or '')
-        # In their order, without empty ones
-        self.files = self._find_files(information) if self.path.is_dir() else [self.path]
+        self.distribution = ''
+        self.files = [self.path]
+        self.defects: list[str] = []  # files that are missing or empty
+        if self.path.is_dir():
+            self._find_files()
 
-    def _read_information(self) -> dict[str, Any]:
-        """Read `metadata.yaml`; without it the files contain all required data."""
-        path = self.path / METADATA_FILE
-        try:
-            return read_metadata(path)
-        except ValueError as error:
-            self.defects.append(f'{path}: {error}')
-            return {}
-
-    def _find_files(self, information: dict[str, Any]) -> list[Path]:
-        is_sqlite = any(self.path.glob('*.db3'))
-        storage = str(information.get('storage_identifier', 'sqlite3' if is_sqlite else 'mcap'))
-        if storage != 'mcap':
+    def _find_files(self) -> None:
+        information = read_metadata(self.path / METADATA_FILE)
+        self.distribution = information.distribution
+        if information.storage not in ('', 'mcap') or any(self.path.glob('*.db3')):
+            storage = information.storage or 'sqlite3'
             raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {CONVERSION}')
-        if str(information.get('compression_mode')).lower() in ('file', 'message'):
+        if information.compression_mode.lower() in ('file', 'message'):
             raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {CONVERSION}')
         # `bag_2` before `bag_10`
         present = sorted(self.path.glob('*.mcap'), key=lambda path: (len(path.name), path.name))
-        listed = [self.path / Path(n).name for n in information.get('relative_file_paths', ())]
-        missing = [path for path in listed if path not in present]
-        self.defects += [f'{path}: the file is missing' for path in missing]
         if not present:
             raise BagError(f'{self.path} is no bag, it contains no MCAP file')
-        # A loss of power may leave empty files, which are no reason to refuse the others
+        listed = [self.path / Path(name).name for name in information.files]
+        self.defects = [f'{path}: the file is missing' for path in listed if path not in present]
+        # A loss of power may leave empty files
         empty = [path for path in present if path.is_file() and not path.stat().st_size]
         self.defects += [f'{path}: the file is empty' for path in empty]
-        return [path for path in present if path not in empty] or present
+        self.files = [path for path in present if path not in empty] or present
 
 
 class _File:
-    """A finished MCAP file; one without a complete index is read as a whole."""
+    """A finished MCAP file; one without a complete index, as of `fastwrite`, is kept in memory."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._stream = open_mcap(path)
-        self._messages: list[Message] | None = None  # by log time, if the file has no index
         self.counts: dict[Channel, int] = {}
         self.span: tuple[int, int] | None = None  # log times of the first and last message [ns]
+        self._channels: dict[int, Channel] = {}
+        self.metadata: list[mcap.Metadata] = []
+        self._messages: list[Message] | None = None  # by log time, without an index
+        self._stream = open_mcap(path)
         try:
-            _check_end(self._stream)
-            self._stream.seek(0)
-            self._reader = SeekingReader(self._stream, validate_crcs=True)
-            summary = self._reader.get_summary()
-            if summary is not None and _is_complete(summary):
-                self._read_index(summary)
-            else:
-                self._read_all()
-        except UnfinishedError:
-            self.close()
-            raise
+            self._check_end()
+            if not self._read_index():
+                self._read_messages()
         except BagError as error:
             self.close()
             raise BagError(f'{path}: {error}') from None
@@ -122,28 +103,29 @@ class _File:
     def close(self) -> None:
         self._stream.close()
 
-    def messages(
-        self, topics: Collection[str] | None, start: int, end: int, *, by_log_time: bool
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str] | None, *, by_log_time: bool) -> Iterator[Message]:
         """Yield messages; raise UnfinishedError where a chunk is damaged."""
-        if self._messages is not None or not by_log_time:
-            found = self._messages if by_log_time else McapStream(self.path).messages()
-            for message in found or ():
-                is_wanted = topics is None or message.channel.topic in topics
-                if is_wanted and start <= message.log_time < end:
-                    yield message
+        if self._messages is not None:
+            yield from (m for m in self._messages if topics is None or m.channel.topic in topics)
             return
         try:
-            for _, _, record in self._reader.iter_messages(
-                topics, starting_at=min(start, end), ending_before=end
-            ):
+            for _, _, record in self._reader.iter_messages(topics, log_time_order=by_log_time):
                 yield make_message(record, self._channels)
         except Exception as error:  # damaged bytes may cause any error in the library
             raise UnfinishedError(self.path, f'a chunk is damaged, {error!s:.150}') from error
 
-    def _read_index(self, summary: Summary) -> None:
-        statistics = summary.statistics
-        assert statistics is not None
+    def _read_index(self) -> bool:
+        """Read the index; return whether it names all chunks, texts and channels."""
+        self._stream.seek(0)
+        self._reader = SeekingReader(self._stream, validate_crcs=True)
+        summary = self._reader.get_summary()
+        statistics = summary.statistics if summary is not None else None
+        if summary is None or statistics is None or (
+            statistics.chunk_count, statistics.metadata_count, statistics.channel_count
+        ) != (len(summary.chunk_indexes), len(summary.metadata_indexes), len(summary.channels)):
+            return False
+        if statistics.message_count and not summary.chunk_indexes:
+            return False
         for chunk in summary.chunk_indexes:
             check_size(max(chunk.chunk_length, chunk.uncompressed_size))
         self._channels = {
@@ -157,95 +139,71 @@ class _File:
             self.counts[self._channels[number]] += count
         if statistics.message_count:
             self.span = statistics.message_start_time, statistics.message_end_time
-        self.metadata = list(self._reader.iter_metadata())
+        self.metadata = [item for item in self._reader.iter_metadata() if item.name != 'rosbag2']
+        return True
 
-    def _read_all(self) -> None:
-        size = self.path.stat().st_size
+    def _read_messages(self) -> None:
+        """Read all messages of a file without an index."""
+        size = self._stream.seek(0, os.SEEK_END)
         if size > MAX_UNINDEXED:
             raise ValueError(f'it has no index, and {size} bytes are more than {MAX_UNINDEXED}')
-        stream = McapStream(self.path)
-        self._messages = sorted(stream.messages(), key=lambda message: message.log_time)
-        self.counts = dict.fromkeys(stream.channels.values(), 0)
-        self.counts.update(Counter(message.channel for message in self._messages))
+        self._stream.seek(0)
+        self._messages = []
+        reader = NonSeekingReader(self._stream, validate_crcs=True)
+        for schema, channel, record in reader.iter_messages():
+            if schema is not None:
+                self._channels[channel.id] = make_channel(channel, {schema.id: schema})
+                self._messages.append(make_message(record, self._channels))
+        self.counts = Counter(message.channel for message in self._messages)
         if self._messages:
             self.span = self._messages[0].log_time, self._messages[-1].log_time
-        self.metadata = stream.metadata
 
-
-def _check_end(stream: Any) -> None:
-    """Raise ValueError if a file has no complete end, or the checksum of its index is wrong."""
-    size = stream.seek(0, os.SEEK_END)
-    stream.seek(max(size - _END.size, 0))
-    end = stream.read(_END.size)
-    if len(end) < _END.size or not end.endswith(MAGIC):
-        raise ValueError('it was cut off or is being written')
-    _, _, begin, _, checksum, _ = _END.unpack(end)
-    if begin:
-        stream.seek(begin)
-        index = stream.read(size - begin - len(MAGIC) - 4)
-        if checksum not in (0, zlib.crc32(index)):
-            raise ValueError('the checksum of its index is wrong')
-
-
-def _is_complete(summary: Summary) -> bool:
-    """Return whether an index names all chunks and texts, and all messages are in chunks."""
-    statistics = summary.statistics
-    return statistics is not None and (
-        (statistics.chunk_count, statistics.metadata_count)
-        == (len(summary.chunk_indexes), len(summary.metadata_indexes))
-        and bool(summary.chunk_indexes or not statistics.message_count)
-        and len(summary.channels) == statistics.channel_count
-    )
+    def _check_end(self) -> None:
+        """Raise ValueError if there is no complete end, or the index has another checksum."""
+        size = self._stream.seek(0, os.SEEK_END)
+        self._stream.seek(max(size - _END.size, 0))
+        end = self._stream.read(_END.size)
+        if len(end) < _END.size or not end.endswith(MAGIC):
+            raise ValueError('it was cut off or is being written')
+        _, _, begin, _, checksum, _ = _END.unpack(end)
+        if begin:
+            self._stream.seek(begin)
+            index = self._stream.read(size - begin - len(MAGIC) - 4)
+            if checksum not in (0, zlib.crc32(index)):
+                raise ValueError('the checksum of its index is wrong')
 
 
 class BagReader:
     """
     A finished bag opened for reading: a folder with MCAP files, or one such file.
 
-    Attributes
-    ----------
-    channels : tuple of Channel
-        The topics; all files share one object for each.
-    counts : Counter of Channel
-        Numbers of messages.
-    start_time, end_time : int
-        Log times of the first and the last message; 0 if there is none. [ns]
-    distribution : str
-        ROS distribution; empty if the bag does not name one.
-    damage : str
-        Files that are missing or not readable, in short; empty if there are none.
-
-    Raises
-    ------
-    UnfinishedError
-        If a file is damaged, was not finished, or is being written.
-    BagError
-        If there is no bag of ROS 2 in MCAP; the message gives the remedy.
-
+    UnfinishedError is raised if a file is damaged, missing or empty, or is being written;
+    BagError, if there is no bag of ROS 2 in MCAP. The message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
         folder = BagFolder(path)
-        self.path = folder.path
-        self.distribution = folder.distribution
-        more = f'; and {len(folder.defects) - 1} more' if len(folder.defects) > 1 else ''
-        self.damage = f'{folder.defects[0]}{more}' if folder.defects else ''
         self._files: list[_File] = []
         try:
             for file_path in folder.files:
                 self._files.append(_File(file_path))
+            if folder.defects:
+                raise UnfinishedError(self.path, folder.defects[0])
         except BagError as error:
             self.close()
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
                 raise BagError(f'{self.path} is being written; stop the recorder before') from None
             raise
-        self.counts: Counter[Channel] = Counter()
+        self.counts: Counter[Channel] = Counter()  # of messages
         for file in self._files:
             self.counts.update(file.counts)
-        self.channels = tuple(self.counts)
-        spans = [file.span for file in self._files if file.span is not None]
-        self.start_time = min((first for first, _ in spans), default=0)
-        self.end_time = max((last for _, last in spans), default=0)
+        self.channels = tuple(self.counts)  # all files share one object for each
+        self.metadata = [item for file in self._files for item in file.metadata]
+        self._spans = [file.span for file in self._files if file.span is not None]
+        # Log times of the first and the last message; 0 if there is none [ns]
+        self.start_time = min((first for first, _ in self._spans), default=0)
+        self.end_time = max((last for _, last in self._spans), default=0)
 
     def __enter__(self) -> BagReader:
         return self
@@ -258,42 +216,17 @@ class BagReader:
         for file in self._files:
             file.close()
 
-    @property
-    def metadata(self) -> list[mcap.Metadata]:
-        """Named texts in their order, without those that a next file repeats."""
-        return unrepeated(file.metadata for file in self._files)
-
     def messages(
-        self,
-        topics: Collection[str] | None = None,
-        start: int | None = None,
-        end: int | None = None,
-        *,
-        by_log_time: bool = True,
+        self, topics: Collection[str] | None = None, *, by_log_time: bool = True
     ) -> Iterator[Message]:
         """
-        Yield messages of topics, from `start` on and before `end` [ns].
+        Yield messages of topics.
 
         They come by log time, those of equal times as they were written, or all as they were
         written. UnfinishedError is raised where a chunk is damaged.
         """
-        first, last = max(start or 0, 0), 2**64 if end is None else max(end, 0)
-        found = [
-            file.messages(topics, first, last, by_log_time=by_log_time) for file in self._files
-        ]
-        spans = [file.span for file in self._files if file.span is not None]
-        is_in_order = all(one[1] <= other[0] for one, other in itertools.pairwise(spans))
+        found = [file.messages(topics, by_log_time=by_log_time) for file in self._files]
+        is_in_order = all(one[1] <= other[0] for one, other in itertools.pairwise(self._spans))
         if is_in_order or not by_log_time:  # a later file is not read before
             return itertools.chain(*found)
         return heapq.merge(*found, key=lambda message: message.log_time)
-
-
-def unrepeated(files: Iterable[Iterable[Named]]) -> list[Named]:
-    """Return the records of files, without those of rosbag2 and those that a next file repeats."""
-    records: list[Named] = []
-    last: dict[str, Named] = {}
-    for record in itertools.chain.from_iterable(files):
-        if record.name != 'rosbag2' and last.get(record.name) != record:
-            last[record.name] = record
-            records.append(record)
-    return records

@@ -87,6 +87,14 @@ def _align(data: bytearray, size: int) -> None:
     data += bytes((len(_HEADER) - len(data)) % size)
 
 
+def stamp_of(data: bytes) -> int:
+    """Return the stamp of a message that begins with a header; 0 if it is shorter [ns]."""
+    if len(data) < len(_HEADER) + _STAMP.size:
+        return 0
+    seconds, nanoseconds = _STAMP.unpack_from(data, len(_HEADER))
+    return int(seconds * SECOND + nanoseconds)
+
+
 class JointValues(NamedTuple):
     """A message sensor_msgs/JointState, its series empty where it has none."""
 

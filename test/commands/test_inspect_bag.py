@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-import socket
 import sys
 from typing import Any
 
@@ -120,7 +119,6 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(command, twin, 
         (['--size', '10x10'], '10x10'),
         (['--port', '80'], '80'),
         (['--save', 'a.rrd', '--screenshot', 'a.png'], '--screenshot'),
-        (['--sink', 'printer'], 'printer'),
         (['--throw', '7', '--save', 'a.rrd'], 'throw 7 not found'),
         (['--at', 'nan'], 'nan'),
         (['--at', '7', '--screenshot', 'a.png'], 'from -0.2 to 0.299 s'),
@@ -129,10 +127,3 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(command, twin, 
 )
 def test_arguments_are_refused_with_their_value(command, bag, args, words) -> None:
     assert words in f' {command.refused(bag, *args)}'
-
-
-def test_occupied_port_is_named(command, bag) -> None:
-    with socket.create_server(('127.0.0.1', 0)) as other:
-        port = other.getsockname()[1]
-        message = command.refused(bag, '--sink', 'serve', '--port', port)
-    assert f'port {port} of 127.0.0.1' in message

@@ -15,13 +15,14 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-from bags import attachments, BEGIN, channel, text
+from bags import BEGIN, channel, text
 import pytest
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Channel, Message
+import yaml
 
 TIMEOUT = 60.0  # reached only when something is wrong [s]
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -60,14 +61,25 @@ def read(path: Path) -> SimpleNamespace:
         contents = SimpleNamespace(
             messages=list(bag.messages()),
             metadata=bag.metadata,
-            attachments=attachments(path),
             channels=bag.channels,
             counts=list(bag.counts.values()),
             span=(bag.start_time, bag.end_time),
         )
         assert sum(bag.counts.values()) == len(contents.messages)
-        assert bag.damage == ''
         return contents
+
+
+def content(messages: Iterable[Message], *topics: str) -> list[tuple[Any, ...]]:
+    """Return the properties of messages, on some topics or all, that a bag keeps."""
+    return [
+        (message.channel.topic, *message[1:])
+        for message in messages
+        if not topics or message.channel.topic in topics
+    ]
+
+
+def information(folder: Path) -> Any:
+    return yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
 
 
 class SampleBag:
@@ -78,11 +90,6 @@ class SampleBag:
         self.messages: list[Message] = []
         self.states = channel('/twin/joint_states', 'sensor_msgs/msg/JointState', depth=1000)
         self.texts = channel('/twin/journal', 'std_msgs/msg/String', durability='transient_local')
-
-    @staticmethod
-    def content(messages: Iterable[Message]) -> list[tuple[Any, ...]]:
-        """Return the properties of messages that a bag keeps."""
-        return [(message.channel.topic, *message[1:]) for message in messages]
 
     @property
     def files(self) -> list[Path]:
@@ -110,7 +117,6 @@ class SampleBag:
         """Write such messages into the bag, and close it."""
         with BagWriter(self.folder, distribution='jazzy', **options) as writer:
             writer.add_metadata('parameters of /twin', {'gravity': '9.81', 'model': 'exact'})
-            writer.attach('twin.yaml', b'twin:\n', 'application/yaml', time=BEGIN)
             for number, message in enumerate(self.make(count)):
                 writer.write(message)
                 if number % flush_every == flush_every - 1:

@@ -237,6 +237,27 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
     assert recording.views.count('Position z (mm)') == 2
 
 
+@pytest.mark.parametrize('is_live', [False, True])
+def test_repeated_replay_is_drawn_after_the_last_throw_with_its_own_table(
+    tmp_path, is_live
+) -> None:
+    twin = TwinMessages(throw__period=1.0).go(1700)
+    twin.change(layer__thickness=0.012)
+    twin.go(1000)
+    recording, _ = record(tmp_path / 'a.rrd', twin.messages + twin.messages[:300],
+                          is_live=is_live)
+    times, values = recording.scalars('/twin/position')
+    count = times.size - 2700
+    assert 200 < count < 300
+    assert (np.diff(times) >= 0).all()
+    np.testing.assert_array_equal(values[2700:], values[:count])
+    if not is_live:
+        times, texts = recording.series('/twin/recommendation', 'TextDocument:text')
+        tables = [table_of(text) for (text,) in texts]
+        assert [table[1][1] for table in tables if table][-2:] == ['12', '16.8']
+        assert times[-1] == twin.schedule.deadline(2699)
+
+
 def test_live_view_keeps_the_rig_for_late_viewers(twin, tmp_path) -> None:
     recording, _ = record(tmp_path / 'live.rrd', twin.messages, batch=100, is_live=True)
     for entity in ('/twin/side/plate/body', '/twin/recommendation', '/twin/landscape'):

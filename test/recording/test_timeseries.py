@@ -186,3 +186,6 @@ def test_a_throw_is_over_when_its_end_is_reported() -> None:
     first, second = find_throws(journals)['/twin'][-2:]
     assert first.ejection_time == second.ejection_time
     assert (first.is_over, second.is_over) == (True, False)
+    last = next(item for item in reversed(journals) if '"throw":1,' in str(item.data))
+    cut = journals[:journals.index(last)]  # repeated, up to before the end of the first throw
+    assert find_throws(journals + cut)['/twin'][-2].is_over

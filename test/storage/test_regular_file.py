@@ -11,7 +11,6 @@ from soft_throw_ros.configuration import files, motions, ParameterError
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.identification.fit_description import FitDescription
 from soft_throw_ros.identification.video import read_pictures
-from soft_throw_ros.storage.bag_metadata import read_metadata
 from soft_throw_ros.storage.regular_file import open_regular_file, read_regular_file
 
 READERS = {
@@ -20,7 +19,6 @@ READERS = {
     'motion': motions.read,
     'fit': FitDescription.from_file,
     'tracks': lambda path: _read_csv(str(path), ('plate',), 'm'),
-    'metadata': read_metadata,
     'video': lambda path: list(read_pictures(str(path))),
 }
 

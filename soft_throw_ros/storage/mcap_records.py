@@ -1,22 +1,20 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-MCAP files that are read in the order of writing, up to their end or the first damage.
+MCAP files and their records, which the library `mcap` parses.
 
-The library `mcap` parses all records. No file may make it read or unpack more than `MAX_RECORD`
-at once.
+No file may make it read or unpack more than `MAX_RECORD` at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 import functools
 import io
 from pathlib import Path
 import sys
 
 from mcap import records as mcap
-from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 from soft_throw_ros.storage.regular_file import open_regular_file
@@ -103,70 +101,3 @@ def make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Messa
     if not message.has_valid_times:
         raise ValueError(f'a message has the times {times} ns, beyond {LATEST}')
     return message
-
-
-class McapStream:
-    """
-    An MCAP file, its index not used.
-
-    Attributes
-    ----------
-    channels : dict of int to Channel
-        Channels by their numbers, as far as the file was read.
-    metadata, attachments : list
-        Named texts and attached files, as far as the file was read.
-
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.metadata: list[mcap.Metadata] = []
-        self.attachments: list[mcap.Attachment] = []
-        self._end = 0  # of the last whole record [bytes]
-
-    def messages(self) -> Iterator[Message]:
-        """Yield messages as written; raise UnfinishedError at the first damage."""
-        with open_mcap(self.path) as stream:
-            try:
-                yield from self._read(stream)
-            except BagError as error:
-                raise BagError(f'{self.path}: {error}') from None
-            except Exception as error:  # damaged bytes may cause any error in the library
-                raise UnfinishedError(self.path, error) from error
-
-    def rest(self) -> int:
-        """Return the size of all from the first damage on [bytes]."""
-        return self.path.stat().st_size - self._end
-
-    def _read(self, stream: io.BufferedReader) -> Iterator[Message]:
-        schemas: dict[int, mcap.Schema] = {}
-        count = 0
-        for record in self._records(stream):
-            match record:
-                case mcap.Schema():
-                    schemas[record.id] = record
-                case mcap.Channel() if record.schema_id in schemas:
-                    self.channels[record.id] = make_channel(record, schemas)
-                case mcap.Message():
-                    count += 1
-                    yield make_message(record, self.channels)
-                case mcap.Metadata():
-                    self.metadata.append(record)
-                case mcap.Attachment():
-                    self.attachments.append(record)
-                case mcap.Statistics() if record.message_count > count:
-                    missing = record.message_count - count
-                    raise ValueError(f'{missing} messages are missing before the index')
-
-    def _records(self, stream: io.BufferedReader) -> Iterator[mcap.McapRecord]:
-        """Yield records, and in place of a chunk those in it."""
-        reader = StreamReader(stream, emit_chunks=True, record_size_limit=MAX_RECORD)
-        for record in reader.records:
-            if isinstance(record, mcap.Chunk):
-                check_size(record.uncompressed_size)
-                yield from breakup_chunk(record, validate_crc=True)
-            else:
-                yield record
-            self._end = stream.tell()
-        self._end = stream.tell()
