@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
-from soft_throw_ros.core.models import LOSSES as LOSS_MODELS
+from soft_throw_ros.core.material import LOSSES as LOSS_MODELS
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import throw_many

@@ -17,7 +17,7 @@ import math
 from pathlib import Path
 
 import numpy as np
-from soft_throw_ros.commands.options import any_number, positive
+from soft_throw_ros.commands.options import any_number
 from soft_throw_ros.commands.output import CommandParser, report_io_errors
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TWIN_TOPICS
@@ -62,7 +62,6 @@ def add_track_options(parser: CommandParser) -> None:
         help='unit of heights in CSV files whose labels have none (default %(default)s)',
     )
     add('--time-unit', choices=TIME_UNITS, default='s', help='the same of times (default s)')
-    add('--rate', metavar='HZ', type=positive, help='times are numbers of pictures at this rate')
     add(
         '--from', dest='start', metavar='S', type=any_number, default=-math.inf,
         help='ignore samples before this time',
@@ -105,7 +104,7 @@ def _check_time(plate: Track) -> None:
     if plate.interval > _MAX_INTERVAL and frequency < entry.low:
         raise TrackError(
             f'the plate would swing with {frequency:.2g} Hz, which must be {entry.rule}; the unit '
-            'of time is not s: see --time-unit ms, or --rate for numbers of pictures'
+            'of time is not s: see --time-unit ms, or divide numbers of pictures by their rate'
         )
 
 
@@ -150,7 +149,7 @@ def _read_csv(
         text = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig')
     tracks = read_csv(
         io.StringIO(text, newline=''), path, bodies,
-        unit=arguments.unit, time_unit=arguments.time_unit, rate=arguments.rate,
+        unit=arguments.unit, time_unit=arguments.time_unit,
     )
     if unused := unused_columns(text.splitlines(), bodies):
         notes.append(f'{path}: columns that are not used: {", ".join(unused)}')

@@ -112,7 +112,7 @@ def read_columns(
     if not rows:
         raise ValueError(f'{name}: is empty; columns {time} and {second} are needed')
     first, head = rows[0]
-    if all(float_of(cell) is None for cell in head):
+    if float_of(head[0]) is None:
         del rows[0]
         sources = _find_columns(head, columns, f'{name}:{first}')
     else:

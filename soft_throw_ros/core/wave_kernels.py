@@ -60,8 +60,11 @@ PAD = 8
 _SPARE_STEPS = 1024
 """Spare steps in the memory of waves, so that it is rarely moved. [-]"""
 
-_STRAINS_PER_CROSSING, _STRAIN_PHASE = 32.0, 0.05
-"""Fewest strains that are compared in a crossing [-], and the longest phase in between [rad]."""
+_STRAINS_PER_CROSSING, _STRAIN_PHASE, _STRAIN_FADING = 32.0, 0.05, 0.25
+"""
+Fewest strains that are compared in a crossing [-], the longest phase in between [rad], and the
+longest time in between, over the relaxation time of the projectile [-].
+"""
 
 _NOISE = 1e-12
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
@@ -170,7 +173,7 @@ def prepare(
     s.base = -2 * N - PAD
     s.contact = True
     s.kink = N
-    longest = N / _STRAINS_PER_CROSSING
+    longest = min(N / _STRAINS_PER_CROSSING, _STRAIN_FADING * relaxation / s.step)
     # A divisor of N, so that kinks, where strains are largest, are at points that are compared
     s.stride = max(1, int(min(longest, _STRAIN_PHASE / (omega * s.step))))
     while N % s.stride > 0:

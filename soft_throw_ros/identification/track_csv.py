@@ -34,7 +34,7 @@ COLUMN_NAMES = {
 
 def read_csv(
     lines: Iterable[str], name: str, bodies: Sequence[str], *, unit: str = 'm',
-    time_unit: str = 's', rate: float | None = None,
+    time_unit: str = 's',
 ) -> dict[str, Track]:
     """
     Read tracks from lines of text.
@@ -53,8 +53,6 @@ def read_csv(
         Unit of heights whose labels have none, one of `UNITS`.
     time_unit : str
         Unit of a time whose label has none, one of `TIME_UNITS`.
-    rate : float, optional
-        Rate of a camera, if times are numbers of its pictures. [Hz]
 
     Raises
     ------
@@ -62,9 +60,7 @@ def read_csv(
         With the number of the line, if something is wrong.
 
     """
-    units = {'picture': 1.0 / rate} if rate else TIME_UNITS
-    default = 'picture' if rate else time_unit
-    columns = {'time': Column(('t', 'time'), units, default, MAX_TIME)} | {
+    columns = {'time': Column(('t', 'time'), TIME_UNITS, time_unit, MAX_TIME)} | {
         body: Column(COLUMN_NAMES[body], UNITS, unit, MAX_HEIGHT, may_have_gaps=True)
         for body in bodies
     }

@@ -13,7 +13,7 @@ import threading
 import numpy as np
 import pytest
 from scipy.io import netcdf_file
-from soft_throw_ros.commands import design, design_map, output
+from soft_throw_ros.commands import design
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.landscape import compute_landscape
 
@@ -57,16 +57,6 @@ def test_axes_and_options_reach_the_map(command, tmp_path):
     np.testing.assert_allclose(values['kappa'], np.geomspace(0.5, 50.0, 256))
 
 
-def test_map_without_a_release_has_a_note_and_can_be_drawn(command, tmp_path):
-    pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
-    printed = command.run(
-        'layer.thickness=0.01:0.02:3', 'layer.wave_speed=5:9:3', '--frequency', 1,
-        '--amplitude', 1e-3, '-p', 'layer.loss_tangent:=0.1', '--output', tmp_path / 'map.png',
-    )
-    assert 'the projectile is released nowhere' in printed
-    assert (tmp_path / 'map.png').exists()
-
-
 def test_map_is_summarized_and_saved_in_every_format(command, tmp_path):
     pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
     files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png')]
@@ -87,19 +77,6 @@ def test_map_is_summarized_and_saved_in_every_format(command, tmp_path):
     with netcdf_file(files[0], mmap=False) as saved:
         for name in ('ejection_phase', 'energy_transfer'):
             np.testing.assert_array_equal(saved.variables[name][:], getattr(landscape, name))
-
-
-def test_drawing_has_the_values_on_their_axes_and_the_optimum():
-    pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
-    landscape = compute_landscape(Rig(gravity=0.0), AXES)
-    panel = design_map.draw(landscape).axes[1]
-    (mesh,) = panel.collections
-    np.testing.assert_array_equal(mesh.get_array().T, landscape.energy_transfer)
-    assert (panel.get_xscale(), panel.get_yscale()) == ('log', 'linear')
-    assert panel.get_xlim() == pytest.approx((2.0, 50.0))
-    lines = {line.get_label().partition(',')[0]: line for line in panel.lines}
-    optimum = [1e3 * value for value in landscape.optimum.coordinates]
-    np.testing.assert_allclose(lines['largest α'].get_xydata(), [optimum])
 
 
 @pytest.mark.slow
@@ -132,11 +109,6 @@ def test_file_that_cannot_be_written_is_named(command, tmp_path):
     (tmp_path / 'map.nc').mkdir()
     assert str(tmp_path / 'map.nc') in command.refused(*SMALL, '--output', tmp_path / 'map.nc')
     assert [path.name for path in tmp_path.iterdir()] == ['map.nc']
-
-
-def test_missing_package_is_named(command, monkeypatch):
-    monkeypatch.setattr(output.importlib.util, 'find_spec', lambda _: None)
-    assert "pip installs with 'soft_throw_ros[plot]'" in command.refused('--output', 'map.png')
 
 
 @pytest.mark.parametrize(

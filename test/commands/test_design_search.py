@@ -126,12 +126,6 @@ def test_options_replace_the_request_of_a_twin_file(command, write):
     assert result['peak_strain'] <= 0.11 * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize(('name', 'value'), [('objective', 'aim'), ('vary', 'motion')])
-def test_file_for_another_task_is_refused_with_that_task(command, write, name, value):
-    path = write(f'twin: {{ros__parameters: {{recommendation.{name}: {value}}}}}', 'other.yaml')
-    assert f'design {value}' in command.refused('recommend', '--config', path)
-
-
 @pytest.mark.parametrize(
     ('args', 'message'),
     [
@@ -171,31 +165,8 @@ def test_table_has_the_present_throw_and_the_aim(command):
     assert uncertainty_text(prediction_uncertainty(best.rig).values()) in printed
 
 
-def test_target_speed_replaces_the_default_height(command):
-    printed = command.json('aim', '--target-speed', 1.5, '-p', 'gravity:=0')
-    assert printed['aim']['speed'] == pytest.approx(1.5, rel=1e-9)
-    assert printed['aim']['height'] is None  # infinite: JSON has no number for this
-    assert printed['parameters']['recommendation.objective'] == 'aim'
-
-
 def test_file_that_aims_has_its_target_and_another_needs_one(command, write):
     rig = 'twin: {ros__parameters: {gravity: 5.0'
     aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
     assert command.json('aim', '--config', aims)['aim']['speed'] == pytest.approx(1.5)
     assert 'no target: give' in command.refused('aim', '--config', write(rig + '}}', 'other.yaml'))
-
-
-@pytest.mark.parametrize(
-    ('args', 'message'),
-    [
-        ('', '--target-height M or --target-speed M/S'),
-        ('--target-height 0', 'either a height or a speed'),
-        ('--target-height -1', r'argument --target-height: .*, got -1\.0'),
-        ('--target-height 0.1 -p gravity:=0', 'gravity, got gravity 0'),
-        ('--target-height 0.2 --max-strain 0.12', r'0\.2 m high takes an amplitude of .* 0\.12'),
-        ('--objective peak', 'unrecognized arguments: --objective peak'),
-        ('--target-height 1 -p layer.library:=no.yaml', 'argument -p: no.yaml'),
-    ],
-)
-def test_refused_arguments_of_an_aim_are_quoted(command, args, message):
-    assert re.search(message, command.refused('aim', *args.split()))

@@ -203,7 +203,6 @@ STRANGERS = {
     'milliseconds in a label': ([LINES[0].replace('[s]', '[ms]'), *in_unit(1e3)[1:]], ()),
     'micrometres': ([LINES[0].replace('[mm]', '[\N{GREEK SMALL LETTER MU}m]'), *each(
         lambda t, *z: [str(t), *(str(1e3 * height) for height in z)])[1:]], ()),
-    'pictures': (['t,plate,projectile', *in_unit(5000.0, '{:.0f}')[1:]], ('--rate', '5000')),
     'decimal commas': ([LINES[0], *(
         ','.join('"' + cell.replace('.', ',') + '"' for cell in line.split(','))
         for line in LINES[1:])], ()),
@@ -228,7 +227,7 @@ def test_files_of_strangers_are_read(command, write, sample_result, lines, optio
     ('lines', 'value'),
     [
         (['t,plate,projectile', *in_unit(1e3)[1:]], '--time-unit ms'),
-        (['t,plate,projectile', *in_unit(5000.0)[1:]], '--rate'),
+        (['t,plate,projectile', *in_unit(5000.0)[1:]], 'their rate'),
         (['Format Version,1.23,Take Name,throw', ',,Marker', *LINES], 'must begin with #'),
     ],
 )

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-import sys
 from typing import Any
 
 from bags import write
@@ -82,11 +81,6 @@ def test_bag_without_screen_and_viewer_names_a_remedy(command, bag, monkeypatch)
     assert all(part in command.err for part in ('no screen', '--screenshot', start))
 
 
-def test_missing_rerun_names_its_installation(command, bag, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, 'rerun', None)
-    assert 'soft_throw_ros[rerun]' in command.refused(bag, '--save', 'scene.rrd')
-
-
 def test_bag_without_a_twin_is_refused_in_one_line(command, tmp_path) -> None:
     (tmp_path / 'text').write_text('some text')
     channel = Channel(topic='/scan', type='sensor_msgs/msg/LaserScan', schema='float32 x')
@@ -111,19 +105,3 @@ def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(command, twin, 
     cut = command.refused(path, '--save', tmp_path / 'scene.rrd')
     assert f'{path}: ' in cut
     assert 'soft-throw recover' in cut
-
-
-@pytest.mark.parametrize(
-    ('args', 'words'),
-    [
-        (['--size', '10x10'], '10x10'),
-        (['--port', '80'], '80'),
-        (['--save', 'a.rrd', '--screenshot', 'a.png'], '--screenshot'),
-        (['--throw', '7', '--save', 'a.rrd'], 'throw 7 not found'),
-        (['--at', 'nan'], 'nan'),
-        (['--at', '7', '--screenshot', 'a.png'], 'from -0.2 to 0.299 s'),
-        (['--save', '.'], ' .: '),
-    ],
-)
-def test_arguments_are_refused_with_their_value(command, bag, args, words) -> None:
-    assert words in f' {command.refused(bag, *args)}'

@@ -44,15 +44,6 @@ def damage(bag, chunk):
     return path
 
 
-def test_escape_codes_in_a_topic_are_escaped(command, tmp_path):
-    channel = Channel(topic='/a\x1b[2J\x07\nb', type='std_msgs/msg/String', schema='string data')
-    with BagWriter(tmp_path / 'run', distribution='', compression='none') as writer:
-        writer.write(Message(channel, b'x' * 50, 1, 1, 1))
-    out = command.run(tmp_path / 'run')
-    assert r'/a\x1b[2J\x07' in out
-    assert all(letter.isprintable() or letter == '\n' for letter in out)
-
-
 def test_loss_is_reported_with_its_file_size_and_exit_code(command, bag, tmp_path):
     path = damage(bag, 1)
     out = command.run(bag, '--to', tmp_path / 'out/whole', code=1)

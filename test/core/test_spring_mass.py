@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
-import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from soft_throw_ros.core import spring_mass
@@ -37,18 +36,3 @@ def test_release_agrees_with_an_integration_of_the_motion(q):
     assert release.ejection_phase == pytest.approx(time, abs=1e-7)
     assert release.speed == pytest.approx(speed, abs=1e-7)
     assert release.energy_transfer == pytest.approx(speed**2, abs=1e-6)
-
-
-def test_arrays_keep_their_shape_and_scalars_are_floats():
-    ratios = np.array([[0.5, 1.0, 2.0], [0.2, 1.62, 4.0]])
-    released = spring_mass.first_release(frequency_ratio=ratios)
-    assert all(values.shape == (2, 3) for values in released)
-    single = spring_mass.first_release(frequency_ratio=float(ratios[1, 2]))
-    assert single == tuple(float(values[1, 2]) for values in released)
-    assert all(isinstance(value, float) for value in single)
-
-
-@pytest.mark.parametrize('value', [0.0, math.nan])
-def test_bad_ratio_is_quoted(value):
-    with pytest.raises(ValueError, match=rf'frequency_ratio must be .* got {value}'):
-        spring_mass.first_release(frequency_ratio=value)

@@ -74,22 +74,6 @@ def test_rig_fit_gives_the_reference_values(reference_throw):
     assert fit_warnings(found) == []
 
 
-def test_errors_fall_with_the_root_of_the_number_of_throws(make_throw):
-    throws = [
-        make_throw(Rig(), rate=1500.0, duration=0.06, seed=seed, start=0.01 + 1e-4 * seed)
-        for seed in range(4)
-    ]
-    one = fit_rig(throws[:1], KNOWN, EXACT).fit
-    found = fit_rig(throws, KNOWN, EXACT)
-    for name in DEFAULT_FREE:
-        assert found.fit[name].error == pytest.approx(0.5 * one[name].error, rel=0.2)
-    assert_true(found, Rig())
-    for number in range(4):
-        start = found.start_time(number)
-        assert start == found.fit[f'start_time[{number + 1}]']
-        assert start.value == pytest.approx(0.01 + 1e-4 * number, abs=4.0 * start.error)
-
-
 @pytest.mark.parametrize(
     ('thickness', 'frequency', 'wave_speed', 'gravity'),
     [
@@ -155,17 +139,6 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     held = fit_rig([seen], replace(known, layer=Layer(thickness=2e-3)), EXACT).fit
     assert fit_warnings(held) == []
     assert held['layer.wave_speed'].error < 0.1 * speed.error
-
-
-def test_samples_after_the_landing_are_ignored(make_throw):
-    seen = make_throw(Rig(), rate=1000.0, duration=0.4)
-    landed = seen.projectile.time > 0.0153 + 0.2875  # and in truth at 0.2906
-    other = np.where(landed, 0.05, seen.projectile.position)
-    spoilt = replace(seen, projectile=replace(seen.projectile, position=other, known_noise=2e-5))
-    found = fit_rig([spoilt], KNOWN, EXACT)
-    assert_true(found, Rig())
-    assert 0.27 < found.model.throws[0].projectile.time[-1] < 0.0153 + 0.2875
-    assert fit_warnings(found.fit) == []
 
 
 def drifting_late_and_rare(time, heights, rng):

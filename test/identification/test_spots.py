@@ -131,17 +131,6 @@ def test_tracks_are_heights_in_metres_over_seconds():
     assert tracks['projectile'].time.size == 15
 
 
-def test_spots_of_one_body_are_averaged_where_all_are_seen():
-    bodies = ['plate', 'plate', 'none', 'projectile']
-    hidden = np.delete(np.arange(20), [4, 5, 6]).tolist()
-    spots = [spot(90.0), spot(88.0, hidden), spot(80.0, range(3)), spot(50.0)]
-    tracks = tracks_of(spots, bodies, rate=100.0, scale=1.0)
-    assert list(tracks) == ['plate', 'projectile']
-    assert tracks['plate'].time == pytest.approx(np.array(hidden) / 100.0)
-    assert tracks['plate'].position == pytest.approx(1.0 - np.array(hidden) ** 2 / 100.0)
-    assert list(tracks_of([spot(9.0)], rate=1.0, scale=1.0)) == ['plate']
-
-
 @pytest.mark.parametrize(
     ('spots', 'bodies', 'value'),
     [

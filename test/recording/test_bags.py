@@ -13,7 +13,7 @@ import sys
 from test.recording.conftest import content, information, largest_file, PLAIN, plain, read, TYPES
 import tracemalloc
 
-from bags import channel, profiles, saved, write
+from bags import profiles, saved, write
 from damage import accepted, datas, few
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -162,18 +162,6 @@ def test_bag_has_the_metadata_of_rosbag2(recording):
     assert all(chunk.uncompressed_size < 1.1 * CHUNK_SIZE for chunk in chunks)
 
 
-def test_every_file_of_a_bag_can_be_read_alone(recording):
-    recording.write(max_duration=0.5)
-    assert [path.name for path in recording.files] == [f'bag_{number}.mcap' for number in range(6)]
-    parts = [read(path) for path in recording.files]
-    assert [row for part in parts for row in content(part.messages)] == content(recording.messages)
-    for path, part in zip(recording.files, parts, strict=True):
-        assert part.channels[0].qos == recording.states.qos
-        assert part.span[1] - part.span[0] < 500_000_000
-        with RosbagsReader(path) as theirs:
-            assert theirs.message_count == len(part.messages)
-
-
 def test_file_beyond_the_size_limit_is_followed_by_another(tmp_path):
     options = {'compression': 'none', 'max_size': 10**6}
     with BagWriter(tmp_path / 'bag', distribution='', **options) as writer:
@@ -184,13 +172,6 @@ def test_file_beyond_the_size_limit_is_followed_by_another(tmp_path):
     assert max(sizes) < 10**6 + 2 * CHUNK_SIZE
     assert min(sizes[:-1]) > 10**6
     assert len(read_by_others(tmp_path / 'bag')) == 3000
-
-
-def test_equal_profiles_are_written_without_aliases(tmp_path):
-    assert '*' not in profiles({'depth': 3}, {'depth': 3})
-    topics = [channel(f'/talk{number}', depth=7) for number in range(3)]
-    path = write(tmp_path / 'bag', [Message(topic, b'', 1, 1) for topic in topics])
-    assert '*' not in (path / 'metadata.yaml').read_text()
 
 
 def test_equal_channels_are_merged_when_read(tmp_path):
@@ -608,18 +589,6 @@ def test_chunk_and_index_beyond_the_limit_are_refused(tmp_path, monkeypatch):
         with pytest.raises(UnfinishedError, match=f'more than {limit}'):
             BagReader(path)
         monkeypatch.undo()
-
-
-def test_large_bag_is_read_in_little_memory(tmp_path):
-    path = write(tmp_path / 'bag', [plain(number, size=20_000) for number in range(4000)])
-    tracemalloc.start()
-    try:
-        with BagReader(path) as bag:
-            assert sum(len(message.data) for message in bag.messages()) == 80_000_000
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert peak < 10 * CHUNK_SIZE
 
 
 @few

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
 
@@ -13,54 +11,12 @@ figures = pytest.importorskip('matplotlib.figure')
 
 from soft_throw_ros.configuration import TWIN  # noqa: E402, I100
 from soft_throw_ros.core.closed_form import first_release  # noqa: E402
-from soft_throw_ros.core.rig import Layer, Projectile, Rig  # noqa: E402
+from soft_throw_ros.core.rig import Layer, Rig  # noqa: E402
 from soft_throw_ros.recording import charts  # noqa: E402
 from soft_throw_ros.recording.charts import (  # noqa: E402
     draw_energy_map,
     energy_transfer,
-    MapAxis,
 )
-
-X = MapAxis('x (mm)', np.linspace(10.0, 30.0, 5))
-Y = MapAxis('y', np.geomspace(1.0, 100.0, 3))
-
-
-def pixels_of(png: bytes) -> np.ndarray:
-    image = pytest.importorskip('PIL.Image')
-    with image.open(io.BytesIO(png)) as opened:
-        return np.asarray(opened.convert('RGB')).astype(int)
-
-
-def test_map_has_values_scales_titles_and_marks() -> None:
-    values = np.arange(15.0).reshape(5, 3)
-    values[1, 0] = np.nan
-    figure = figures.Figure()
-    panel = figure.subplots()
-    marks = [('low', 10.0, 1.0), ('high', 30.0, 100.0)]
-    charts.draw_map(panel, (X, Y), values, label='s', highest=7.0, marks=marks)
-    (mesh,) = panel.collections
-    np.testing.assert_array_equal(mesh.get_array().T, values)
-    assert mesh.get_clim() == (0.0, 7.0)
-    assert (panel.get_xscale(), panel.get_yscale()) == ('linear', 'log')
-    assert (panel.get_xlim(), panel.get_ylim()) == ((10.0, 30.0), (1.0, 100.0))
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ('x (mm)', 'y')
-    drawn = [(line.get_label(), *line.get_xydata()[0]) for line in panel.lines]
-    assert drawn == marks
-    assert figure.axes[1].get_ylabel() == 's'
-
-
-def test_frame_surrounds_its_box_and_is_drawn_once() -> None:
-    png = charts.strain_frame(8.0, 16.0, 30.0)
-    assert charts.strain_frame(8.0, 16.0, 30.0) is png
-    pixels = pixels_of(png)
-    assert pixels.shape == (190, 620, 3)
-    left, top, width, height = charts.FRAME_BOX
-    background = pixels[0, 0]
-    outside = pixels[top + 20, left - 30:left - 8]
-    assert (pixels[top + 5, left - 3:left + 3] != background).any()  # the axis
-    assert (pixels[top + 5, left + width - 3:left + width + 3] != background).any()
-    assert (pixels[top + height + 5:, left:left + width] != background).any()  # its ticks
-    assert (outside == background).all(axis=-1).any()
 
 
 def test_colours_distinguish_signs_and_are_grey_without_a_value() -> None:
@@ -115,13 +71,3 @@ def test_map_extends_beyond_the_considered_layers() -> None:
     panel = draw_energy_map(Rig(layer=Layer(thickness=0.08)), TWIN.defaults(), {}).axes[0]
     assert panel.get_xlim() == pytest.approx((1.0, 80.0))
     assert np.nanmax(panel.collections[0].get_array()) > 4.0
-
-
-def test_map_without_a_release_has_a_note() -> None:
-    """Proving that a layer never throws takes milliseconds, so the map is coarse."""
-    rig = Rig(projectile=Projectile(mass=1.0))
-    panel = draw_energy_map(rig, TWIN.defaults(), {}).axes[0]
-    assert [line.get_label() for line in panel.lines] == ['now: no release']
-    values = np.ma.filled(panel.collections[0].get_array(), np.nan)
-    assert np.isnan(values).any()
-    assert values.size < 160 * 100

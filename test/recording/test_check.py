@@ -19,7 +19,6 @@ from soft_throw_ros import configuration
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import JOINTS
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult, Count
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder
@@ -206,21 +205,6 @@ def test_two_twins_in_a_bag_are_checked_and_a_foreign_journal_is_reported(tmp_pa
     assert results['/x'].reason
 
 
-def test_every_file_of_a_bag_may_be_checked_alone(plain, tmp_path) -> None:
-    with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
-        for number, message in enumerate(plain.messages):
-            writer.write(message)
-            if number in (1300, 2600):
-                writer.split()
-    states = 0
-    for path in [tmp_path / 'bag', *sorted((tmp_path / 'bag').glob('*.mcap'))]:
-        with BagReader(path) as reader:
-            (result,) = check_bag(reader)
-        assert (result.exit_code, result.differences) == (0, [])
-        states += result.states.same
-    assert 2200 + 1000 < states < 2 * 2200  # a file is checked from its first throw on
-
-
 # something different
 
 
@@ -298,13 +282,6 @@ def test_missing_states_are_counted_and_no_difference(plain, check, lost) -> Non
     assert result.states.missing == len(lost)
 
 
-def test_doubled_states_are_compared_each(plain, check) -> None:
-    states = plain.of('joint_states')
-    wrong = states[7]._replace(data=states[7].data[:-1] + b'\x07')
-    result = check([states[2], *plain.messages, wrong])
-    assert result.states == Count(same=2201, different=1)
-
-
 def test_bag_that_begins_late_is_checked_from_the_next_throw_on(plain, check) -> None:
     since = BEGIN + 450_000_000
     result = check([message for message in plain.messages if message.log_time >= since])
@@ -327,14 +304,6 @@ def test_missing_lines_are_counted_and_the_next_throw_is_checked(plain, measured
         compared = [entry for entry in entries if entry['kind'] in ('result', 'checksum')]
         assert 0 < result.results.same < len(compared)
         assert result.states.same + result.states.missing < len(twin.of('joint_states'))
-
-
-def test_new_line_before_older_ones_is_no_difference(plain, check) -> None:
-    """The middleware delivers latched lines in the background while new ones arrive."""
-    early = plain.of('journal')[5]
-    result = check([early, *(message for message in plain.messages if message is not early)])
-    assert (result.differences, result.exit_code) == ([], 0)
-    assert result.results.same > 0
 
 
 @pytest.mark.parametrize(

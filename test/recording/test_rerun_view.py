@@ -196,32 +196,6 @@ def test_map_and_table_are_of_the_recommended_rig_or_empty(
             assert (len(alphas), table) == (1, [])
 
 
-def test_layer_has_the_colours_of_its_strain_from_top_to_plate(twin, recording) -> None:
-    times, pictures = recording.series('/twin/side/layer', 'Image:buffer')
-    throw, begin = simulate(Rig(), until=0.02), twin.schedule.deadline(500)
-    for since in (-0.1, 0.005, 0.0099):
-        row = int(np.searchsorted(times, begin + since * 1e9))
-        strain = throw.fields(np.array([max((times[row] - begin) / 1e9, 0.0)]), points=64).strain
-        expected = charts.signed_colours(strain[0, ::-1], 0.2).astype(int)
-        np.testing.assert_allclose(np.reshape(pictures[row][0], (64, 3)), expected, atol=8)
-        assert (np.ptp(expected) > 100) == (since > 0.0)
-
-
-def test_texts_have_the_numbers_and_every_view_its_unit(recording) -> None:
-    text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
-    throw = simulate(Rig())
-    assert 'Throw 2' in text
-    heads, times_, _, transfers, *_ = table_of(text)
-    assert heads == ['', 'twin']
-    assert times_[1] == f'{1e3 * throw.ejection_time:.4g}'
-    assert transfers[1] == f'{throw.energy_transfer:.4g}'
-    assert set(recording.views) == {
-        'Rig, z (mm)', 'Strain ε(y, t) in the throw', 'Energy transfer α(Lₛ, cₛ)', 'Phase',
-        'Position z (mm)', 'Velocity v (m/s)', 'Compressive force F (N)', 'Energy (mJ)',
-        'Throw', 'Recommended layer', 'Log',
-    }
-
-
 def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
     tmp_path,
 ) -> None:
@@ -346,17 +320,3 @@ def test_joint_states_of_other_machines_are_ignored(twin, tmp_path, name) -> Non
     arm = JointStateEncoder('base', ('shoulder', 'elbow')).encode(1, [0.0] * 6)
     _, scene = record(tmp_path / 'a.rrd', [Message(twin.channels[name], arm, 1, 1)])
     assert (scene.damaged, scene.is_empty) == (0, True)
-
-
-def test_log_lines_are_at_their_step_in_simulated_time(tmp_path) -> None:
-    """Lines are stamped by the clock of the machine."""
-    twin, ahead = TwinMessages(throw__period=0.2).go(300), 10**15
-    messages = [
-        item._replace(publish_time=item.publish_time + ahead, log_time=item.log_time + ahead)
-        for item in twin.messages
-    ]
-    recording, _ = record(tmp_path / 'a.rrd', messages)
-    steps = [twin.schedule.deadline(outputs.step) for outputs in twin.outputs if outputs.results]
-    times, lines = recording.series('/log', 'TextLog:text')
-    assert times.tolist() == steps
-    assert 'throw 1' in lines[0][0]

@@ -16,14 +16,11 @@ import time
 from typing import Any
 
 import pytest
-from soft_throw_ros.recording import rerun_viewer
 from soft_throw_ros.recording.rerun_viewer import (
-    find_viewer,
     free_port,
     listens,
     NoGraphicsError,
     Viewer,
-    ViewerError,
 )
 
 pytest.importorskip('rerun')
@@ -86,11 +83,3 @@ def test_viewer_without_graphics_names_packages_to_install(monkeypatch) -> None:
         pytest.raises(NoGraphicsError, match='mesa-vulkan-drivers'),
     ):
         process.client()
-
-
-def test_missing_or_failing_program_is_reported(monkeypatch) -> None:
-    with pytest.raises(ViewerError, match=r'has ended: .*--no-such-option'):
-        Viewer(free_port(), '--no-such-option').wait()
-    monkeypatch.setattr(rerun_viewer.util, 'find_spec', lambda _name: None)
-    with pytest.raises(ViewerError, match=r'soft_throw_ros\[rerun\]'):
-        find_viewer()

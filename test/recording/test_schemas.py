@@ -65,22 +65,6 @@ def test_text_is_assembled_as_by_rosbag2(prefix):
     )
 
 
-def test_first_prefix_with_a_type_is_used(prefix):
-    prefix('std_msgs/String', 'string other\n')
-    assert find_schema('std_msgs/msg/String', [prefix, *PREFIXES]).text == 'string other\n'
-    assert find_schema('std_msgs/msg/String', [*PREFIXES, prefix]).text != 'string other\n'
-    mixed = find_schema('std_msgs/msg/Header', [prefix, *PREFIXES])
-    assert mixed == find_schema('std_msgs/msg/Header', PREFIXES)
-
-
-def test_recursive_type_ends(prefix):
-    prefix('a/A', 'B b\n')
-    prefix('a/B', 'A a\nB[] b\n')
-    schema = find_schema('a/msg/A', [prefix])
-    assert schema.text == f'B b\n\n{LINE}\nMSG: a/B\nA a\nB[] b\n'
-    assert schema.type_hash == ''  # as before ROS 2 Jazzy
-
-
 def test_missing_type_is_named_with_the_searched_folders(prefix, tmp_path):
     with pytest.raises(SchemaError, match='a/msg/Top') as refusal:
         find_schema('a/msg/Top', [prefix, '/nowhere'])

@@ -18,7 +18,7 @@ READERS = {
     'parameters': files.read,
     'motion': motions.read,
     'fit': FitDescription.from_file,
-    'tracks': lambda path: _read_csv(str(path), ('plate',), 'm'),
+    'tracks': lambda path: _read_csv(str(path), ('plate',), None, []),
     'video': lambda path: list(read_pictures(str(path))),
 }
 
