@@ -118,7 +118,6 @@ class System:
             self.running[name].end_well()
         last = self.running['recorder'].lines[-1]
         assert ' lost' in last
-        # Lost states, and states published before a late recorder joined.
         missing = sum(map(int, re.findall(r'(\d+) of /twin/joint_states', last)))
         reports = processes.recorded_statuses(self.bags[-1])
         reported, timing = [item[::2] for item in reports if item[1] == '/twin: timing'][-1]
@@ -132,9 +131,9 @@ class System:
 
 
 def missing(states: processes.RecordedStates) -> int:
-    """Count missing sequence numbers of a twin, which begin at 1."""
+    """Count missing sequence numbers of a twin from the first recorded one on."""
     assert (np.diff(states.numbers) > 0).all()
-    return int(states.numbers[-1]) - states.numbers.size
+    return int(states.numbers[-1] - states.numbers[0]) + 1 - states.numbers.size
 
 
 def _size(path: Path) -> int:

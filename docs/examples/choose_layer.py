@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Let the node /twin choose a layer of the library, and apply its recommendation."""
+"""Let the node /twin choose the thickness of its layer, and apply its recommendation."""
 
 import time
 
@@ -21,9 +21,10 @@ def answer(future):
     return future.result()
 
 
-vary = Parameter('recommendation.vary', value='library')
+vary = Parameter('recommendation.vary', value='thickness')
 print(answer(parameters.set_parameters([vary])).results[0].reason or 'set')
 while not (reply := answer(apply.call_async(Trigger.Request()))).success:
     time.sleep(0.5)  # it is being computed
 print(reply.message)
-print(answer(parameters.get_parameters(['layer.name'])).values[0].string_value)
+thickness = answer(parameters.get_parameters(['layer.thickness'])).values[0].double_value
+print(f'{thickness:.9g}')
