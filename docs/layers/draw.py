@@ -178,7 +178,8 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
         levels = [sheet.impedance for sheet in best.layer.sheets]
         name = ('one sheet', 'two sheets', 'three sheets')[count - 1]
         left.stairs(levels, edges, color=colour, lw=2.0, baseline=None, label=name)
-        throw = simulate(Rig(layer=best.layer), cells=_CELLS, until=times[-1])
+        cells = _CELLS if best.layer.needs_cells else None
+        throw = simulate(Rig(layer=best.layer), cells=cells, until=times[-1])
         trajectory = throw.trajectory(times)
         right.plot(1e3 * times, trajectory.projectile_velocity, color=colour)
         release = throw.first_release

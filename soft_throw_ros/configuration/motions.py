@@ -74,7 +74,8 @@ def read(path: str | Path) -> SampledMotion:
     """
     name = str(path)
     try:
-        return _read(name)
+        changed = Path(name).stat().st_mtime_ns
+        return _read(name, changed)
     except OSError as error:
         raise ParameterError(f'{name}: {error.strerror}', PARAMETER) from None
 
@@ -117,7 +118,8 @@ def trajectory_points(motion: SampledMotion) -> list[dict[str, Any]]:
 
 
 @lru_cache(maxsize=64)
-def _read(name: str) -> SampledMotion:
+def _read(name: str, _changed: int) -> SampledMotion:
+    """Read a file that has changed at a time [ns]."""
     path = Path(name)
     if path.is_dir() or path.suffix in _BAGS:
         times, heights = _first_throw(*_read_bag(path))

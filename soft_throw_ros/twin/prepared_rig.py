@@ -222,7 +222,8 @@ def prepare(
     """
     Prepare the rig that complete settings describe, which takes milliseconds.
 
-    The steppers of the rig `before` are used again unless a parameter in `waiting_values` differs.
+    The steppers of the rig `before` are used again unless a parameter in `waiting_values` differs,
+    and its motion unless the path of the file differs.
 
     Raises
     ------
@@ -234,7 +235,10 @@ def prepare(
     if before is None:
         config = TwinConfig.from_settings(settings, motion_of)
     else:
-        config = before.config.change(settings, motion_of)
+        path, motion = before.config.motion_file, before.rig.engine.motion
+        config = before.config.change(
+            settings, lambda name: motion if motion and name == path else motion_of(name)
+        )
     if config.command_lead is not None:
         _require_playable(config, config.command_lead)
     if before is not None and waiting_values(settings) == waiting_values(before.config.settings):

@@ -212,7 +212,7 @@ class Session:
             before = staged.encoded_motions
             staged.stage(wanted)
             after = staged.encoded_motions
-            new = {path: after[path] for path in after if path not in before}
+            new = {path: text for path, text in after.items() if before.get(path) != text}
             self._journal.write(
                 'input', self.step, input='parameters', values=dict(values), motions=new
             )
@@ -307,6 +307,8 @@ class Session:
                     self.reset()
                 case 'parameters':
                     values = journal.checked_settings(entry, 'values')
-                    self.change(values, motion_of=journal.motion_source(entry))
+                    known = {**self._staged.encoded_motions, **entry.get('motions', {})}
+                    source = journal.motion_source({**entry, 'motions': known})
+                    self.change(values, motion_of=source)
                 case name:
                     raise journal.JournalError(f'no input is named {quote(name)}')

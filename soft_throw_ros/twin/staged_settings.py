@@ -35,12 +35,8 @@ class StagedSettings:
         return {**self.prepared.encoded_motion, **self.wanted.encoded_motion}
 
     def prepare(self, values: Settings, motion_of: MotionSource) -> PreparedRig:
-        """Return the wanted rig after a change; motions that are known stay as known."""
-        known = {
-            rig.config.motion_file: rig.rig.engine.motion for rig in (self.prepared, self.wanted)
-        }
-        settings = {**self.wanted.config.settings, **values}
-        return prepare(settings, self.wanted, lambda path: known.get(path) or motion_of(path))
+        """Return the wanted rig after a change."""
+        return prepare({**self.wanted.config.settings, **values}, self.wanted, motion_of)
 
     def stage(self, wanted: PreparedRig) -> None:
         """Stage a wanted rig, the result of `prepare`."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -415,6 +416,23 @@ def test_journal_replays_motions_that_are_changed_without_their_files(write_moti
     assert run.results('release')[1].first.ejection_time == pytest.approx(first, rel=1e-9)
     path.unlink()
     other.unlink()
+    run.assert_repeated()
+
+
+def test_edited_motion_is_read_when_its_file_is_set_again_and_is_replayed(write_motion) -> None:
+    path = write_motion()
+    run = Run(engine__motion_file=str(path))
+    run.go(1200)
+    write_motion(amplitude=1.5e-3)
+    os.utime(path, ns=(0, 0))  # at another time
+    without = {'engine.motion': 'underdamped', 'engine.motion_file': ''}
+    for values in ({'layer.thickness': 0.02}, without):
+        run.session.change(values)
+        run.go(1000)
+    run.session.change({'engine.motion': 'file', 'engine.motion_file': str(path)})
+    run.go(1200)
+    same, edited = (run.results('release')[number].first.ejection_speed for number in (1, -1))
+    assert edited > 1.2 * same
     run.assert_repeated()
 
 

@@ -77,7 +77,8 @@ def test_motions_of_both_rigs_are_known_by_their_paths() -> None:
         stage(staged, values, lambda path: read.append(path) or files[path])
         if read == ['a.csv']:
             staged.commit()
-    assert read == ['a.csv', 'b.csv', 'b.csv']  # the motion in effect is not read again
+    stage(staged, {'layer.thickness': 0.02}, read.append)
+    assert read == ['a.csv', 'b.csv', 'a.csv', 'b.csv']  # again with another path only
     encoded = staged.encoded_motions
     assert set(encoded) == set(files)
     for path, text in encoded.items():
