@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Event, PROJECTILE_POSITION
+from soft_throw_ros.core.stepper import Event, EventLimitError, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import make_stepper
 
 Floats = NDArray[np.float64]
@@ -115,7 +115,11 @@ def throw(
     stepper = make_stepper(moving, field_points=2)
     path = np.empty(times.size)
     for n, since in enumerate((times - begin).tolist()):
-        stepper.advance_to(since)
+        try:
+            stepper.advance_to(since)
+        except EventLimitError:  # it chatters on a stiff layer, and stays there
+            path[n:] = path[n - 1]
+            break
         path[n] = stepper.state[PROJECTILE_POSITION]
     return ImperfectThrow(
         rig=rig,

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.stepper import MAX_EVENTS
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections, throw
 
 
@@ -19,6 +20,13 @@ def test_perfect_rig_throws_as_by_the_method_of_steps():
     assert thrown.projectile(time) == pytest.approx(exact.projectile_position(time), abs=2e-7)
     assert [event.kind for event in thrown.events] == [event.kind for event in exact.events]
     assert thrown.events[0].time == pytest.approx(exact.events[0].time, abs=2e-8)
+
+
+def test_projectile_that_chatters_on_a_stiff_layer_stays():
+    rig = Rig(engine=Engine(frequency=1.0), layer=Layer(wave_speed=73.0), gravity=0.0)
+    thrown = throw(rig, until=0.2)
+    assert len(thrown.events) >= MAX_EVENTS
+    assert thrown.projectile(0.2) == thrown.projectile(0.19)
 
 
 def test_plate_rings_before_and_has_a_second_mode():
