@@ -121,7 +121,7 @@ TABLE = {
         'pi - 2/(omega tau) + pi/(omega tau)^2', math.pi - 0.02 + math.pi * 1e-4, 1e-5
     ),
     'largest strain at 63.2 Hz (%)': ('below 10', (11.819685, 20.455695), 5e-3),
-    'largest strain at 31.1 Hz (%)': ('below 10', (3.050406, 5.814709), 1e-3),
+    'largest strain at 31.1 Hz (%)': ('below 10', (3.050406, 5.814709), 3e-3),
     'acceleration of the plate, A omega^2 (g)': ('3 to 16', (7.7846, 32.148), 1e-2),
     'wave speed in the projectile, c_r (m/s)': ('1700', math.sqrt(3.6e9 / 1300.0), 1e-9),
     'largest speed of the plate, V_p* (m/s)': ('0.8', 4e-3 * math.pi * 63.2, 1e-9),
