@@ -16,7 +16,7 @@
 #   make bench-check      measure the speed and compare the ratios with bench/ratios.json
 #   make soak             run everything together for 30 minutes; ARGS='--minutes 2'
 #   make trials           identify simulated rigs with faults; ARGS='--rigs 4 --rows drift'
-#   make figures          draw docs/: the paper's figures, its numbers, README, measured.md, design.md
+#   make figures          draw docs/: the paper's figures, its numbers, README, identify.md, design.md
 #   make lock             update the locked versions and their checksums
 #   make clean            delete all files that make created
 #

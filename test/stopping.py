@@ -5,7 +5,7 @@ Stop of a process while it waits.
 
 A process that is stopped or killed while it takes a message from shared memory keeps the lock of
 its queue: Fast DDS then blocks all senders for up to ten seconds, and drops their messages
-(docs/reliability.md). A test of anything else must not meet this case by chance.
+(docs/record.md). A test of anything else must not meet this case by chance.
 """
 
 import os

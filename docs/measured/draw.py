@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Draw the pictures of docs/measured.md from a simulated video, its tracks and the fitted rig.
+Draw the pictures of docs/identify.md from a simulated video, its tracks and the fitted rig.
 
 `python docs/measured/draw.py` writes the pictures to docs/measured, `--output DIR` to another
 folder. `--keep FILE.avi` keeps the video, with which the commands of the page can be tried.
@@ -156,7 +156,7 @@ def _energy_transfer(rig: Rig, thicknesses: Floats, speed: float) -> Floats:
 
 def main(args: list[str] | None = None) -> int:
     """Draw all pictures; return 0."""
-    parser = argparse.ArgumentParser(description='Draw the pictures of docs/measured.md.')
+    parser = argparse.ArgumentParser(description='Draw the pictures of docs/identify.md.')
     folder = Path(__file__).resolve().parent
     parser.add_argument('--output', metavar='DIR', type=Path, default=folder)
     parser.add_argument('--keep', metavar='FILE', type=Path, help='keep the video as this')

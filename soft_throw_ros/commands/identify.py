@@ -98,7 +98,7 @@ def add_fit_options(parser: CommandParser) -> None:
     )
     add(
         '--fit-file', metavar='FILE',
-        help='YAML file of the fit (docs/measured.md): `free`, `fixed`, `prior`, `per_throw`, '
+        help='YAML file of the fit (docs/identify.md): `free`, `fixed`, `prior`, `per_throw`, '
         '`throws` whose parameters differ, `heights`, `reference`, and the `topic` of bags',
     )
 

@@ -128,7 +128,7 @@ class Recorder(RunnableNode):
         if unheard:
             self.get_logger().warning(
                 f'no message on {first_few(unheard)} for {SILENCE_LIMIT} s: if there should be, '
-                'run publisher and recorder as one user (docs/ros.md), or restart the recorder'
+                'run publisher and recorder as one user (docs/twin.md), or restart the recorder'
             )
         if silent := recording.take_silent_topics():
             self.get_logger().warning(f'nothing is published yet on {", ".join(silent)}')

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Effects of a killed or stopped process on the others: the rows of docs/reliability.md.
+Effects of a killed or stopped process on the others: the rows of docs/testing.md.
 
 Two counts are correct in every case. The recorder reports as lost the messages that are missing
 from its bag by their sequence numbers. The twin reports at least as many skipped ticks as are

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Faults around a twin, and the promises of docs/reliability.md."""
+"""Faults around a twin, and the promises of docs/testing.md."""
 
 from __future__ import annotations
 
