@@ -105,12 +105,6 @@ def test_ctrl_c_stops_workers_too_and_leaves_no_file(command, tmp_path):
     assert list(tmp_path.iterdir()) == [script]
 
 
-def test_file_that_cannot_be_written_is_named(command, tmp_path):
-    (tmp_path / 'map.nc').mkdir()
-    assert str(tmp_path / 'map.nc') in command.refused(*SMALL, '--output', tmp_path / 'map.nc')
-    assert [path.name for path in tmp_path.iterdir()] == ['map.nc']
-
-
 @pytest.mark.parametrize(
     ('args', 'message'),
     [

@@ -57,17 +57,3 @@ def test_free_layers_of_two_materials_give_a_warning(command, write):
         args += [thickness, write(ringing(truth, seed=2), f'{thickness}.csv')]
     command.run(*args, '--unit', 'mm')
     assert 'not proportional to the thicknesses' in command.err
-
-
-@pytest.mark.parametrize(
-    ('args', 'message'),
-    [
-        ((), 'the following arguments are required: M FILE'),
-        (('x', SAMPLE), 'argument M FILE: layer.thickness must be a number from 0.0005'),
-        ((SAMPLE,), 'argument M FILE: must be pairs'),
-        (('1e-2', SAMPLE, '--thickness-error', '-1'), 'argument --thickness-error: must be'),
-        (('1e-2', SAMPLE), f'{SAMPLE}:4: no column is named bottom or z_bottom or '),
-    ],
-)
-def test_bad_argument_is_refused_in_one_line(command, args, message):
-    assert command.refused(*args).startswith(message)

@@ -89,21 +89,6 @@ def test_bad_csv_is_refused_with_its_line(lines, value):
         read_csv(lines, 'file', BODIES)
 
 
-@pytest.mark.parametrize(
-    ('time', 'position', 'message'),
-    [
-        (TIME, TIME[1:], 'two series of the same length'),
-        (TIME[:5], TIME[:5], f'at least {FEWEST}'),
-        (TIME, np.where(TIME > 0, TIME, np.nan), 'position must be finite, got nan'),
-        (TIME, np.where(TIME > 0, TIME, -1e9), 'position must be within .* got -1e'),
-        (TIME[::-1], TIME, 'time must increase'),
-    ],
-)
-def test_invalid_track_is_refused(time, position, message):
-    with pytest.raises(TrackError, match=message):
-        Track(time=time, position=position)
-
-
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
 
 
@@ -224,9 +209,3 @@ def test_record_is_cut_at_long_gaps():
 )
 def test_record_of_one_settling_throw_is_not_cut(whole):
     assert split_into_throws(whole) == [whole]
-
-
-@pytest.mark.parametrize('noise', [0.0, -1e-6, np.nan])
-def test_noise_that_is_not_positive_is_refused(noise) -> None:
-    with pytest.raises(ValueError, match='known_noise'):
-        Track(time=np.arange(20.0), position=np.zeros(20), known_noise=noise)
