@@ -58,6 +58,8 @@ _MAX_RATIO = 10.0  # chi squared of a minimum of a window, relative to the best
 _MAX_EVALUATIONS = 10  # largest number of evaluations of the model in a fit of a candidate
 _MAX_RIVALS = 2  # largest number of fits of other minima, the most promising ones first
 _RIVAL_RATIO = 3.0  # chi squared of a rival up to two periods, relative to the best
+_GOOD = 1.1  # chi squared per degree of freedom of a fit that needs no other start
+_NEIGHBOURS = (0.985, 1.015)  # wave speeds of other starts, relative to the best
 _MIN_SEPARATION = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
 _LAYER_TOLERANCE = 5e-3  # relative difference below which two layers count as equal
 
@@ -113,11 +115,18 @@ def find_best_minimum(model: RigModel, fit: Fit, candidates: Sequence[LayerCandi
         return fit
     limit = _RIVAL_RATIO * candidates[0].chi2
     fits = [fit]
-    for candidate in candidates[1:][:_MAX_RIVALS]:
-        if candidate.chi2 < limit:
-            with contextlib.suppress(FitError):
-                rival = replace(model, initial={**model.initial, **candidate.values})
-                fits.append(rival.fit(rival.start(), max_evaluations=_MAX_EVALUATIONS))
+    starts = [item.values for item in candidates[1:][:_MAX_RIVALS] if item.chi2 < limit]
+    if fit.reduced_chi2 > _GOOD and 'layer.wave_speed' in candidates[0].values:
+        # a kink may stop the solver at once, where a contact begins or ends
+        first = candidates[0].values
+        starts += [
+            {**first, 'layer.wave_speed': factor * first['layer.wave_speed']}
+            for factor in _NEIGHBOURS
+        ]
+    for values in starts:
+        with contextlib.suppress(FitError):
+            rival = replace(model, initial={**model.initial, **values})
+            fits.append(rival.fit(rival.start(), max_evaluations=_MAX_EVALUATIONS))
     best, *others = sorted(fits, key=attrgetter('chi2'))
     if best is not fit:
         best = model.fit(best.values)

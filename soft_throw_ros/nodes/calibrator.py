@@ -56,6 +56,7 @@ from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+_MOST_MISFIT = 25.0  # chi squared per degree of freedom; errors of stamps alone reach 10
 _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
 _AFTER = 6.5  # length of the track from the start of the throw on [plate periods]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
@@ -270,7 +271,7 @@ class Calibrator(RunnableNode):
         """Set the fitted parameters of the twin, and give the rig the recommended layer."""
         for warning in fit_warnings(rig_fit.fit):
             self.get_logger().warning(warning)
-        if rig_fit.fit.is_mismatch:
+        if rig_fit.fit.reduced_chi2 > _MOST_MISFIT:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
         if not rig_fit.fit.is_converged:
             raise ValueError('the fit stopped at its limit before it converged')
