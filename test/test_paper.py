@@ -23,7 +23,8 @@ pytest.importorskip('matplotlib', reason='the extra [plot]')
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-import comparison  # noqa: E402, I100
+from best import best_ratios  # noqa: E402, I100
+import comparison  # noqa: E402
 import fits  # noqa: E402
 import limits  # noqa: E402
 from models import SERIES  # noqa: E402
@@ -36,6 +37,25 @@ def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
     highest = np.argmax(alphas)
     assert 4.12 < alphas.flat[highest] < 4.123215
     assert (x.flat[highest], c.flat[highest]) == pytest.approx((0.8102, 6.678), abs=0.05)
+
+
+# Computed with 40-digit closed forms, checked by a second method
+@pytest.mark.parametrize(
+    ('damping_ratio', 'mass_ratio', 'speed_ratio', 'ejection_phase', 'energy_transfer'),
+    [
+        (0.0, 0.23423068535205, 8.2422098072057, 0.3994399384513045, 4.123214640552163),
+        (0.064, 0.25539654358484, 8.57592091835, 0.3866752089467103, 4.1428974402270375),
+        (0.2, 0.29513187784084, 9.2434758430532, 0.3633656659293691, 4.185169858004478),
+    ],
+)
+def test_best_ratios_are_exact(
+    damping_ratio, mass_ratio, speed_ratio, ejection_phase, energy_transfer
+):
+    best = best_ratios(damping_ratio)
+    assert best.mass_ratio == pytest.approx(mass_ratio, rel=1e-4)
+    assert best.speed_ratio == pytest.approx(speed_ratio, rel=1e-4)
+    assert best.ejection_phase == pytest.approx(ejection_phase, rel=1e-4)
+    assert best.energy_transfer == pytest.approx(energy_transfer, rel=1e-9)
 
 
 @pytest.mark.parametrize(('x', 'c'), [(0.1, 0.19), (0.5, 0.88), (0.99, 1.33)])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import functools
 import math
 
+from best import best_ratios
 from fits import SLOPE, SLOPE_ERROR
 import limits
 from models import (
@@ -32,7 +33,6 @@ from soft_throw_ros.core.rig import Engine, Layer, Rig, STANDARD_GRAVITY, values
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import throw_batch
 from soft_throw_ros.design.prediction import predict
-from soft_throw_ros.design.recommendation import best_ratios
 
 Floats = NDArray[np.float64]
 

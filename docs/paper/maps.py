@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import functools
 from typing import Any, Literal
 
+from best import best_ratios
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -17,7 +18,6 @@ from models import DAMPING_RATIO, releases_at, releases_of, rig_of, SERIES
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.closed_form import FirstRelease
-from soft_throw_ros.design.recommendation import best_ratios
 from style import BLACK, BLUE, broken, C_LABEL, legend_below, new_figure, PAPER, RED, X_LABEL
 
 Floats = NDArray[np.float64]

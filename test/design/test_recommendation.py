@@ -15,7 +15,6 @@ from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throws import throw_many
 from soft_throw_ros.design.recommendation import (
-    best_ratios,
     MAX_STUCK_FRACTION,
     predict,
     PredictedThrow,
@@ -153,25 +152,6 @@ def test_recommendation_under_strong_gravity_is_as_good_as_brute_force(
     )
     rig = heavy_rig(gravity_ratio, mass=mass, damping_ratio=damping_ratio)
     assert_as_good_as_brute_force(rig, size=60, limits=limits, **BEST_PEAK)
-
-
-# Computed with 40-digit closed forms, checked by a second method
-@pytest.mark.parametrize(
-    ('damping_ratio', 'mass_ratio', 'speed_ratio', 'ejection_phase', 'energy_transfer'),
-    [
-        (0.0, 0.23423068535205, 8.2422098072057, 0.3994399384513045, 4.123214640552163),
-        (0.064, 0.25539654358484, 8.57592091835, 0.3866752089467103, 4.1428974402270375),
-        (0.2, 0.29513187784084, 9.2434758430532, 0.3633656659293691, 4.185169858004478),
-    ],
-)
-def test_best_ratios_are_exact(
-    damping_ratio, mass_ratio, speed_ratio, ejection_phase, energy_transfer
-):
-    best = best_ratios(damping_ratio)
-    assert best.mass_ratio == pytest.approx(mass_ratio, rel=1e-4)
-    assert best.speed_ratio == pytest.approx(speed_ratio, rel=1e-4)
-    assert best.ejection_phase == pytest.approx(ejection_phase, rel=1e-4)
-    assert best.energy_transfer == pytest.approx(energy_transfer, rel=1e-9)
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
