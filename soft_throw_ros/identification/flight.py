@@ -8,13 +8,16 @@ import numpy as np
 from scipy.stats import theilslopes
 from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.identification.least_squares import Estimate
-from soft_throw_ros.identification.tracks import Track
+from soft_throw_ros.identification.tracks import Track, TrackError
 
 _STANDARD = 0.683
 """Probability of the interval between one standard error below and above a value. [-]"""
 
 _FAST = 0.5
 """Smallest speed of the plate that shows its delay, relative to its peak speed. [-]"""
+
+_FOLLOWED = 0.1
+"""Largest median distance of a plate from its command, relative to the range of heights. [-]"""
 
 
 def flight_speed(track: Track, *, gravity: float) -> Estimate:
@@ -65,6 +68,11 @@ def motion_delay(track: Track, motion: PlateMotion) -> float:
     float
         Median of the differences of height over the velocity, where the plate is fast. [s]
 
+    Raises
+    ------
+    TrackError
+        If the plate did not follow the motion.
+
     Examples
     --------
     >>> from soft_throw_ros.core.plate import motion_of
@@ -77,5 +85,11 @@ def motion_delay(track: Track, motion: PlateMotion) -> float:
     """
     velocity = motion.velocity(track.time)
     is_fast = np.abs(velocity) > _FAST * np.abs(velocity).max()
-    difference = motion.position(track.time) - track.position
-    return float(np.median(difference[is_fast] / velocity[is_fast]))
+    height = motion.position(track.time)
+    delay = float(np.median((height - track.position)[is_fast] / velocity[is_fast]))
+    distance = float(np.median(np.abs(motion.position(track.time - delay) - track.position)))
+    if distance > _FOLLOWED * np.ptp(height):
+        raise TrackError(
+            f'the plate was {1e3 * distance:.3g} mm from its command; the rig was not ready'
+        )
+    return delay
