@@ -11,8 +11,10 @@ import contextlib
 from dataclasses import replace
 import math
 import multiprocessing
+import os
 from pathlib import Path
 import signal
+import threading
 from typing import Any
 
 from soft_throw_ros.commands.output import require
@@ -205,7 +207,9 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
         # Spawn, because threads do not survive a fork. Start all workers while SIGINT is blocked:
         # they inherit the mask, so only this process handles Ctrl-C. Workers finish their block.
         spawn = multiprocessing.get_context('spawn')
-        with ProcessPoolExecutor(arguments.workers, mp_context=spawn) as executor:
+        with ProcessPoolExecutor(
+            arguments.workers, mp_context=spawn, initializer=_end_with_parent
+        ) as executor:
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             for _ in range(arguments.workers):
                 executor.submit(int)
@@ -216,6 +220,18 @@ def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
                 raise WorkersLostError(
                     'a worker process was killed, perhaps because memory ran out'
                 ) from None
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent has been killed and sends no more blocks."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def number_type(rule: str, allows: Callable[[float], bool]) -> Callable[[str], float]:

@@ -4,6 +4,10 @@
 
 import json
 import math
+from pathlib import Path
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -20,7 +24,9 @@ def test_every_row_has_trials_with_a_truth_determined_by_the_seed(row):
         assert np.isfinite(record).all()
         assert (np.diff(record[:, 0]) > 0.0).all()
         assert np.array_equal(record, same)
-    assert trial.truth['layer.wave_speed'] > 0.0
+    speeds = {'layer.wave_speed', 'layer.rest_wave_speed'} & set(trial.truth)
+    assert all(trial.truth[name] > 0.0 for name in speeds)
+    assert len(speeds) == 1
 
 
 def test_truth_within_a_reported_alternative_is_right():
@@ -53,6 +59,28 @@ def test_command_identifies_a_clean_throw(capsys, tmp_path):
     assert [clean[key] for key in ('row', 'refusal', 'warnings')] == [name, '', []]
     for name in ('layer.wave_speed', 'ejection.time'):
         assert Deviation(*clean['results'][name]).errors < 4.0
+
+
+def test_workers_end_when_their_parent_is_killed():
+    code = """
+import argparse, multiprocessing, os, signal
+from soft_throw_ros.commands.options import open_executor
+with open_executor(argparse.Namespace(dask=None, workers=2)):
+    print(*[child.pid for child in multiprocessing.active_children()], flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    command = [sys.executable, '-c', code]
+    parent = subprocess.run(command, check=False, stdout=subprocess.PIPE, timeout=60.0)
+    stats = [Path('/proc', pid, 'stat') for pid in parent.stdout.decode().split()]
+    assert len(stats) == 2
+
+    def is_running(stat):
+        return stat.exists() and stat.read_text().split()[2] != 'Z'
+
+    deadline = time.monotonic() + 20.0
+    while any(map(is_running, stats)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(is_running, stats))
 
 
 @pytest.mark.parametrize(
