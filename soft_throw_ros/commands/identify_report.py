@@ -206,17 +206,14 @@ def held_rows(values: Mapping[str, float], assumed: Sequence[str]) -> Iterator[R
 
 def fit_rows(result: RigFit) -> Iterator[Row]:
     """Yield the fitted parameters, each with the main source of its error."""
-    at_rest = result.rest_wave_speed() if 'layer.wave_speed' in result.model.layout else None
     for name, estimate in result.estimates().items():
-        if name != 'layer.wave_speed' or at_rest is None:
+        if name != 'layer.wave_speed':
             yield Row.of(name, estimate, _main_source(result, name))
             continue
         amplitude = 1e3 * result.rig.engine.amplitude
         yield Row.of(name, estimate, f'at the amplitude of {amplitude:.3g} mm')
-        source = _main_source(result, name)
-        if 'layer.stiffening' in source:
-            source += '; fit a throw at half the amplitude as well'
-        yield Row.of('layer.rest_wave_speed', at_rest, source)
+        note = 'softer if the layer stiffens; identify a throw of half the amplitude alone'
+        yield Row.of('layer.rest_wave_speed', result.rest_wave_speed(), note)
 
 
 def _main_source(result: RigFit, name: str) -> str:
@@ -241,10 +238,11 @@ def ejection_rows(ejection: Ejection) -> Iterator[Row]:
             yield Row.of(f'ejection.{name}', getattr(release, name), note)
 
 
-def fit_lines(fit: Fit) -> Iterator[str]:
+def fit_lines(result: RigFit) -> Iterator[str]:
     """Yield the systematic errors, the quality of the fit of each track, and its outliers."""
+    fit = result.fit
     floors = ', '.join(f'{name} {floor}' for name, floor in FLOORS.items())
-    yield f'systematic errors, part of all errors here: {floors}'
+    yield f'systematic errors, part of all errors here, all times {result.growth:.2g}: {floors}'
     yield (
         f'chi squared {fit.chi2:.1f} for {fit.dof} degrees of freedom '
         f'({fit.reduced_chi2:.3f} each)'

@@ -98,7 +98,7 @@ def ejection_of(result: RigFit) -> Ejection:
         for name, column in columns.items():
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
-            estimates.append(with_floor(name, Estimate(value, error)))
+            estimates.append(with_floor(name, Estimate(value, error), result.growth))
         time, speed, plate_speed, energy_transfer = estimates
         share = float(chosen.sum() / is_released.sum())
         return Release(time, speed, plate_speed, energy_transfer, count, share)

@@ -3,7 +3,7 @@
 """
 Treatments of the parameters of a fit: free, fixed or known with an error, for all throws or some.
 
-Command line, YAML file and Python share them.
+Command line, YAML file and Python share them. `ParameterLayout` puts the values in an order.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.identification.least_squares import Estimate, FitError
-from soft_throw_ros.identification.tracks import names_of
+from soft_throw_ros.identification.tracks import ThrowTracks
 
 ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
 LOSS = 'layer.loss_tangent'
@@ -29,11 +30,14 @@ LAYER = ('layer.wave_speed', 'layer.thickness', LOSS)
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
 
+START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
+"""Parameters of each throw: the time of its start, and the heights of its bodies at rest."""
+
 DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.loss_tangent')
 """Parameters whose defaults belong to another rig; the default of the loss is none."""
 
 NUISANCE_PARAMETERS = {
-    'layer.stiffening': 0.0,
     'plate.drift': 0.0,
     'projectile.drift': 0.0,
     'projectile.scale': 1.0,
@@ -42,25 +46,12 @@ NUISANCE_PARAMETERS = {
 """
 Nuisance parameters of a bench, and their values without it.
 
-`stiffening` is the increase of the wave speed with the speed of the plate, to which the strain is
-proportional. `drift` is the drift of heights over a record, over the amplitude. `scale` is the
+`drift` is the drift of heights over a record, over the amplitude. `scale` is the
 measured over the true height of a projectile, and `delay` the delay of its measurement [s].
 """
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
-
-Heights = Literal['own', 'common', 'absolute']
-"""
-From where heights count: each track from a zero of its own; both from the same; or both from the
-plate's position at rest.
-"""
-
-Reference = Literal['face', 'centre']
-"""Point of the projectile whose heights a track has: its lower face, or its centre."""
-
-HEIGHTS: tuple[Heights, ...] = ('own', 'common', 'absolute')
-REFERENCES: tuple[Reference, ...] = ('face', 'centre')
 
 _KEYS = ('free', 'fixed', 'prior', 'per_throw')
 
@@ -104,19 +95,13 @@ DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
     'layer.wave_speed': FREE,
     'layer.thickness': Treatment(True, error=1e-4),
     'layer.diameter': Treatment(True, error=1e-4),
-    'layer.stiffening': Treatment(True, error=0.4),
     'projectile.mass': Treatment(True, error=0.01, is_relative=True),
     'projectile.scale': Treatment(True, error=0.005),
     'projectile.delay': Treatment(True, error=1e-4),
     'plate.drift': Treatment(True, error=0.02, is_per_throw=True),
     'projectile.drift': Treatment(True, error=0.02, is_per_throw=True),
 }
-"""
-Default treatments; errors of lengths and mass are those of the paper.
-
-With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
-error.
-"""
+"""Default treatments; errors of lengths and mass are those of the paper."""
 
 IDEAL_BENCH: Mapping[str, Treatment] = {
     name: FIXED for name in DEFAULTS if name not in DEFAULT_FREE
@@ -145,10 +130,6 @@ class FitDescription:
 
     parameters: Mapping[str, Treatment] = field(default_factory=dict)
     """Treatments of some parameters; the others have their `DEFAULTS`."""
-    heights: Heights = 'own'
-    """Origin of the heights, see `Heights`."""
-    reference: Reference = 'face'
-    """Point whose heights tracks of projectiles have; it matters unless `heights` is 'own'."""
     throws: Mapping[str, Mapping[str, Treatment]] = field(default_factory=dict)
     """
     Treatments for some throws, by names, or patterns of names, of throws or of their files.
@@ -163,12 +144,6 @@ class FitDescription:
     def __post_init__(self) -> None:
         for name in (*self.parameters, *(n for item in self.throws.values() for n in item)):
             check_name(name)
-        for name, value, choices in (
-            ('heights', self.heights, HEIGHTS),
-            ('reference', self.reference, REFERENCES),
-        ):
-            if value not in choices:
-                raise ValueError(f'{name} must be one of {", ".join(choices)}, got {value!r}')
 
     @classmethod
     def from_file(cls, path: str | Path, base: FitDescription | None = None) -> FitDescription:
@@ -176,9 +151,9 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `free` and `per_throw` (lists of names), `fixed` (names to
-        values), `prior` (names to values and standard errors), `heights`, `reference`, `topic`,
-        and `throws` (names of throws to mappings with the first four keys). All keys are optional;
-        the defaults are those of `base`.
+        values), `prior` (names to values and standard errors), `topic`, and `throws` (names of
+        throws to mappings with the first four keys). All keys are optional; the defaults are those
+        of `base`.
 
         Raises
         ------
@@ -186,22 +161,19 @@ class FitDescription:
             Naming the file and the value, if something is wrong.
 
         """
-        description = base or cls()
-        tree = read_yaml(path)
+        description, tree = base or cls(), read_yaml(path)
         try:
             description = description.change(
-                _read_treatments(tree, description, ('heights', 'reference', 'topic', 'throws'))
+                _read_treatments(tree, description, ('topic', 'throws'))
             )
             throws = {
                 throw: _read_treatments(dict(_items(throw, item)), description)
                 for throw, item in _items('throws', tree.get('throws', {}))
             }
-            texts: dict[str, Any] = {
-                key: str(tree[key]) for key in ('heights', 'reference', 'topic') if key in tree
-            }
-            return replace(description, throws={**description.throws, **throws}, **texts)
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
+        topic = str(tree['topic']) if 'topic' in tree else description.topic
+        return replace(description, throws={**description.throws, **throws}, topic=topic)
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
@@ -217,16 +189,17 @@ class FitDescription:
 
     def treatment(self, name: str, throw: str | None = None) -> Treatment:
         """Return the treatment of a parameter; of a throw, if its name is given."""
-        own = {} if throw is None else self._treatments_of(throw)
-        return own.get(name) or self.parameters.get(name) or DEFAULTS[name]
+        own = [] if throw is None else self._patterns(name, throw)
+        if own:
+            return self.throws[own[-1]][name]
+        return self.parameters.get(name, DEFAULTS[name])
 
-    def _treatments_of(self, throw: str) -> dict[str, Treatment]:
-        """Return the treatments that hold for a throw only."""
-        treatments: dict[str, Treatment] = {}
-        for pattern, own in self.throws.items():
-            if _matches(throw, pattern):
-                treatments |= own
-        return treatments
+    def _patterns(self, name: str, throw: str) -> list[str]:
+        """Return the patterns of `throws` that match a throw and treat a parameter."""
+        return [
+            pattern for pattern, own in self.throws.items()
+            if name in own and _matches(throw, pattern)
+        ]
 
     def check_throws(self, throws: Sequence[str]) -> None:
         """Raise `FitError` if a name or pattern of `throws` matches none of the given throws."""
@@ -242,11 +215,7 @@ class FitDescription:
         """Return a key that is equal for throws that share a parameter; None if all do."""
         if self.treatment(name, throw).is_per_throw:
             return number
-        patterns = [
-            pattern for pattern, own in self.throws.items()
-            if name in own and _matches(throw, pattern)
-        ]
-        return patterns[-1] if patterns else None
+        return next(reversed(self._patterns(name, throw)), None)
 
     def is_free(self, name: str) -> bool:
         """Return whether a parameter is fitted without a prior."""
@@ -259,11 +228,9 @@ class FitDescription:
     def value(self, name: str, rig: Rig, throw: str | None = None) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
         value = self.treatment(name, throw).value
-        if value is not None:
-            return value
-        if name in NUISANCE_PARAMETERS:
-            return NUISANCE_PARAMETERS[name]
-        return values_of(rig, [name])[name]
+        if value is None:
+            value = NUISANCE_PARAMETERS.get(name)
+        return values_of(rig, [name])[name] if value is None else value
 
     def known(self, name: str, rig: Rig, throw: str) -> Estimate | None:
         """Return the prior of a parameter; None if it has none."""
@@ -338,7 +305,8 @@ def check_name(name: str) -> None:
 
 def _matches(throw: str, pattern: str) -> bool:
     """Return whether a name or pattern is that of a throw, or of the file that it is from."""
-    return any(name == pattern or fnmatchcase(name, pattern) for name in names_of(throw))
+    names = throw, throw.partition(', ')[0]
+    return pattern in names or any(fnmatchcase(name, pattern) for name in names)
 
 
 def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
@@ -356,3 +324,62 @@ def _items(name: object, value: object) -> Iterator[tuple[str, object]]:
     if not isinstance(value, dict):
         raise ValueError(f'{name} must be a mapping, got {value!r}')
     return ((str(key), item) for key, item in value.items())
+
+
+@dataclass(frozen=True)
+class ParameterLayout:
+    """The order of the values of a fit; made by `of`."""
+
+    groups: dict[tuple[str, Hashable], list[int]]
+    """
+    Numbers of the throws that share each value, by the name of the parameter and a key.
+
+    They are in the order of the values. The key is None if all throws share the value, and the
+    number of the throw if it belongs to a single one.
+    """
+    is_single: bool
+    """Whether there is one throw only."""
+
+    @classmethod
+    def of(cls, throws: Sequence[ThrowTracks], description: FitDescription) -> ParameterLayout:
+        """Return the layout of a fit: first the values that all throws share."""
+        groups: dict[tuple[str, Hashable], list[int]] = {}
+        for name in DEFAULTS:
+            for number, throw in enumerate(throws):
+                is_measured = throw.projectile is not None or name.startswith(('engine', 'plate'))
+                if is_measured and description.treatment(name, throw.name).is_varied:
+                    key = description.group(name, throw.name, number)
+                    groups.setdefault((name, key), []).append(number)
+        for number, throw in enumerate(throws):
+            for name in OWN:
+                if name != PROJECTILE_ZERO or throw.projectile is not None:
+                    groups[name, number] = [number]
+        ordered = sorted(groups.items(), key=lambda item: item[0][1] is not None)
+        return cls(dict(ordered), len(throws) == 1)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.indices
+
+    @cached_property
+    def indices(self) -> dict[str, dict[int, int]]:
+        """Indices of each parameter among the values, by throw."""
+        indices: dict[str, dict[int, int]] = {}
+        for index, ((name, _), throws) in enumerate(self.groups.items()):
+            indices.setdefault(name, {}).update(dict.fromkeys(throws, index))
+        return indices
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the values; of some of several throws, with the number of the first from 1."""
+        return tuple(
+            name if key is None or self.is_single else f'{name}[{throws[0] + 1}]'
+            for (name, key), throws in self.groups.items()
+        )
+
+    def indices_of(self, name: str) -> list[int]:
+        """Return the indices of a parameter among the values, of all throws."""
+        return sorted(set(self.indices[name].values()))
+
+    def is_per_throw(self, name: str) -> bool:
+        """Return whether each throw has its own value of a parameter."""
+        return any(isinstance(key, int) for other, key in self.groups if other == name)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 import math
-import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +31,10 @@ MAX_TIME, MAX_HEIGHT = 1e12, 1e6
 
 _NOISE_SIGMAS = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
 _MIN_STEP = 1e-5  # smallest step of rounded heights that matters, over their range
+_NOISE_ROUNDS = 4  # number of selections of slow samples, which show the noise alone
+_SLOW = 0.5  # largest error by the time of a slow sample [noise]
+_FEWEST_SLOW = 40  # smallest number of slow samples, from which the noise is known to 11 %
+_SPEED_SAMPLES = 5  # samples in a mean height from which the speed is computed
 _SPIKE_LIMIT = 8.0  # deviation of a spike from the cubic through neighbours [usual deviations]
 _SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # offsets of the usual samples
 _SPIKE_SHARE = 1e-4  # smallest usual deviation, as a share of the range of heights
@@ -84,6 +87,8 @@ class Track:
     """Heights, upwards from any zero, shape (n,). [m]"""
     known_noise: float | None = None
     """Standard deviation of the positions, estimated if None. [m]"""
+    stamp_error: float = 0.0
+    """Standard deviation of the times. [s]"""
 
     def __post_init__(self) -> None:
         time = np.asarray(self.time, dtype=np.float64)
@@ -111,7 +116,18 @@ class Track:
     @cached_property
     def noise(self) -> float:
         """Standard deviation of the positions, known or estimated [m]."""
-        return self.known_noise or noise_of(self.time, self.position)
+        return self.known_noise or noise_of(self.time, self.position, self._stamp_noise)
+
+    @cached_property
+    def deviations(self) -> Floats:
+        """Standard deviation of each sample: its noise, and the error of its time [m]."""
+        return np.hypot(self.noise, self._stamp_noise)
+
+    @property
+    def _stamp_noise(self) -> Floats:
+        """Error of the times, times the speed of the smoothed track [m]."""
+        smooth = uniform_filter1d(self.position, _SPEED_SAMPLES)
+        return self.stamp_error * np.abs(np.gradient(smooth, self.time))
 
     @property
     def interval(self) -> float:
@@ -221,7 +237,7 @@ class ThrowTracks:
         return replace(self, plate=change(self.plate), projectile=projectile)
 
 
-def noise_of(time: Floats, position: Floats) -> float:
+def noise_of(time: Floats, position: Floats, stamp_noise: Floats | None = None) -> float:
     r"""
     Estimate the standard deviation of white noise on a smooth motion [m].
 
@@ -231,6 +247,9 @@ def noise_of(time: Floats, position: Floats) -> float:
         Times of the samples; intervals may differ, for example where samples are missing. [s]
     position : ndarray, shape (n,)
         [m]
+    stamp_noise : ndarray, shape (n,), optional
+        Standard deviations of the errors of the times, times the speeds; the noise is that of the
+        samples at which they are small. [m]
 
     Notes
     -----
@@ -242,12 +261,20 @@ def noise_of(time: Floats, position: Floats) -> float:
 
     """
     deviation, spread = _beside_neighbours(time, position)
-    noise = _rms_without_outliers((deviation / spread)[2:-2])
+    scatter = (deviation / spread)[2:-2]
     extent = float(np.ptp(position))
     steps = np.diff(np.unique(position))
     steps = steps[steps > _MIN_STEP * extent]
     step = float(steps.min()) if steps.size else 0.0
-    return max(noise, step / math.sqrt(12.0), 1e-9 * extent, 1e-15)
+    least = max(step / math.sqrt(12.0), 1e-9 * extent, 1e-15)
+    noise = max(_rms_without_outliers(scatter), least)
+    if stamp_noise is None or not stamp_noise.any():
+        return noise
+    slowest = np.argsort(stamp_noise[2:-2], kind='stable')
+    for _ in range(_NOISE_ROUNDS):
+        count = max(_FEWEST_SLOW, int(np.sum(stamp_noise[2:-2] < _SLOW * noise)))
+        noise = max(_rms_without_outliers(scatter[slowest[:count]]), least)
+    return noise
 
 
 def _rms_without_outliers(values: Floats) -> float:
@@ -275,14 +302,6 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
         deviation[inner] -= weight * position[item]
         variance[inner] += weight**2
     return deviation, np.sqrt(variance)
-
-
-def names_of(throw: str) -> tuple[str, ...]:
-    """Return the name of a throw, of its part of a record, and of the record."""
-    names = [throw]
-    while match := re.fullmatch(r'(.+), (?:part|throw) \d+', names[-1]):
-        names.append(match[1])
-    return tuple(names)
 
 
 def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:

@@ -74,7 +74,7 @@ def first_pictures(throw_pictures, tmp_path_factory):
 
 
 # The layer is of a known thickness and does not stiffen; one camera has seen both bodies.
-KNOWN = ('--thickness', 12e-3, '--hold', 'layer.stiffening', '--one-camera')
+KNOWN = ('--thickness', 12e-3, '--one-camera')
 
 
 @pytest.fixture
