@@ -100,7 +100,7 @@ def add_fit_options(parser: CommandParser) -> None:
     add(
         '--fit-file', metavar='FILE',
         help='YAML file of the fit (docs/identify.md): `free`, `fixed`, `prior`, `per_throw`, '
-        '`throws` whose parameters differ, and the `topic` of bags',
+        'and the `topic` of bags',
     )
 
 
@@ -168,7 +168,7 @@ def _identify(
     has_projectile = any(throw.projectile is not None for throw in throws)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': FIXED})
-    description = description.assume(stated, [throw.name for throw in throws])
+    description = description.assume(stated)
     result = fit_rig(throws, rig_of(settings), description, on_progress=_show_progress)
     warnings = fit_warnings(result.fit)
     if not result.is_complete:
@@ -185,7 +185,7 @@ def _identify(
         if row.name in ENGINE or (has_projectile and row.name not in description.assumed)
     ]
     found = {row.name for row in rows}
-    held = values_of(result.model.rigs[0], [name for name in relevant if name not in found])
+    held = values_of(result.model.rig, [name for name in relevant if name not in found])
     rows += held_rows(held, description.assumed)
     rows += ejection_rows(ejection) if ejection else ()
     rows += [Row.of(name, value) for name, value in result.terms().items()]

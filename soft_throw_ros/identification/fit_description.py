@@ -1,16 +1,15 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Treatments of the parameters of a fit: free, fixed or known with an error, for all throws or some.
+Treatments of the parameters of a fit: free, fixed or known with an error.
 
 Command line, YAML file and Python share them. `ParameterLayout` puts the values in an order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import cached_property
 import math
 from operator import attrgetter
@@ -53,10 +52,7 @@ measured over the true height of a projectile, and `delay` the delay of its meas
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
 
-_KEYS = ('free', 'fixed', 'prior', 'per_throw')
-
-_MAX_NAMES = 8
-"""Names of throws that a message lists, so that it stays readable."""
+_KEYS = ('free', 'fixed', 'prior', 'per_throw', 'topic')
 
 
 class Treatment(NamedTuple):
@@ -130,19 +126,13 @@ class FitDescription:
 
     parameters: Mapping[str, Treatment] = field(default_factory=dict)
     """Treatments of some parameters; the others have their `DEFAULTS`."""
-    throws: Mapping[str, Mapping[str, Treatment]] = field(default_factory=dict)
-    """
-    Treatments for some throws, by names, or patterns of names, of throws or of their files.
-
-    The throws of a pattern share the values of these parameters.
-    """
     topic: str | None = None
     """Topic to read from bags; needed if several topics have a plate."""
     assumed: tuple[str, ...] = ()
     """Parameters that are held at the values of another rig, because nobody stated them."""
 
     def __post_init__(self) -> None:
-        for name in (*self.parameters, *(n for item in self.throws.values() for n in item)):
+        for name in self.parameters:
             check_name(name)
 
     @classmethod
@@ -151,9 +141,8 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `free` and `per_throw` (lists of names), `fixed` (names to
-        values), `prior` (names to values and standard errors), `topic`, and `throws` (names of
-        throws to mappings with the first four keys). All keys are optional; the defaults are those
-        of `base`.
+        values), `prior` (names to values and standard errors) and `topic`. All keys are optional;
+        the defaults are those of `base`.
 
         Raises
         ------
@@ -163,59 +152,29 @@ class FitDescription:
         """
         description, tree = base or cls(), read_yaml(path)
         try:
-            description = description.change(
-                _read_treatments(tree, description, ('topic', 'throws'))
-            )
-            throws = {
-                throw: _read_treatments(dict(_items(throw, item)), description)
-                for throw, item in _items('throws', tree.get('throws', {}))
-            }
+            description = description.change(_read_treatments(tree, description))
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
-        topic = str(tree['topic']) if 'topic' in tree else description.topic
-        return replace(description, throws={**description.throws, **throws}, topic=topic)
+        return replace(description, topic=str(tree['topic'])) if 'topic' in tree else description
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
         return replace(self, parameters={**self.parameters, **changes})
 
-    def assume(self, stated: Collection[str], throws: Iterable[str]) -> FitDescription:
-        """Hold the parameters that some throw needs and that nobody stated, see `assumed`."""
-        used = [(name, self.treatment(name, throw)) for throw in throws
-                for name in DEFAULT_IS_ANOTHER_RIG if name not in stated]
-        assumed = {name: FIXED for name, treatment in used
-                   if treatment.value is None and not treatment.is_free}
-        return replace(self.change(assumed), assumed=tuple(assumed))
-
-    def treatment(self, name: str, throw: str | None = None) -> Treatment:
-        """Return the treatment of a parameter; of a throw, if its name is given."""
-        own = [] if throw is None else self._patterns(name, throw)
-        if own:
-            return self.throws[own[-1]][name]
-        return self.parameters.get(name, DEFAULTS[name])
-
-    def _patterns(self, name: str, throw: str) -> list[str]:
-        """Return the patterns of `throws` that match a throw and treat a parameter."""
-        return [
-            pattern for pattern, own in self.throws.items()
-            if name in own and _matches(throw, pattern)
+    def assume(self, stated: Collection[str]) -> FitDescription:
+        """Hold the parameters that a fit needs and that nobody stated, see `assumed`."""
+        treatments = {
+            name: self.treatment(name) for name in DEFAULT_IS_ANOTHER_RIG if name not in stated
+        }
+        assumed = [
+            name for name, treatment in treatments.items()
+            if treatment.value is None and not treatment.is_free
         ]
+        return replace(self.change(dict.fromkeys(assumed, FIXED)), assumed=tuple(assumed))
 
-    def check_throws(self, throws: Sequence[str]) -> None:
-        """Raise `FitError` if a name or pattern of `throws` matches none of the given throws."""
-        for pattern in self.throws:
-            if not any(_matches(throw, pattern) for throw in throws):
-                shown = [*throws[:_MAX_NAMES], *['...'] * (len(throws) > _MAX_NAMES)]
-                raise FitError(
-                    f'no throw matches {pattern!r}, which stands below `throws`; the throws are: '
-                    f'{", ".join(shown) or "none"}'
-                )
-
-    def group(self, name: str, throw: str, number: int) -> Hashable:
-        """Return a key that is equal for throws that share a parameter; None if all do."""
-        if self.treatment(name, throw).is_per_throw:
-            return number
-        return next(reversed(self._patterns(name, throw)), None)
+    def treatment(self, name: str) -> Treatment:
+        """Return the treatment of a parameter."""
+        return self.parameters.get(name, DEFAULTS[name])
 
     def is_free(self, name: str) -> bool:
         """Return whether a parameter is fitted without a prior."""
@@ -223,27 +182,26 @@ class FitDescription:
 
     def searches(self, name: str) -> bool:
         """Whether a parameter is fitted if the tracks show it: nothing is said about it."""
-        return not any(name in item for item in (self.parameters, *self.throws.values()))
+        return name not in self.parameters
 
-    def value(self, name: str, rig: Rig, throw: str | None = None) -> float:
+    def value(self, name: str, rig: Rig) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
-        value = self.treatment(name, throw).value
+        value = self.treatment(name).value
         if value is None:
             value = NUISANCE_PARAMETERS.get(name)
         return values_of(rig, [name])[name] if value is None else value
 
-    def known(self, name: str, rig: Rig, throw: str) -> Estimate | None:
+    def known(self, name: str, rig: Rig) -> Estimate | None:
         """Return the prior of a parameter; None if it has none."""
-        treatment, value = self.treatment(name, throw), self.value(name, rig, throw)
+        treatment, value = self.treatment(name), self.value(name, rig)
         if treatment.error is None:
             return None
         return Estimate(value, treatment.error * (abs(value) if treatment.is_relative else 1.0))
 
-    def prepare(self, rig: Rig, throw: str | None = None) -> Rig:
+    def prepare(self, rig: Rig) -> Rig:
         """Return a rig with the values of the description; raise FitError for invalid ones."""
-        values = {name: self.treatment(name, throw).value for name in PARAMETERS}
         try:
-            return changed_rig(rig, {n: value for n, value in values.items() if value is not None})
+            return changed_rig(rig, {name: self.value(name, rig) for name in PARAMETERS})
         except ValueError as error:
             raise FitError(str(error)) from None
 
@@ -257,16 +215,17 @@ def parse_error(text: str, value: str) -> Treatment:
     return Treatment(True, error=0.01 * error if is_relative else error, is_relative=is_relative)
 
 
-def _read_treatments(
-    tree: Mapping[str, Any], base: FitDescription, other_keys: Sequence[str] = ()
-) -> dict[str, Treatment]:
-    """Return the treatments of a mapping, which may have other keys."""
+def _read_treatments(tree: Mapping[str, Any], base: FitDescription) -> dict[str, Treatment]:
+    """Return the treatments of a fit file."""
     for name in tree:
-        if name not in (keys := (*_KEYS, *other_keys)):
-            raise ValueError(f'must be one of {", ".join(keys)}, got {name!r}')
+        if name not in _KEYS:
+            raise ValueError(f'must be one of {", ".join(_KEYS)}, got {name!r}')
     treatments = dict.fromkeys(_names(tree.get('free', [])), FREE)
     for key in ('fixed', 'prior'):
-        for name, value in _items(key, tree.get(key, {})):
+        values = tree.get(key, {})
+        if not isinstance(values, dict):
+            raise ValueError(f'{key} must be a mapping, got {values!r}')
+        for name, value in values.items():
             check_name(name)
             treatments[name] = _known(name, value, has_error=key == 'prior')
     for name in _names(tree.get('per_throw', [])):
@@ -303,12 +262,6 @@ def check_name(name: str) -> None:
         raise ValueError(f'a parameter must be one of {", ".join(DEFAULTS)}, got {name!r}')
 
 
-def _matches(throw: str, pattern: str) -> bool:
-    """Return whether a name or pattern is that of a throw, or of the file that it is from."""
-    names = throw, throw.partition(', ')[0]
-    return pattern in names or any(fnmatchcase(name, pattern) for name in names)
-
-
 def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
     """Return the values of some `PARAMETERS` of a rig."""
     return {name: float(attrgetter(name)(rig)) for name in names}
@@ -319,43 +272,34 @@ def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
     return rig_with(rig, {name.rpartition('.')[2]: value for name, value in values.items()})
 
 
-def _items(name: object, value: object) -> Iterator[tuple[str, object]]:
-    """Yield the items of a mapping, or raise ValueError."""
-    if not isinstance(value, dict):
-        raise ValueError(f'{name} must be a mapping, got {value!r}')
-    return ((str(key), item) for key, item in value.items())
-
-
 @dataclass(frozen=True)
 class ParameterLayout:
-    """The order of the values of a fit; made by `of`."""
+    """The order of the values of a fit, first those that all throws share; made by `of`."""
 
-    groups: dict[tuple[str, Hashable], list[int]]
-    """
-    Numbers of the throws that share each value, by the name of the parameter and a key.
-
-    They are in the order of the values. The key is None if all throws share the value, and the
-    number of the throw if it belongs to a single one.
-    """
-    is_single: bool
-    """Whether there is one throw only."""
+    values: tuple[tuple[str, int | None], ...]
+    """Parameter of each value, and the number of its throw, None if all throws share it."""
+    throws: int
+    """Number of throws."""
 
     @classmethod
     def of(cls, throws: Sequence[ThrowTracks], description: FitDescription) -> ParameterLayout:
-        """Return the layout of a fit: first the values that all throws share."""
-        groups: dict[tuple[str, Hashable], list[int]] = {}
+        """Return the layout of a fit."""
+        thrown = [number for number, throw in enumerate(throws) if throw.projectile is not None]
+        shared, own = [], []
         for name in DEFAULTS:
-            for number, throw in enumerate(throws):
-                is_measured = throw.projectile is not None or name.startswith(('engine', 'plate'))
-                if is_measured and description.treatment(name, throw.name).is_varied:
-                    key = description.group(name, throw.name, number)
-                    groups.setdefault((name, key), []).append(number)
-        for number, throw in enumerate(throws):
-            for name in OWN:
-                if name != PROJECTILE_ZERO or throw.projectile is not None:
-                    groups[name, number] = [number]
-        ordered = sorted(groups.items(), key=lambda item: item[0][1] is not None)
-        return cls(dict(ordered), len(throws) == 1)
+            of_plate = name.startswith(('engine', 'plate'))
+            measured = range(len(throws)) if of_plate else thrown
+            if not measured or not description.treatment(name).is_varied:
+                continue
+            if description.treatment(name).is_per_throw:
+                own += [(name, number) for number in measured]
+            else:
+                shared.append((name, None))
+        zeros = [
+            (name, number) for number in range(len(throws)) for name in OWN
+            if name != PROJECTILE_ZERO or number in thrown
+        ]
+        return cls((*shared, *own, *zeros), len(throws))
 
     def __contains__(self, name: str) -> bool:
         return name in self.indices
@@ -364,22 +308,19 @@ class ParameterLayout:
     def indices(self) -> dict[str, dict[int, int]]:
         """Indices of each parameter among the values, by throw."""
         indices: dict[str, dict[int, int]] = {}
-        for index, ((name, _), throws) in enumerate(self.groups.items()):
+        for index, (name, throw) in enumerate(self.values):
+            throws = range(self.throws) if throw is None else [throw]
             indices.setdefault(name, {}).update(dict.fromkeys(throws, index))
         return indices
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the values; of some of several throws, with the number of the first from 1."""
+        """Names of the values; of those of one of several throws with its number from 1."""
         return tuple(
-            name if key is None or self.is_single else f'{name}[{throws[0] + 1}]'
-            for (name, key), throws in self.groups.items()
+            name if throw is None or self.throws == 1 else f'{name}[{throw + 1}]'
+            for name, throw in self.values
         )
 
     def indices_of(self, name: str) -> list[int]:
         """Return the indices of a parameter among the values, of all throws."""
         return sorted(set(self.indices[name].values()))
-
-    def is_per_throw(self, name: str) -> bool:
-        """Return whether each throw has its own value of a parameter."""
-        return any(isinstance(key, int) for other, key in self.groups if other == name)

@@ -179,9 +179,7 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
     """Return the sum of squares in each window for any zero of heights; infinity if impossible."""
     totals = [0.0] * len(_WINDOWS)
     for number, body, track in model.projectiles:
-        throw = model.throws[number].name
-        searched = [n for n in LAYER if model.description.treatment(n, throw).value is None]
-        changed = changed_rig(model.rig_of(start, number), values_of(rig, searched))
+        changed = changed_rig(model.rig_of(start, number), values_of(rig, LAYER))
         since = (track.time - model.value(start, START, number)) * rig.engine.frequency
         chosen = [_spread(np.flatnonzero(since <= window)) for window in _WINDOWS]
         union = np.unique(np.concatenate(chosen))

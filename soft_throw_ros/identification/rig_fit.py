@@ -84,8 +84,8 @@ class RigFit:
     fit: Fit
     """
     Fit of all varied parameters. Each throw adds its `start_time` and the heights at rest
-    `plate_offset` and `projectile_offset`. The name of a parameter that only some throws
-    share ends with the number of its first throw in brackets, from 1.
+    `plate_offset` and `projectile_offset`. The name of a value of one of several throws ends with
+    its number in brackets, from 1.
     """
     is_complete: bool = True
     """Whether other minima and a loss were tried within the time of the fit."""
@@ -105,15 +105,13 @@ class RigFit:
 
     def terms(self) -> dict[str, Estimate]:
         """Return the other shared parameters, without starts and heights at rest."""
-        shared = {name for name, key in self.model.layout.groups if key is None}
+        shared = {name for name, throw in self.model.layout.values if throw is None}
         return {n: self.fit[n] for n in self.fit.names if n in shared and n not in PARAMETERS}
 
     def estimate(self, name: str) -> Estimate:
         """Return a fitted parameter of the rig, the mean if each throw has its own."""
-        layout = self.model.layout
-        indices = layout.indices_of(name)
-        used = indices if layout.is_per_throw(name) else indices[:1]
-        error = math.sqrt(float(self.fit.covariance[np.ix_(used, used)].mean()))
+        indices = self.model.layout.indices_of(name)
+        error = math.sqrt(float(self.fit.covariance[np.ix_(indices, indices)].mean()))
         found = Estimate(values_of(self.rig, [name])[name], error)
         known = [self.fit.known[index] for index in indices if index in self.fit.known]
         # A value that rests on its prior has the error of the prior
@@ -157,7 +155,7 @@ class RigFit:
         steps = fit.errors * rng.multivariate_normal(  # of correlations, since units differ
             np.zeros(fit.values.size), fit.correlation, count, method='eigh'
         )
-        for index, (name, _) in enumerate(self.model.layout.groups):
+        for index, (name, _) in enumerate(self.model.layout.values):
             if name in FLOORS and index not in fit.known:
                 floor = self.growth * FLOORS[name].of(float(fit.values[index]))
                 steps[:, index] += floor * rng.standard_normal(count)
@@ -199,7 +197,6 @@ def fit_rig(
     if not throws:
         raise FitError('there is no throw to fit to')
     description = description or FitDescription()
-    description.check_throws([throw.name for throw in throws])
     free = [name for name in LAYER if description.is_free(name)]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
@@ -211,7 +208,8 @@ def fit_rig(
         others: list[LayerCandidate] = []
         if free:
             on_progress('searching the layers')
-            model, others = _find_layers(model, free)
+            others = find_layers(model)
+            model = replace(model, initial={**model.initial, **others[0].values})
         on_progress('fitting')
         result = _fit_until_landing(model)
     except DeadlineExceeded:
@@ -243,31 +241,6 @@ def _fit_plates(
     without = tuple(replace(throw, projectile=None) for throw in throws)
     alone = RigModel(without, rig, description, simulator, plates)
     return replace(alone, throws=throws, initial=alone.fit(alone.start()).by_name)
-
-
-def _find_layers(
-    model: RigModel, free: Sequence[str]
-) -> tuple[RigModel, list[LayerCandidate]]:
-    """Return start values for the layer of each throw, and all candidates if all share it."""
-    groups: dict[object, list[int]] = {}
-    for number, throw in enumerate(model.throws):
-        if throw.projectile is not None:
-            group = model.description.group('layer.wave_speed', throw.name, number)
-            groups.setdefault(group, []).append(number)
-    initial, layout = dict(model.initial), model.layout
-    for numbers in groups.values():
-        throws = tuple(
-            throw if number in numbers else replace(throw, projectile=None)
-            for number, throw in enumerate(model.throws)
-        )
-        candidates = find_layers(replace(model, throws=throws))
-        if len(groups) == 1:
-            return replace(model, initial=initial | candidates[0].values), candidates
-        for name, value in values_of(candidates[0].rig, free).items():
-            for number, index in layout.indices.get(name, {}).items():
-                if number in numbers:
-                    initial[layout.names[index]] = value
-    return replace(model, initial=initial), []
 
 
 def _with_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:

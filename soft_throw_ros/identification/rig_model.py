@@ -110,16 +110,8 @@ class RigModel:
     @property
     def by_cells(self) -> bool:
         """Whether the layer needs cells, or its loss is fitted."""
-        return any(
-            rig.layer.needs_cells
-            or self.description.treatment('layer.loss_tangent', throw.name).is_varied
-            for rig, throw in zip(self.rigs, self.throws, strict=True)
-        )
-
-    @cached_property
-    def rigs(self) -> list[Rig]:
-        """Rig of each throw, with the values of the description."""
-        return [self.description.prepare(self.rig, throw.name) for throw in self.throws]
+        is_varied = self.description.treatment('layer.loss_tangent').is_varied
+        return is_varied or self.rig.layer.needs_cells
 
     @cached_property
     def series(self) -> list[Series]:
@@ -150,9 +142,8 @@ class RigModel:
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
         priors = {
-            index: self.description.known(name, self.rigs[throw], self.throws[throw].name)
-            for index, ((name, _), (throw, *_)) in enumerate(self.layout.groups.items())
-            if name in DEFAULTS
+            index: self.description.known(name, self.rig)
+            for index, (name, _) in enumerate(self.layout.values) if name in DEFAULTS
         }
         return {index: known for index, known in priors.items() if known is not None}
 
@@ -161,25 +152,17 @@ class RigModel:
         index = self.layout.indices.get(name, {}).get(throw)
         if index is not None:
             return float(values[index])
-        if name in NUISANCE_PARAMETERS:
-            return self.description.value(name, self.rigs[throw], self.throws[throw].name)
-        return 0.0
+        return self.description.value(name, self.rig) if name in NUISANCE_PARAMETERS else 0.0
 
     def rig_of(self, values: Floats, throw: int | None = None) -> Rig:
-        """
-        Return the rig of a throw.
-
-        By default, return the rig of the first throw with the mean of the values per throw.
-        """
-        number = 0 if throw is None else throw
-        changes = {}
-        for name, indices in self.layout.indices.items():
-            if name in PARAMETERS and number in indices:
-                if throw is None and self.layout.is_per_throw(name):
-                    changes[name] = float(np.mean(values[self.layout.indices_of(name)]))
-                else:
-                    changes[name] = float(values[indices[number]])
-        return changed_rig(self.rigs[number], changes)
+        """Return the rig of a throw, or by default that with the means of values per throw."""
+        layout = self.layout
+        return changed_rig(self.rig, {
+            name: float(np.mean(values[layout.indices_of(name)])) if throw is None
+            else float(values[by_throw[throw]])
+            for name, by_throw in layout.indices.items()
+            if name in PARAMETERS and (throw is None or throw in by_throw)
+        })
 
     def tracks(self) -> list[tuple[str, Track]]:
         """All tracks with their names."""
@@ -285,20 +268,19 @@ class RigModel:
         """Return start values, from a fit of fewer or more parameters, `initial` or the plates."""
         values = np.zeros(len(self.layout.names))
         fitted = before.by_name if before else self.initial
-        for index, ((name, key), (throw, *_)) in enumerate(self.layout.groups.items()):
-            plate, tracks = self.plates[throw], self.throws[throw]
+        for index, (name, throw) in enumerate(self.layout.values):
+            plate, projectile = self.plates[throw or 0], self.throws[throw or 0].projectile
             engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
             own = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
             if self.layout.names[index] in fitted:
                 values[index] = fitted[self.layout.names[index]]
-            elif key is not None and name in own:
+            elif throw is not None and name in own:
                 values[index] = own[name]
             elif name in DEFAULTS:
-                values[index] = self.description.value(name, self.rigs[throw], tracks.name)
-            elif tracks.projectile is not None:  # its zero is the last value of a throw
-                time, position = tracks.projectile.time, tracks.projectile.position
-                height = self.trajectory(values, throw, 'projectile', time).height
-                values[index] = float(np.median(position - height))
+                values[index] = self.description.value(name, self.rig)
+            elif projectile is not None:  # its zero is the last value of a throw
+                path = self.trajectory(values, throw or 0, 'projectile', projectile.time)
+                values[index] = float(np.median(projectile.position - path.height))
         return values
 
     def fit(
@@ -309,7 +291,7 @@ class RigModel:
         only: Sequence[str] | None = None,
     ) -> Fit:
         """Fit all values, or only some parameters, by `fit_tracks`."""
-        names = [name for name, _ in self.layout.groups]
+        names = [name for name, _ in self.layout.values]
         free = [index for index, name in enumerate(names) if not only or name in only]
         low, high = np.transpose([_BOUNDS.get(names[index], _UNBOUNDED) for index in free])
 

@@ -125,7 +125,7 @@ class Track:
     @cached_property
     def deviations(self) -> Floats:
         """Standard deviation of each sample: its noise, and the error of its time [m]."""
-        return np.hypot(self.noise, self._stamp_noise)
+        return np.asarray(np.hypot(self.noise, self._stamp_noise))
 
     @property
     def _stamp_noise(self) -> Floats:

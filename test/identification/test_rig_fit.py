@@ -14,7 +14,6 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     ENGINE,
     FitDescription,
-    FIXED,
     FREE,
     IDEAL_BENCH,
     LAYER,
@@ -223,21 +222,6 @@ def test_layer_of_large_strain_is_fitted_if_stated(see):
     speed = found.estimate('layer.wave_speed')
     assert speed.value == pytest.approx(rig.layer.wave_speed, abs=3.5 * speed.error)
     assert not found.fit.is_mismatch
-
-
-def test_value_held_for_one_of_two_layers_is_kept(make_throw):
-    stiff = Rig(layer=Layer(thickness=5.6e-3, wave_speed=40.0))
-    throws = [
-        replace(make_throw(rig, rate=2000.0, duration=0.04), name=name)
-        for name, rig in (('a', stiff), ('b', Rig()))
-    ]
-    held = {'layer.wave_speed': FIXED._replace(value=7.8)}
-    thickness = {'layer.thickness': FIXED._replace(value=5.6e-3)}
-    layers = {'a': {**thickness, 'layer.wave_speed': FREE}, 'b': held}
-    found = fit_rig(throws, Rig(layer=Layer(wave_speed=50.0)), replace(EXACT, throws=layers))
-    assert not found.fit.is_mismatch
-    speed = found.fit['layer.wave_speed[1]']
-    assert speed.value == pytest.approx(40.0, abs=4.0 * speed.error)
 
 
 def test_throws_have_separate_amplitudes(make_throw):
