@@ -63,19 +63,11 @@ class Ejection(NamedTuple):
 
 def ejection_of(result: RigFit) -> Ejection:
     r"""
-    Compute the first release of a fitted rig.
+    Compute the first release of a fitted rig; raise FitError if there is none.
 
-    Raises
-    ------
-    FitError
-        If the projectile does not leave the layer.
-
-    Notes
-    -----
-    Errors are the deviations of rigs that are drawn from the covariance of the fit, since
-    :math:`t_e` and :math:`\alpha` jump and have no derivative there, and the systematic errors of
-    `FLOORS`, such as that of a layer that sticks and releases the projectile later.
-
+    Errors are the deviations of rigs that are drawn from the covariance of the fit and the floors
+    of its parameters, since :math:`t_e` and :math:`\alpha` jump and have no derivative there, and
+    the systematic errors of the release.
     """
     releases = result.releases(_DRAWS)
     is_released = ~np.isnan(releases.time)

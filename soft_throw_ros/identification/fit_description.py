@@ -108,12 +108,7 @@ IDEAL_BENCH: Mapping[str, Treatment] = {
 @dataclass(frozen=True)
 class FitDescription:
     """
-    The treatments of all parameters of a fit.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown.
+    The treatments of all parameters of a fit; raise ValueError for an unknown name.
 
     Examples
     --------
@@ -144,11 +139,7 @@ class FitDescription:
         values), `prior` (names to values and standard errors) and `topic`. All keys are optional;
         the defaults are those of `base`.
 
-        Raises
-        ------
-        ValueError
-            Naming the file and the value, if something is wrong.
-
+        Raise ValueError, naming the file and the value, if something is wrong.
         """
         description, tree = base or cls(), read_yaml(path)
         try:

@@ -222,24 +222,10 @@ def fit_tracks(
     max_evaluations: int = 100,
 ) -> Fit:
     """
-    Fit a model to tracks, from a sufficiently close start.
+    Fit a model to tracks with names, from a sufficiently close start.
 
-    Parameters
-    ----------
-    model : FitModel
-        The model of the tracks.
-    start : ndarray, shape (n,)
-        Initial values of the free parameters.
-    tracks : sequence of (str, Track)
-        Tracks with their names, in the order of the predictions of the model.
-    max_evaluations : int
-        Largest number of evaluations of the model in one run of the solver.
-
-    Raises
-    ------
-    FitError
-        If there are not more samples than parameters.
-
+    The tracks are in the order of the predictions of the model. Raise FitError if there are not
+    more samples than parameters.
     """
     sizes = [track.time.size for _, track in tracks]
     samples = sum(sizes)

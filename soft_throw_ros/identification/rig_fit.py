@@ -237,7 +237,12 @@ def _fit_plates(
     """Fit the plates alone, which no layer changes; return the whole model."""
     throws = tuple(_with_noise(throws))
     plates = tuple(map(_fit_plate, throws))
-    rig = _with_engine_of(plates, description.prepare(rig), description)
+    engine = np.mean([plate.fit.values[:3] for plate in plates], axis=0)
+    pairs = zip(ENGINE, engine.tolist(), strict=True)
+    rig = changed_rig(
+        description.prepare(rig),
+        {name: value for name, value in pairs if description.is_free(name)},
+    )
     without = tuple(replace(throw, projectile=None) for throw in throws)
     alone = RigModel(without, rig, description, simulator, plates)
     return replace(alone, throws=throws, initial=alone.fit(alone.start()).by_name)
@@ -268,18 +273,6 @@ def _fit_plate(throw: ThrowTracks) -> PlateFit:
         return fit_plate(throw.plate)
     except FitError as error:
         raise FitError(f'{throw.name}: {error}') from None
-
-
-def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescription) -> Rig:
-    """Return the rig with the weighted means of the plates as free engine parameters."""
-    values = {}
-    for index, name in enumerate(ENGINE):
-        if description.is_free(name):
-            weights = [1.0 / max(plate.fit.errors[index], 1e-100) ** 2 for plate in plates]
-            values[name] = float(
-                np.average([plate.fit.values[index] for plate in plates], weights=weights)
-            )
-    return changed_rig(rig, values)
 
 
 def _fit_until_landing(model: RigModel) -> RigFit:

@@ -75,14 +75,8 @@ class Track:
     """
     Measured heights of one body.
 
-    Raises
-    ------
-    TrackError
-        If the series do not fit, are shorter than `FEWEST`, are not finite, beyond `MAX_TIME` or
-        `MAX_HEIGHT`, or do not increase.
-    ValueError
-        If the noise is not finite and positive.
-
+    Raise TrackError if the series do not fit, are shorter than `FEWEST`, are not finite, beyond
+    `MAX_TIME` or `MAX_HEIGHT`, or do not increase.
     """
 
     time: Floats
@@ -131,7 +125,7 @@ class Track:
     def _stamp_noise(self) -> Floats:
         """Error of the times, times the speed of the smoothed track [m]."""
         smooth = uniform_filter1d(self.position, _SPEED_SAMPLES)
-        return self.stamp_error * np.abs(np.gradient(smooth, self.time))
+        return np.asarray(self.stamp_error * np.abs(np.gradient(smooth, self.time)))
 
     @property
     def interval(self) -> float:
@@ -232,23 +226,14 @@ def noise_of(time: Floats, position: Floats, stamp_noise: Floats | None = None) 
     r"""
     Estimate the standard deviation of white noise on a smooth motion [m].
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Times of the samples; intervals may differ, for example where samples are missing. [s]
-    position : ndarray, shape (n,)
-        [m]
-    stamp_noise : ndarray, shape (n,), optional
-        Standard deviations of the errors of the times, times the speeds; the noise is that of the
-        samples at which they are small. [m]
-
     Notes
     -----
     The estimate uses the deviation of each sample from the cubic through the two samples on either
     side, over the deviation for unit noise. A motion of n even samples per period contributes its
     amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`. Deviations beyond five median deviations, at
-    kinks and jumps, are excluded. The result is at least :math:`1 / \sqrt{12}` of the smallest
-    step, the error of rounded heights, and never 0.
+    kinks and jumps, are excluded, and samples whose errors by the times `stamp_noise` [m] are not
+    small. The result is at least :math:`1 / \sqrt{12}` of the smallest step, the error of rounded
+    heights, and never 0.
 
     """
     deviation, spread = _beside_neighbours(time, position)

@@ -257,7 +257,7 @@ def test_outliers_of_3_mm_are_listed_and_hardly_matter(command, write, sample_re
 
 
 def test_options_and_file_describe_the_same_fit(command, write):
-    path = write('prior: {projectile.mass: [0.0012, 1.2e-5]}\nheights: own', 'fit.yaml')
+    path = write('prior: {projectile.mass: [0.0012, 1.2e-5]}', 'fit.yaml')
     args = (SAMPLE, '--unit', 'mm', *MEASURED[2:])
     by_file = command.json(*args, '--fit-file', path)
     for words in (('--mass', '0.0012+-1%'), ('-p', 'projectile.mass:=0.0012 +- 1 %')):
@@ -269,7 +269,7 @@ def test_options_and_file_describe_the_same_fit(command, write):
     mass, error = value(by_file, 'projectile.mass')
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
-    path.write_text('heights: [')
+    path.write_text('free: [')
     assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}: ')
 
 
@@ -278,7 +278,7 @@ def test_stated_noise_is_that_of_the_tracks(command, write):
     args = (write('\n'.join(rows)), '--unit', 'mm')
     found, stated = command.json(*args), command.json(*args, '-p', f'{NOISE}:=1e-4')
     for name in DEFAULT_FREE[:3]:
-        assert value(stated, name)[1] > 2.0 * value(found, name)[1]
+        assert value(stated, name)[1] > 1.5 * value(found, name)[1]
 
 
 def test_plate_alone_gives_the_engine(command, write, tmp_path):

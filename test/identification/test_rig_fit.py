@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification.ejection import ejection_of
 from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     ENGINE,
@@ -131,62 +130,12 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     assert held['layer.wave_speed'].error < 0.1 * speed.error
 
 
-def drifting_late_and_rare(time, heights, rng):
-    heights += 0.02 * 2e-3 * time / time[-1] * [[1.0], [-1.0]]
-    kept = rng.uniform(size=time.size) > 0.03
-    return (time[kept], *heights[:, kept]), 1e-4
-
-
-def scaled_with_outliers(time, heights, rng):
-    heights[1] *= 1.005
-    sizes = rng.uniform(3e-4, 3e-3, heights.shape) * rng.choice([-1.0, 1.0], heights.shape)
-    return (time, *(heights + sizes * (rng.uniform(size=heights.shape) < 0.005))), 0.0
-
-
-def rounded(time, heights, _rng):
-    return (time, *(2e-5 * np.rint(heights / 2e-5))), 0.0
-
-
-@pytest.mark.parametrize('fault', [drifting_late_and_rare, scaled_with_outliers, rounded])
-def test_sensor_faults_are_within_the_errors(make_throw, see, fault):
-    seen = make_throw(Rig(), zeros=(0.1, -0.2), noise=1.5e-5)
-    heights = np.array([seen.plate.position, seen.projectile.position])
-    wrong, delay = fault(seen.plate.time, heights, np.random.default_rng(1))
-    wrong = see(*wrong, noise=0.0)
-    late = replace(wrong.projectile, time=wrong.projectile.time + delay)
-    found = fit_rig([replace(wrong, projectile=late)], Rig(layer=Layer(wave_speed=20.0)))
-    assert_true(found, Rig(), (*DEFAULT_FREE, 'start_time'), errors=3.5)
-    assert found.fit['engine.frequency'].error < 0.03
-    assert fit_warnings(found.fit) == []
-
-
 def followed(see, rig, *, duration=0.08):
     """Tracks of a throw by the model that is fitted."""
     time = np.arange(0.0, duration, 2e-4)
     since = time - 0.0153
     path = ThrowSimulator().follow(rig, since)
     return see(time, Underdamped.of(rig.engine).position(since), path.position)
-
-
-IMPERFECTIONS = {
-    'a second mode': (Layer(), Imperfections(second_mode=0.01)),
-    'large strain': (Layer(stress_strain_law='neo_hookean'), None),
-}
-
-
-@pytest.mark.parametrize('case', IMPERFECTIONS)
-def test_effects_outside_the_model_are_within_the_errors(see, case):
-    layer, imperfections = IMPERFECTIONS[case]
-    tracks, release = imperfect_throw(see, Rig(layer=layer), imperfections)
-    found = fit_rig([tracks], Rig())
-    truth = values_of(Rig(), DEFAULT_FREE)
-    for name in DEFAULT_FREE:
-        is_speed = name == 'layer.wave_speed'
-        estimate = found.rest_wave_speed() if is_speed else found.estimate(name)
-        assert estimate.value == pytest.approx(truth[name], abs=2.5 * estimate.error), name
-    first = ejection_of(found).first
-    for estimate, value in ((first.time, release.time), (first.speed, release.velocity)):
-        assert estimate.value == pytest.approx(value, abs=2.5 * estimate.error)
 
 
 def imperfect_throw(see, rig, imperfections, **options):
