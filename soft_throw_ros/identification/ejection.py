@@ -80,7 +80,7 @@ def ejection_of(result: RigFit) -> Ejection:
     columns = {
         'ejection.time': releases.time,
         'ejection.speed': releases.speed,
-        'engine.amplitude': releases.peak_plate_speed,  # which is proportional to it
+        'ejection.peak_plate_speed': releases.peak_plate_speed,
         'ejection.energy_transfer': releases.energy_transfer,
     }
 
