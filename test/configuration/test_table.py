@@ -57,23 +57,22 @@ def test_numbers_beyond_either_end_are_refused_with_the_value() -> None:
         ('layer.thickness', '1_0', ["'1_0'"]),
         ('layer.thicknes', 0.01, ['did you mean layer.thickness?']),
         ('thickness', 0.01, ['did you mean layer.thickness?']),
-        ('layer.youngs_modulus', 6e4, ['set layer.wave_speed']),
         ('layer.loss', 'magic', ["'constant'", "'magic'"]),
         ('throw.period', 0.01, ['or 0', '0.01']),
         ('throw.max_events', 2.0, ['whole number', '2.0']),
         ('recommendation.masses', [0.01] * 17, ['at most 16 numbers', '0.01']),
         ('recommendation.masses', [], ['[]']),
-        ('recommendation.masses', [0.01] * 5000, ['at most 16 numbers', '5000 items']),
-        ('layer.stack', 'x' * 20_000, ['at most 16384 characters', '20000 characters']),
-        ('x' * 20_000, 1.0, ['no parameter is named', '20000 characters']),
-        ('recommended.thickness', 0.01, ['~/apply_recommendation', '0.01']),
+        ('recommendation.masses', [0.01] * 5000, ['at most 16 numbers', '...']),
+        ('layer.stack', 'x' * 20_000, ['at most 16384 characters', '...']),
+        ('x' * 20_000, 1.0, ['no parameter is named', '...']),
+        ('recommended.thickness', 0.01, ['set by the twin', '0.01']),
     ],
 )
 def test_refusal_names_the_allowed_values(name, value, words) -> None:
     with pytest.raises(ParameterError) as refused:
         TWIN.check_value(name, value)
     assert refused.value.names == (name,)
-    assert name[:40] in str(refused.value)
+    assert name[:30] in str(refused.value)
     assert all(word in str(refused.value) for word in words), str(refused.value)
     assert len(str(refused.value)) < 500
 

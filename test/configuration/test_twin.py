@@ -9,12 +9,10 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import ParameterError, rig_of, rig_values, TWIN
-from soft_throw_ros.configuration import twin as twin_module
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.material import LARGEST_CONSTANT_LOSS
-from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.core.rig import Engine, Rig
+from soft_throw_ros.core.rig import Rig
 
 DEFAULTS = TWIN.defaults()
 LAYERS = library().layers
@@ -213,13 +211,6 @@ def test_values_that_are_present_keep_a_stack_and_its_name(mine: Path) -> None:
         settings |= TWIN.change(settings, {name: settings[name]})
         assert settings['layer.name'] == 'both'
     assert settings['layer.stack'] != ''
-
-
-def test_row_of_a_motion_makes_its_engine(monkeypatch) -> None:
-    lift = SampledMotion(np.array([0.0, 0.01]), np.array([[0.0] * 3, [1e-3, 0.0, 0.0]]))
-    row = {**twin_module.MOTIONS, 'lift': lambda _settings, _motion_of: Engine(motion=lift)}
-    monkeypatch.setattr(twin_module, 'MOTIONS', row)
-    assert rig_of({**TWIN.defaults(), 'engine.motion': 'lift'}).engine.motion is lift
 
 
 def test_bounds_become_standard_deviations_of_uniform_errors() -> None:
