@@ -50,11 +50,6 @@ _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 """Targets of an aim, of which one is 0."""
 
 
-def _bounds(name: str) -> dict[str, Any]:
-    unit, low, high = BOUNDS[name]
-    return {'unit': unit, 'low': low, 'high': high}
-
-
 JOINT_ROWS = tuple(
     row(f'joint_names.{body}', body, f'Name of the {body} in all messages with joints',
         kind='a text of at least one character', pattern='.+', is_fixed=True)
@@ -106,15 +101,15 @@ _ENTRIES = (
         'change',
         kind='a name in the library, or `custom`', examples=tuple(_INSTALLED.layers)),
     row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
-        **_bounds('thickness')),
+        **BOUNDS['thickness']),
     row('layer.wave_speed', _RIG.layer.wave_speed,
-        'Wave speed c_s; the modulus is density times its square', **_bounds('wave_speed')),
+        'Wave speed c_s; the modulus is density times its square', **BOUNDS['wave_speed']),
     row('layer.density', _RIG.layer.density, 'Density rho_s of the layer',
-        **_bounds('density')),
-    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer', **_bounds('diameter')),
+        **BOUNDS['density']),
+    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer', **BOUNDS['diameter']),
     row('layer.loss_tangent', _RIG.layer.loss_tangent,
         "Internal loss of the layer, as its loss tangent at the plate's frequency",
-        **_bounds('loss_tangent')),
+        **BOUNDS['loss_tangent']),
     row('layer.stack', '',
         'Sheets of the layer from the plate up, separated by commas: each is thickness, wave '
         'speed, density and optionally loss tangent, or thickness and material, which is stored '
@@ -175,13 +170,13 @@ _ENTRIES = (
         'How far it may go, from the lowest to the highest position; 0 is as far as now',
         unit='m', low=1e-5, high=1.0, or_zero=True),
     row('recommendation.thickness_min', 1e-3, 'Thinnest layer to consider',
-        **_bounds('thickness')),
+        **BOUNDS['thickness']),
     row('recommendation.thickness_max', 50e-3, 'Thickest layer to consider',
-        **_bounds('thickness')),
+        **BOUNDS['thickness']),
     row('recommendation.wave_speed_min', 1.0, 'Slowest wave to consider',
-        **_bounds('wave_speed')),
+        **BOUNDS['wave_speed']),
     row('recommendation.wave_speed_max', 50.0, 'Fastest wave to consider',
-        **_bounds('wave_speed')),
+        **BOUNDS['wave_speed']),
     row('recommendation.max_strain', 0.0, 'Largest strain to allow; 0 does not limit it',
         low=1e-3, high=10.0, or_zero=True),
     row('recommendation.max_acceleration', 0.0,
