@@ -60,7 +60,7 @@ JOINT_ROWS = tuple(
 
 _ENTRIES = (
     row('engine.motion_file', '',
-        'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
+        'File of a motion of the plate, CSV of time and height; frequency and amplitude '
         'are then units, and the loss tangent is that at the frequency. A measured plate is '
         'expected to follow it',
         kind='the path of a file, or empty'),

@@ -2,16 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motions of a plate from files."""
 
-from bags import BEGIN, channel
-from bags import write as write_bag
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import motions, ParameterError, rig_of, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.storage.cdr import JointStateEncoder
-from soft_throw_ros.storage.message import Message
 
 PLATE = Underdamped.of(Rig().engine)
 TIMES = np.arange(0.0, 0.1, 2e-4)
@@ -95,31 +91,3 @@ def test_encoded_motion_is_decoded_bit_by_bit(write):
     for text in ('not base64', '', 7):
         with pytest.raises(ValueError, match=f'no motion .*{text}'):
             motions.decode(text)
-
-
-def test_bag_holds_the_motion_of_its_first_throw(tmp_path):
-    """The plate is put back after the throw, and thrown again."""
-    encoder = JointStateEncoder('rig', ('plate', 'projectile'))
-    topic = channel('/twin/measured_joint_states', 'sensor_msgs/msg/JointState')
-    times = np.arange(0.0, 2.0, 2e-4)
-    heights = np.where(times < 1.0, PLATE.position(times - 0.1), PLATE.position(times - 1.1))
-    messages = []
-    for time, height in zip(times, heights.tolist(), strict=True):
-        stamp = BEGIN + round(1e9 * time)
-        data = encoder.encode(stamp, (height, 0.02, 0.0, 0.0, 0.0, 0.0))
-        messages.append(Message(topic, data, stamp, stamp))
-    folder = write_bag(tmp_path / 'bag', messages)
-    motion = motions.read(folder)
-    assert motion.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-3)
-    assert motion.end_time < 0.9
-
-
-def test_bag_without_an_end_is_refused_with_the_remedy(tmp_path):
-    topic = channel('/twin/measured_joint_states', 'sensor_msgs/msg/JointState')
-    data = JointStateEncoder('rig', ('plate',), series=1).encode(BEGIN, (0.0,))
-    folder = write_bag(tmp_path / 'bag', [Message(topic, data, BEGIN, BEGIN)])
-    (path,) = folder.glob('*.mcap')
-    path.write_bytes(path.read_bytes()[:-20])
-    for name in (folder, path):
-        with pytest.raises(ParameterError, match=r'bag_0\.mcap: .*soft-throw recover'):
-            motions.read(name)
