@@ -61,9 +61,7 @@ def read(
     return start(values, sources, table)
 
 
-def start(
-    values: Settings, sources: dict[str, Source], table: Table = TWIN
-) -> dict[str, Value]:
+def start(values: Settings, sources: dict[str, Source], table: Table = TWIN) -> dict[str, Value]:
     """
     Return the settings at the start from the values of files and arguments.
 
@@ -95,9 +93,7 @@ def start(
 
 def is_foreign(name: str) -> bool:
     """Return whether a parameter is one that rclpy declares on every node."""
-    return name in ('use_sim_time', 'start_type_description_service') or name.startswith(
-        'qos_overrides.'
-    )
+    return name.startswith(('use_sim_time', 'start_type_description_service', 'qos_overrides.'))
 
 
 def read_arguments(arguments: Sequence[str]) -> list[Source]:
@@ -126,8 +122,8 @@ def select(sources: Iterable[Source], node: str) -> dict[str, Source]:
 @lru_cache
 def _matches(pattern: str, node: str) -> bool:
     """Return whether a pattern of ROS matches the full name of a node."""
-    tokens = {'': '', '*': r'/\w+', '**': r'(/\w+)*'}
-    regex = ''.join(tokens.get(word, f'/{re.escape(word)}') for word in pattern.split('/'))
+    regex = re.escape('/' + pattern.lstrip('/'))
+    regex = regex.replace(r'/\*\*', r'(/\w+)*').replace(r'/\*', r'/\w+')
     return re.fullmatch(regex, node) is not None
 
 
@@ -186,10 +182,8 @@ def read_file(path: str | Path, order: int = 0) -> list[Source]:
             node, name = '/'.join(keys[:cut]), '.'.join(keys[cut + 1:])
             sources.append(Source(node, name, str(path), order, value))
         elif value is not None:
-            raise ParameterError(
-                f'{path}: must be NODE: {_KEY}: NAME: VALUE, got {quote(value)} as '
-                f'{quote(keys[-1])}'
-            )
+            place = f'{quote(value)} as {quote(keys[-1])}'
+            raise ParameterError(f'{path}: must be NODE: {_KEY}: NAME: VALUE, got {place}')
     return sources
 
 

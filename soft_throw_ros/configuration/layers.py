@@ -110,12 +110,13 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
     '0.008 7.8 1000.0 0.0, 0.002 20.0 1100.0 0.1'
 
     """
-    count = text.count(',') + 1
-    if count > MAX_SHEETS:
-        raise ParameterError(
-            f'layer.stack must have at most {MAX_SHEETS} sheets, got {count}', 'layer.stack'
-        )
-    return [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]
+    if (count := text.count(',') + 1) > MAX_SHEETS:
+        rule = f'must have at most {MAX_SHEETS} sheets, got {count}'
+        raise ParameterError(f'layer.stack {rule}', 'layer.stack')
+    try:
+        return [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]
+    except ParameterError as error:
+        raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
 
 
 def write_stack(sheets: Iterable[Layer]) -> str:
@@ -133,26 +134,20 @@ def _read_sheet(words: list[str], materials: Callable[[], Mapping[str, Material]
         known = materials()
         if words[1] not in known:
             raise ParameterError(
-                f'layer.stack: no material is named {quote(words[1])}; there are '
-                f'{", ".join(known)}',
-                'layer.stack',
+                f'no material is named {quote(words[1])}; there are {", ".join(known)}'
             )
         material = known[words[1]]
         values = material.wave_speed, material.density, material.loss_tangent
     elif len(words) not in (3, 4):
         raise ParameterError(
-            'layer.stack: a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY '
-            f'[LOSS_TANGENT], got {quote(" ".join(words))}',
-            'layer.stack',
+            'a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY [LOSS_TANGENT], '
+            f'got {quote(" ".join(words))}'
         )
     names = ('wave_speed', 'density', 'loss_tangent')
-    try:
-        return Layer(
-            thickness=_bounded('thickness', words[0], low=_THINNEST_SHEET),
-            **{name: _bounded(name, value) for name, value in zip(names, values, strict=False)},
-        )
-    except ParameterError as error:
-        raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
+    return Layer(
+        thickness=_bounded('thickness', words[0], low=_THINNEST_SHEET),
+        **{name: _bounded(name, value) for name, value in zip(names, values, strict=False)},
+    )
 
 
 def _bounded(name: str, value: Any, **bounds: float) -> Any:
@@ -166,15 +161,10 @@ def default_file() -> Path:
 
 
 def library(path: str | Path = '') -> Library:
-    """
-    Return the installed library, with the materials of another file added.
-
-    The other file is read again after a change.
-    """
-    if not str(path):
-        return _library('', 0)
+    """Return the installed library, with the materials of another file, as it is now, added."""
     try:
-        return _library(str(path), Path(path).stat().st_mtime_ns)
+        changed_ns = Path(path).stat().st_mtime_ns if path else 0
+        return _library(str(path), changed_ns)
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}', 'layer.library') from None
     except ParameterError as error:

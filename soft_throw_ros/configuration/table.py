@@ -17,7 +17,6 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-import difflib
 from functools import cached_property
 import math
 import re
@@ -33,9 +32,6 @@ NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
 
 MAX_TEXT = 16_384
 """Length of a text [characters]: a path has at most 4096, a stack fewer than this."""
-
-MAX_NAME = 255
-"""Length of a parameter's name [characters], several times the longest one."""
 
 _QUOTED = reprlib.Repr()
 _QUOTED.maxstring = _QUOTED.maxother = 80  # a line of a terminal [characters]
@@ -197,7 +193,7 @@ class Table:
         if name in self.by_name:
             return self.by_name[name].check(value)
         raise ParameterError(
-            f'no parameter is named {quote(name)}{suggestion(name, self.by_name)}', name
+            f'no parameter of the {self.node} is named {quote(name)}', name
         )
 
     def change(self, settings: Settings, request: Settings) -> dict[str, Value]:
@@ -258,12 +254,6 @@ def value_text(value: Value) -> str:
     if isinstance(value, float):
         return f'{value:g}'
     return ' '.join(map(value_text, value)) if isinstance(value, tuple) else str(value)
-
-
-def suggestion(name: str, names: Mapping[str, object]) -> str:
-    """Return the end of a refusal of an unknown name: the most similar known one, if any is."""
-    close = difflib.get_close_matches(name[:MAX_NAME], names, n=1)
-    return f'; did you mean {close[0]}?' if close else ''
 
 
 def quote(value: object) -> str:

@@ -26,7 +26,6 @@ from soft_throw_ros.configuration.table import (
     row,
     Scalar,
     Settings,
-    suggestion,
     Table,
 )
 from soft_throw_ros.core.material import LOSSES, STRESS_STRAIN_LAWS
@@ -253,9 +252,8 @@ def _named_layer(settings: Settings) -> Settings:
     """Return the values of the layer that the settings name."""
     name, layers = settings['layer.name'], library(settings['layer.library']).layers
     if name not in layers:
-        advice = suggestion(name, layers) or f'; there are {", ".join(layers)}'
         raise ParameterError(
-            f'layer.name must be a name in the library, or {CUSTOM!r}, got {quote(name)}{advice}',
+            f'layer.name must be one of {", ".join(layers)} or {CUSTOM!r}, got {quote(name)}',
             'layer.name',
         )
     return layers[name]

@@ -118,7 +118,7 @@ def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
 
 def test_bad_request_changes_nothing(twin, client) -> None:
     for request, reason in (
-        ({'layer__thicknes': 0.01}, 'did you mean layer.thickness?'),
+        ({'layer__thicknes': 0.01}, "no parameter of the twin is named 'layer.thicknes'"),
         ({'gravity': 1.0, 'layer__thickness': -1.0}, '-1.0'),
         ({'use_sim_time': True, 'layer__thickness': -1.0}, '-1.0'),
     ):

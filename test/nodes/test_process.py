@@ -163,7 +163,7 @@ def in_process(monkeypatch):
         (twin, '-p use_sim_time:=maybe', 'maybe'),
         (twin, '-p layer.thickness:=nan', '-p layer.thickness:=nan: .* got nan'),
         (twin, '-p layer.thickness:=soft', "got 'soft'"),
-        (twin, '-p layer.thicknes:=0.01', 'did you mean layer.thickness'),
+        (twin, '-p layer.thicknes:=0.01', "no parameter of the twin is named 'layer.thicknes'"),
         (twin, '-p recommended.thickness:=0.01', 'set by the twin'),
         (twin, '-p engine.command:=true', "engine.command .* got 'underdamped'"),
         (rig, '-p noise:=-1.0', 'got -1.0'),
