@@ -46,9 +46,7 @@ STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_t
 
 _STACK = {'description', 'source', 'stack'}
 _MATERIAL = {'description', 'source', 'density', 'loss_tangent'}
-_ANY_MATERIAL = _MATERIAL | {
-    'wave_speed', 'youngs_modulus', 'thicknesses', 'diameter', 'is_ideal'
-}
+_ANY_MATERIAL = _MATERIAL | {*BOUNDS, 'thicknesses', 'is_ideal'} - {'thickness'}
 """Properties in a library: of a stack, of every material, and all of a material."""
 
 
@@ -67,22 +65,14 @@ class Material:
     @property
     def settings(self) -> dict[str, float | str]:
         """Parameters of the twin for a layer of this material."""
-        values: dict[str, float | str] = {
-            'layer.stack': '',
-            'layer.wave_speed': self.wave_speed,
-            'layer.density': self.density,
-            'layer.loss_tangent': self.loss_tangent,
-        }
-        if self.diameter is not None:
-            values['layer.diameter'] = self.diameter
-        return values
+        names = ('wave_speed', 'density', 'loss_tangent', *(['diameter'] if self.diameter else []))
+        return {'layer.stack': '', **{f'layer.{name}': getattr(self, name) for name in names}}
 
     def layer_name(self, thickness: float) -> str:
         """Return the layer's name at a thickness, or the material's name if it is cast to size."""
         if not self.thicknesses:
             return self.name
-        millimetres = 1e3 * thickness
-        text = max(f'{millimetres:.1f}', f'{millimetres:g}', key=len)
+        text = max(f'{1e3 * thickness:.1f}', f'{1e3 * thickness:g}', key=len)
         return f'{self.name}_{text}mm'
 
 
@@ -98,17 +88,7 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
     Read the sheets of a stack from the plate up, separated by commas.
 
     A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
-    tangent, in SI units.
-
-    Examples
-    --------
-    >>> materials = library().materials
-    >>> sheets = read_stack('8e-3 gelatin, 2e-3 20 1100 0.1', lambda: materials)
-    >>> [sheet.wave_speed for sheet in sheets]
-    [7.8, 20.0]
-    >>> write_stack(sheets)
-    '0.008 7.8 1000.0 0.0, 0.002 20.0 1100.0 0.1'
-
+    tangent, in SI units; `write_stack` writes the numbers.
     """
     if (count := text.count(',') + 1) > MAX_SHEETS:
         rule = f'must have at most {MAX_SHEETS} sheets, got {count}'
@@ -175,7 +155,7 @@ def library(path: str | Path = '') -> Library:
 def _library(path: str, _changed_ns: int) -> Library:
     materials: dict[str, Material] = {}
     layers: dict[str, Mapping[str, float | str]] = {}
-    for file in (default_file(), *([Path(path)] if path else [])):
+    for file in filter(None, (str(default_file()), path)):
         tree = read_yaml(file)
         if not tree:
             raise ParameterError(f'{file}: the file has no material')

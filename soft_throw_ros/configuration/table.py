@@ -117,9 +117,7 @@ class Entry:
         """
         Return `value` in the parameter's own type, or None if the rule does not allow it.
 
-        An integer is converted to float, and a text to a number, because tools that read YAML 1.1
-        parse `5e-06` as a text.
-
+        A text becomes a number, because tools that read YAML 1.1 parse `5e-06` as a text.
         """
         if not isinstance(self.default, tuple):
             return self._convert_item(value, self.default)
