@@ -77,13 +77,6 @@ class Topic:
         """Name relative to the node; an absolute name is unchanged."""
         return self.name.removeprefix('~/')
 
-    def fits(self, name: str) -> bool:
-        """Return whether a full name can be this topic of some node."""
-        if not self.name.startswith('~'):
-            return name == self.name
-        ending = resolve(self.name, '')
-        return name.endswith(ending) and name != ending
-
     def at(self, node: str) -> Topic:
         """Return the same topic of a node with the given name."""
         return replace(self, name=resolve(self.name, node))
@@ -255,7 +248,6 @@ TWIN_SERVICES = TwinServices()
 RECORDER_SERVICES = RecorderServices()
 REPLAY_SERVICES = ReplayServices()
 
-
 INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
     'twin': (TWIN_TOPICS, TWIN_SERVICES),
     'recorder': (RECORDER_TOPICS, RECORDER_SERVICES),
@@ -266,7 +258,7 @@ INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
 }
 """Topics and services of all nodes, by their usual names."""
 
-_FINDABLE = (*TWIN_TOPICS, *RECORDER_TOPICS)
+_FINDABLE = sorted((*TWIN_TOPICS, *RECORDER_TOPICS), key=lambda topic: -len(topic.name))
 
 
 class NodeTopic(NamedTuple):
@@ -291,8 +283,8 @@ def find_topic(name: str, type_name: str) -> NodeTopic | None:
     >>> find_topic('/camera/image', 'sensor_msgs/msg/Image')
 
     """
-    matches = [topic for topic in _FINDABLE if topic.type == type_name and topic.fits(name)]
-    if not matches:
-        return None
-    topic = max(matches, key=lambda topic: len(topic.name))
-    return NodeTopic(name.removesuffix(resolve(topic.name, '')), topic)
+    for topic in _FINDABLE:
+        node = name.removesuffix(resolve(topic.name, ''))
+        if topic.type == type_name and node != name and bool(node) is topic.name.startswith('~'):
+            return NodeTopic(node, topic)
+    return None
