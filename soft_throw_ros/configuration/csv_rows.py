@@ -81,18 +81,12 @@ def read_columns(
     lines: Iterable[str], name: str, columns: Mapping[str, Column]
 ) -> dict[str, Floats]:
     """
-    Read columns of numbers in SI units; raise ValueError with the number of the line.
+    Read columns of numbers in SI units from lines of text, see `read_rows`.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        Text, see `read_rows`. A first line may label the columns, with an optional unit in
-        brackets; other columns are skipped then. Otherwise they are in the order of `columns`.
-    name : str
-        Name of the text in errors.
-    columns : mapping of str to Column
-        The first one is the time, which increases. The first two are required.
-
+    A first line may label the columns, with an optional unit in brackets; columns with other
+    labels are skipped. Otherwise they are in the order of `columns`, of which the first one is the
+    time, which increases, and the first two are required. ValueError has the `name` of the text
+    and the number of the line.
     """
     try:
         rows = list(read_rows(lines))

@@ -106,10 +106,7 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     """
     Fit a motion to a record of a plate that starts from rest, at time 0, and comes to rest.
 
-    Parameters
-    ----------
-    times, heights : array_like, shape (n,)
-        Times increase; before the start the plate may rest for any time. [s], [m]
+    Before the start the plate may rest for any time [s], [m].
 
     Notes
     -----
@@ -122,15 +119,6 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     ----------
     .. [1] P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numer. Math. 31
        (1979).
-
-    Examples
-    --------
-    >>> from soft_throw_ros.core.plate import Underdamped
-    >>> plate = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
-    >>> times = np.arange(0.0, 0.1, 2e-4)
-    >>> motion = motion_from_record(times, plate.position(times - 0.02003))
-    >>> round(motion.peak_velocity, 4)
-    0.721
 
     """
     times, heights = require_samples(times, heights, 'heights')

@@ -22,25 +22,10 @@ _SLICES_PER_LAYER = 14.0
 
 def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = '') -> str:
     """
-    Return a URDF with the sizes of the twin that a parameter file describes.
+    Return a URDF of the default rig with the sizes of a twin, by a file and the node's full name.
 
-    Parameters
-    ----------
-    urdf : str
-        Model of the default rig.
-    path : path_like
-        The file; parameters that it lacks have their defaults, as in ROS.
-    node : str
-        Full name of the twin.
-    frame_prefix : str
-        Precedes the names of links, but not of joints. RViz looks for the frames of `/tf` by the
-        names of links, so that rigs in several namespaces need different ones.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read or has a refused value; the message has its name.
-
+    Parameters that the file lacks have their defaults, as in ROS. `frame_prefix` precedes the
+    names of links, but not of joints: RViz looks for the frames of `/tf` by the names of links.
     """
     settings: Settings = files.read(path, node=node, is_required=False)
     diameter = settings['layer.diameter']

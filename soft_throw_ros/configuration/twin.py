@@ -213,12 +213,6 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
     A named layer and a stack have values of their own; another value of the layer makes it
     `custom`, and ends a stack. A file of a motion, which is read, moves the plate. Damping ends a
     harmonic motion. One target replaces the other.
-
-    Raises
-    ------
-    ParameterError
-        If a file cannot be read, a layer is unknown, or a sheet is wrong.
-
     """
     after = {**settings, name: value}
     if name == 'layer.name':
