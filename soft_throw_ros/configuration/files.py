@@ -24,6 +24,7 @@ from soft_throw_ros.configuration.yaml_file import read_yaml
 import yaml
 
 _KEY = 'ros__parameters'
+_NOTE = '    # '
 
 
 class Source(NamedTuple):
@@ -141,20 +142,12 @@ def render(
     """
     lines = [f'# {line}'.rstrip() for line in title.splitlines()]
     lines += [f'/**/{table.node}:', f'  {_KEY}:']
-    group = ''
     for entry in table.entries:
         if entry.name in settings:
-            head, _, tail = entry.name.rpartition('.')
-            if head and head != group:
-                lines.append(f'    {head}:')
-            group = head
-            indent = ' ' * (6 if head else 4)
-            comment = f'# {entry.meaning.replace("`", "")}. Must be {entry.rule}.'
-            lines += textwrap.wrap(
-                comment, 99, initial_indent=indent, subsequent_indent=f'{indent}# '
-            )
-            text = f'{tail}: {_text(settings[entry.name])}'
-            lines.append(indent + (f'# {text}  # assumed' if entry.name in assumed else text))
+            comment = f'{entry.meaning.replace("`", "")}. Must be {entry.rule}.'
+            lines += textwrap.wrap(comment, 99, initial_indent=_NOTE, subsequent_indent=_NOTE)
+            text = f'{entry.name}: {_text(settings[entry.name])}'
+            lines.append(f'{_NOTE}{text}  # assumed' if entry.name in assumed else f'    {text}')
     return '\n'.join(lines) + '\n'
 
 

@@ -156,7 +156,8 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
 
 def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
     """Return the time at which a recorded plate starts to move, and its height before that."""
-    noise = _noise(heights)
+    # of white noise, from sixth differences
+    noise = float(np.median(np.abs(np.diff(heights, 6)))) / (0.6745 * math.sqrt(924.0))
     moved = np.abs(heights - np.median(heights[:3]))
     threshold = max(_MOTION_SIGMAS * noise, 1e-6 * np.ptp(heights))
     if not moved.max() > 2.0 * threshold:
@@ -200,11 +201,6 @@ def _lowest(function: Callable[[float], float], low: float, high: float) -> floa
     bounds = (trials[max(best - 1, 0)], trials[min(best + 1, 40)])
     options = {'xatol': 1e-6 * (high - low)}
     return float(minimize_scalar(function, bounds=bounds, method='bounded', options=options).x)
-
-
-def _noise(heights: Floats) -> float:
-    """Estimate the standard deviation of white noise from sixth differences."""
-    return float(np.median(np.abs(np.diff(heights, 6)))) / (0.6745 * math.sqrt(924.0))
 
 
 def _require_rest(states: Floats) -> None:
