@@ -25,6 +25,7 @@ import yaml
 
 _KEY = 'ros__parameters'
 _NOTE = '    # '
+_FOREIGN = re.compile(r'use_sim_time|start_type_description_service|qos_overrides\..*')
 
 
 class Source(NamedTuple):
@@ -94,7 +95,7 @@ def start(values: Settings, sources: dict[str, Source], table: Table = TWIN) -> 
 
 def is_foreign(name: str) -> bool:
     """Return whether a parameter is one that rclpy declares on every node."""
-    return name.startswith(('use_sim_time', 'start_type_description_service', 'qos_overrides.'))
+    return _FOREIGN.fullmatch(name) is not None
 
 
 def read_arguments(arguments: Sequence[str]) -> list[Source]:
