@@ -12,7 +12,6 @@ from soft_throw_ros.configuration import ParameterError, rig_of, rig_values, TWI
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.material import LARGEST_CONSTANT_LOSS
-from soft_throw_ros.core.rig import Rig
 
 DEFAULTS = TWIN.defaults()
 LAYERS = library().layers
@@ -38,11 +37,6 @@ def one_change() -> st.SearchStrategy:
             values = kind(entry.low, entry.high)
         options.append(st.tuples(st.just(entry.name), values))
     return st.one_of(options)
-
-
-def test_default_rig_is_that_of_the_paper() -> None:
-    assert rig_of(DEFAULTS) == Rig()
-    assert rig_of({**DEFAULTS, 'engine.motion': 'harmonic'}).engine.damping_ratio == 0.0
 
 
 @given(changes=st.lists(one_change(), max_size=8))
