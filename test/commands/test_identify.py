@@ -79,7 +79,7 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     pytest.importorskip('matplotlib')
     root = SAMPLE.parents[2]
     text = (root / 'README.md').read_text(encoding='utf-8')
-    (call,) = re.findall(r'make identify ARGS="([^"]*synthetic_throw[^"]*)"', text)
+    (call,) = re.findall(r'soft-throw identify (.*synthetic_throw(?:.*\\\n)*.*)', text)
     monkeypatch.chdir(root)
     path = tmp_path / 'my_rig.yaml'
     args = call.replace('\\\n', '').replace('my_rig.yaml', str(path)).split()
