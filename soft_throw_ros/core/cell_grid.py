@@ -12,7 +12,6 @@ or too stiff for one cell and an explicit step gets one that is implicit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,39 +51,25 @@ _SHOCK_SPEED = 1.055
 """Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
 
 
-class Grid(NamedTuple):
-    """A layer to be cut into cells."""
-
-    step: float
-    """Time step. [s]"""
-    bodies: NDArray[np.void]
-    """A `BODY` for each sheet from the plate up."""
-
-    @property
-    def counts(self) -> NDArray[np.int64]:
-        """Cells of each sheet."""
-        counts: NDArray[np.int64] = self.bodies['count']
-        return counts
-
-    def points(self, count: int) -> NDArray[np.void]:
-        """Return a `POINT` for each of some even heights from plate to top."""
-        counts = self.counts
-        sheets = np.repeat(np.arange(counts.size), counts)
-        lengths = (self.bodies['thickness'] / counts)[sheets]
-        bounds = np.append(0.0, np.cumsum(lengths))
-        heights = np.linspace(0.0, bounds[-1], count)
-        cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
-        fraction = (heights - bounds[cell]) / lengths[cell]
-        # The nearer neighbour, or at the end of a sheet the other one, which extrapolates
-        nearer = np.where(fraction > 0.5, 1, -1)
-        sheets_around = np.pad(sheets, 1, constant_values=-1)
-        neighbour = cell
-        for other in (cell - nearer, cell + nearer):
-            neighbour = np.where(sheets_around[other + 1] == sheets[cell], other, neighbour)
-        points = np.empty(count, POINT)
-        points['cell'], points['neighbour'] = cell, neighbour
-        points['weight'], points['fraction'] = (fraction - 0.5) * (neighbour - cell), fraction
-        return points
+def reading_points(bodies: NDArray[np.void], count: int) -> NDArray[np.void]:
+    """Return a `POINT` for each of some even heights from plate to top of a cut layer."""
+    counts = bodies['count']
+    sheets = np.repeat(np.arange(counts.size), counts)
+    lengths = (bodies['thickness'] / counts)[sheets]
+    bounds = np.append(0.0, np.cumsum(lengths))
+    heights = np.linspace(0.0, bounds[-1], count)
+    cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
+    fraction = (heights - bounds[cell]) / lengths[cell]
+    # The nearer neighbour, or at the end of a sheet the other one, which extrapolates
+    nearer = np.where(fraction > 0.5, 1, -1)
+    sheets_around = np.pad(sheets, 1, constant_values=-1)
+    neighbour = cell
+    for other in (cell - nearer, cell + nearer):
+        neighbour = np.where(sheets_around[other + 1] == sheets[cell], other, neighbour)
+    points = np.empty(count, POINT)
+    points['cell'], points['neighbour'] = cell, neighbour
+    points['weight'], points['fraction'] = (fraction - 0.5) * (neighbour - cell), fraction
+    return points
 
 
 def _fastest_waves(bodies: NDArray[np.void]) -> Floats:
@@ -97,22 +82,11 @@ def _fastest_waves(bodies: NDArray[np.void]) -> Floats:
 
 def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.void], Floats]:
     """
-    Make the sheets of layers.
+    Make the sheets of layers, and the crossing times of their fastest waves.
 
-    Parameters
-    ----------
-    values : mapping of str to ndarray, shape (n,)
-        Values of the layers, as of `rig.values_of`.
-    layer : Layer
-        Layer whose sheets have the proportions of all layers.
-
-    Returns
-    -------
-    bodies : ndarray of `BODY`, shape (n, sheets)
-        Sheets without numbers of cells.
-    crossings : ndarray, shape (n, sheets)
-        Crossing times of the fastest wave. [s]
-
+    The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
+    proportions of all layers. The results have the shape (n, sheets): `BODY` without numbers of
+    cells, and times [s].
     """
     shares = np.array([
         (
@@ -156,9 +130,13 @@ def crossing_time(rig: Rig) -> float:
     return float(_make_sheets(rig)[1].sum())
 
 
-def make_grid(rig: Rig, *, cells: int) -> Grid:
-    """Cut the layer of a rig into about so many cells, whole numbers and at least 1 per sheet."""
+def cut_layer(rig: Rig, *, cells: int) -> tuple[float, NDArray[np.void]]:
+    """
+    Cut the layer of a rig into about so many cells, at least 1 per sheet.
+
+    Returns the time step [s], and a `BODY` for each sheet from the plate up.
+    """
     bodies, crossings = _make_sheets(rig)
     step = float(crossings.sum()) / cells
     bodies['count'] = count_cells(crossings, step)
-    return Grid(step, bodies)
+    return step, bodies

@@ -43,9 +43,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
+from soft_throw_ros.core.batch import run_batches, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import inlined, kernel, subroutine
-from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
+from soft_throw_ros.core.plate import peak_velocity_ratio
 
 MAX_INTERVALS = 2048
 """Most wave intervals (two crossings each) before the computation gives up with an error. [-]"""
@@ -66,8 +66,8 @@ _ACCURACY = 1e-9
 _SEARCH_EFFORT = 1e6
 """Terms of Laguerre sums after which a search is given up: some milliseconds."""
 
-_THROWS_PER_THREAD = 2048
-"""Throws that take as long as the start of a thread."""
+_BATCH = 2048
+"""Throws that a thread computes at once: some milliseconds."""
 
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
 """Reciprocals of 1, 1, 2, 3 ..."""
@@ -96,32 +96,10 @@ def first_release(
     gravity_ratio: float = 0.0,
 ) -> FirstRelease:
     r"""
-    Compute time and speed of the first release of a rigid projectile.
-
-    The plate moves as `plate.Underdamped`; the layer is lossless.
-
-    Parameters
-    ----------
-    mass_ratio : float
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : float
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
-    damping_ratio : float
-        Damping ratio of the plate, :math:`\zeta`. [-]
-    gravity_ratio : float
-        :math:`g / (A \omega^2)`. [-]
-
-    Returns
-    -------
-    FirstRelease
-        Of floats. Errors: 1e-9 in the ejection phase and relative in the energy transfer for
-        :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3];
-        a few roundings in practice.
+    Compute the first release of one throw: floats, as of `first_releases`.
 
     Raises
     ------
-    ValueError
-        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative).
     ThrowUnresolvedError
         If the projectile does not leave within `MAX_INTERVALS` (fewer if gravity makes many of
         them worth a search), or rounding would spoil the promised accuracy (strong damping or a
@@ -157,10 +135,10 @@ def first_release(
         checks.require_in_unit_interval('damping_ratio', damping_ratio),
         checks.require_not_negative('gravity_ratio', gravity_ratio),
     )
-    phase, speed, status = first_release_kernel(*case, np.empty((2, MAX_INTERVALS)))
+    phase, speed, status = _first_release(*case, np.empty((2, MAX_INTERVALS)))
     if status != _RELEASED:
         raise _unresolved(status, phase, case)
-    return FirstRelease(phase, speed, (speed / peak_velocity_ratio(case[2])) ** 2)
+    return FirstRelease(phase, speed, float((speed / peak_velocity_ratio(case[2])) ** 2))
 
 
 def first_releases(
@@ -171,16 +149,22 @@ def first_releases(
     gravity_ratio: ArrayLike = 0.0,
     threads: int | None = None,
 ) -> FirstRelease:
-    """
-    Compute times and speeds of the first releases of rigid projectiles, for many throws.
+    r"""
+    Compute times and speeds of the first releases of rigid projectiles.
 
-    This is the one function for many throws that are given in ratios, as the maps of the paper
-    are; `throws.throw_many` takes SI units.
+    The plate moves as `plate.Underdamped`; the layer is lossless. `throws.throw_many` takes SI
+    units.
 
     Parameters
     ----------
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
-        Arguments of `first_release`, broadcast against each other. [-]
+    mass_ratio : array_like
+        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
+    speed_ratio : array_like
+        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+    damping_ratio : array_like
+        Damping ratio of the plate, :math:`\zeta`. [-]
+    gravity_ratio : array_like
+        :math:`g / (A \omega^2)`. [-]
     threads : int, optional
         Largest number of threads, all cores if not given. The number does not change the results.
 
@@ -188,11 +172,15 @@ def first_releases(
     -------
     FirstRelease
         Of arrays with the common shape; NaN where `first_release` raises ThrowUnresolvedError.
+        Errors: 1e-9 in the ejection phase and relative in the energy transfer for
+        :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3];
+        a few roundings in practice.
 
     Raises
     ------
     ValueError
-        As for `first_release`, or if the shapes do not fit.
+        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative), or the
+        shapes do not fit.
 
     Examples
     --------
@@ -213,14 +201,13 @@ def first_releases(
     ratios, shape = np.stack(arrays).reshape(len(arrays), -1), arrays[0].shape
     phase, speed = np.empty((2, ratios.shape[1]))
     status = np.empty(ratios.shape[1], dtype=np.int64)
-    in_threads(
-        lambda first, stride: _release_series(ratios, phase, speed, status, first, stride),
-        count=ratios.shape[1],
-        per_thread=_THROWS_PER_THREAD,
-        threads=threads,
-    )
+
+    def run(batch: NDArray[np.int64]) -> None:
+        _release_series(ratios, phase, speed, status, batch[0], batch.size)
+
+    run_batches(run, np.arange(phase.size), size=_BATCH, threads=threads)
     phase[status != _RELEASED] = np.nan
-    energy_transfer = (speed / peak_velocity_ratios(ratios[2])) ** 2
+    energy_transfer = (speed / peak_velocity_ratio(ratios[2])) ** 2
     return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
 
 
@@ -242,15 +229,11 @@ def _unresolved(
 
 
 @kernel
-def first_release_kernel(
-    mu: float, kappa: float, zeta: float, gravity: float, work: NDArray[np.float64]
-) -> tuple[float, float, int]:
+def _first_release(mu, kappa, zeta, gravity, work):
     """
-    Compute one release without checks: (t_e f, V_e / (A w), status), status 0 when found.
+    Compute (t_e f, V_e / (A w), status), or number of crossings, NaN and another status.
 
-    With another status the first value is the number of crossings that were followed, the second
-    is NaN. `work` is a float array of shape (2, MAX_INTERVALS), which afterwards holds c_0 ... c_k
-    of the interval of release in its first row. For use inside compiled code.
+    `work` is an array of shape (2, MAX_INTERVALS).
     """
     c = work[0]
     wave = _wave(mu, kappa, zeta, gravity)
@@ -263,11 +246,11 @@ def first_release_kernel(
 
 
 @kernel
-def _release_series(ratios, phase, speed, status, first, stride):
-    """Compute every `stride`-th throw from number `first` on; `ratios` has a row for each."""
+def _release_series(ratios, phase, speed, status, first, count):
+    """Compute some throws from number `first` on; `ratios` has a row for each ratio."""
     work = np.empty((2, MAX_INTERVALS))
-    for n in range(first, phase.size, stride):
-        phase[n], speed[n], status[n] = first_release_kernel(
+    for n in range(first, first + count):
+        phase[n], speed[n], status[n] = _first_release(
             ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], work
         )
 

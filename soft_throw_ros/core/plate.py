@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
-from typing import Any, TYPE_CHECKING, TypeAlias
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +26,24 @@ if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a m
 Floats = NDArray[np.float64]
 
 
+class PlateMotion:
+    """A motion that every model of a throw accepts."""
+
+    def states_at(self, time: Floats) -> Floats:
+        """Height [m], velocity [m/s] and acceleration [m/s2], in the last axis."""
+        raise NotImplementedError
+
+    def position(self, time: ArrayLike) -> Floats:
+        """Height of the plate [m]."""
+        return np.asarray(self.states_at(np.asarray(time, dtype=np.float64))[..., 0])
+
+    def velocity(self, time: ArrayLike) -> Floats:
+        """Velocity of the plate [m/s]."""
+        return np.asarray(self.states_at(np.asarray(time, dtype=np.float64))[..., 1])
+
+
 @dataclass(frozen=True, kw_only=True)
-class Underdamped:
+class Underdamped(PlateMotion):
     r"""
     A step answered by a damped oscillator: up, over, and down to the new height.
 
@@ -100,53 +116,29 @@ class Underdamped:
     def peak_velocity(self) -> float:
         """:math:`V_p^*`, Eq. (D4) [m/s]."""
         omega = 2.0 * math.pi * self.frequency
-        return self.amplitude * omega * peak_velocity_ratio(self.damping_ratio)
+        return float(self.amplitude * omega * peak_velocity_ratio(self.damping_ratio))
 
     @property
     def peak_velocity_time(self) -> float:
         """:math:`t_v`, when the plate is fastest (D3) [s]."""
         return math.acos(self.damping_ratio) / self.exponent.imag
 
-    def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate, Eq. (D2) [m]."""
-        time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        rate = self.exponent
-        decayed = np.exp(rate.real * time)
-        sine = -rate.real / rate.imag * np.sin(rate.imag * time)
-        # 1 - cos as 2 sin^2, so that the first micrometres keep their digits
-        rise = 2.0 * np.sin(0.5 * rate.imag * time) ** 2 * decayed - np.expm1(rate.real * time)
-        return np.asarray(self.amplitude * (rise - decayed * sine))
-
-    def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate [m/s]."""
-        time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        rate = self.exponent
-        return self.velocity_factor * np.exp(rate.real * time) * np.sin(rate.imag * time)
-
     def states_at(self, time: Floats) -> Floats:
-        """Height [m], velocity [m/s] and acceleration [m/s2], Eqs. (D1) and (D2), shape (n, 3)."""
+        """Height [m], velocity [m/s] and acceleration [m/s2], Eqs. (D1) and (D2)."""
         rate, change = self.exponent, np.expm1(self.exponent * np.maximum(time, 0.0))
         turned = change + 1.0
-        columns = change / rate, turned, rate * turned
-        states = self.velocity_factor * np.stack(columns, axis=1).imag
-        states[time < 0.0, 2] = 0.0
-        return states
+        columns = change / rate, turned, np.where(time < 0.0, 0.0, rate * turned)
+        return np.asarray(self.velocity_factor * np.stack(columns, axis=-1).imag)
 
 
-def peak_velocity_ratio(damping_ratio: float) -> float:
-    r"""Largest plate speed over :math:`A \omega`, Eq. (D4) [-]."""
-    angle = math.acos(damping_ratio)
-    return math.exp(-damping_ratio / math.sqrt(1.0 - damping_ratio**2) * angle)
-
-
-def peak_velocity_ratios(damping_ratio: Floats) -> Floats:
-    """Compute `peak_velocity_ratio` for many plates."""
-    angle = np.arccos(damping_ratio)
-    return np.asarray(np.exp(-damping_ratio / np.sqrt(1.0 - damping_ratio**2) * angle))
+def peak_velocity_ratio(damping_ratio: Any) -> Any:
+    r"""Compute the largest plate speed over :math:`A \omega`, Eq. (D4), of one or many plates."""
+    rate = damping_ratio / np.sqrt(1.0 - damping_ratio**2)
+    return np.exp(-rate * np.arccos(damping_ratio))
 
 
 @dataclass(frozen=True, eq=False)
-class SampledMotion:
+class SampledMotion(PlateMotion):
     """
     A motion given by states of the plate, which quintics join: at rest before and after them.
 
@@ -242,24 +234,10 @@ class SampledMotion:
         return float(self.velocity(self.peak_velocity_time))
 
     def states_at(self, time: Floats) -> Floats:
-        """Height [m], velocity [m/s] and acceleration [m/s2], shape (n, 3)."""
-        is_moving = (time >= self.start_time) & (time <= self.end_time)
-        acceleration = np.where(is_moving, self._path(time, 2), 0.0)
-        return np.stack((self.position(time), self.velocity(time), acceleration), axis=1)
-
-    def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate [m]."""
-        return np.asarray(self._path(np.clip(time, self.start_time, self.end_time)))
-
-    def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate [m/s]."""
-        time = np.asarray(time, dtype=np.float64)
+        """Height [m], velocity [m/s] and acceleration [m/s2]."""
         inside = np.clip(time, self.start_time, self.end_time)
-        return np.where(time == inside, self._path(inside, 1), 0.0)
-
-
-PlateMotion: TypeAlias = Underdamped | SampledMotion
-"""A motion that every model of a throw accepts."""
+        rates = (np.where(time == inside, self._path(inside, order), 0.0) for order in (1, 2))
+        return np.stack((self._path(inside), *rates), axis=-1)
 
 
 def motion_of(engine: Engine) -> PlateMotion:

@@ -39,6 +39,12 @@ times its amplitude (`test/core/test_cell_stepper.py`). That is about the error 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""
 
+_MAX_PERIODS = 16.0
+"""Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
+
+_MAX_CROSSINGS = 4096.0
+"""Longest wait of steppers for a release, in crossings of the wave. [-]"""
+
 _CHOICES = {'stress_strain_law': STRESS_STRAIN_LAWS, 'loss': LOSSES}
 
 
@@ -391,6 +397,12 @@ class Rig:
         r""":math:`g / (A \omega^2)` [-]."""
         return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)
 
+    @property
+    def longest_wait(self) -> float:
+        """Time until which steppers follow a throw without a release [s]."""
+        end = self.engine.motion.end_time if self.engine.motion else 0.0
+        return end + float(scales_of(values_of(self)).longest_wait)
+
     def check_for_waves(self) -> None:
         """
         Refuse a rig that travelling waves cannot simulate.
@@ -436,6 +448,14 @@ class Scales(NamedTuple):
     r""":math:`\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
     gravity_ratio: Any
     r""":math:`g / (A \omega^2)`. [-]"""
+
+    @property
+    def longest_wait(self) -> Any:
+        """Time until which steppers follow throws without a release [s]."""
+        own_period = 2.0 * math.pi * np.sqrt(self.crossing_time * self.relaxation_time)
+        longest = np.maximum(2.0 * math.pi / self.angular_frequency, own_period)
+        wait = self.crossing_time + _MAX_PERIODS * longest
+        return np.minimum(wait, _MAX_CROSSINGS * self.crossing_time)
 
 
 def scales_of(values: Mapping[str, Any]) -> Scales:

@@ -7,14 +7,14 @@ import threading
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.batch import in_threads, leave_processors, usable_processors
+from soft_throw_ros.core.batch import leave_processors, run_batches, usable_processors
 from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throws import HELD, REFUSED, RELEASED, throw_many
 
 METHODS = {
-    'closed form': (Rig(engine=Engine(damping_ratio=0.0)), {}, 3 * 2048),
-    'waves': (Rig(engine=Engine(amplitude=1e-4)), {'gravity': 9.81}, 3 * 64),
+    'closed form': (Rig(engine=Engine(damping_ratio=0.0)), {}, 2 << 14),
+    'waves': (Rig(engine=Engine(amplitude=1e-4)), {'gravity': 9.81}, 3 * 256),
     'cells': (Rig(layer=Layer(loss_tangent=0.1)), {}, 60),
 }
 
@@ -102,11 +102,12 @@ def test_processors_are_left_to_others_in_a_context_of_one_thread():
 
 
 @pytest.mark.usefixtures('three')
-def test_loop_runs_in_as_many_threads_as_there_are_processors():
-    calls = []
+def test_batches_run_in_as_many_threads_as_there_are_processors():
+    calls, together = [], threading.Barrier(3)
 
-    def run(first, stride):
-        calls.append((first, stride, threading.get_ident()))
+    def run(batch):
+        together.wait(timeout=10.0)
+        calls.append(batch.tolist())
 
-    in_threads(run, count=1000, per_thread=1, threads=None)
-    assert sorted(call[:2] for call in calls) == [(0, 3), (1, 3), (2, 3)]
+    run_batches(run, np.arange(3), size=1, threads=None)
+    assert sorted(calls) == [[0], [1], [2]]

@@ -8,7 +8,7 @@ import numba as nb
 import numpy as np
 import pytest
 from soft_throw_ros.core import cell_kernels
-from soft_throw_ros.core.cell_grid import make_grid
+from soft_throw_ros.core.cell_grid import cut_layer, reading_points
 from soft_throw_ros.core.cell_kernels import RECORD, ROW, ROWS
 from soft_throw_ros.core.rig import Layer, Rig
 
@@ -36,14 +36,15 @@ class Cut:
     """A rig cut into cells."""
 
     def __init__(self, rig, *, cells):
-        grid = make_grid(rig, cells=cells)
-        self.step, self.count = grid.step, int(grid.counts.sum())
+        self.step, self.bodies = cut_layer(rig, cells=cells)
+        counts = self.bodies['count']
+        self.count = int(counts.sum())
         self.core = np.zeros(1, RECORD)
         self.core['step'], self.core['cells'] = self.step, self.count
         self.core['mass'] = rig.projectile.mass
         self.nodes = np.zeros((ROWS, self.count + 2))
-        fill(self.core, self.nodes, grid.bodies)
-        self.sheets = np.repeat(np.arange(grid.counts.size), grid.counts)
+        fill(self.core, self.nodes, self.bodies)
+        self.sheets = np.repeat(np.arange(counts.size), counts)
         inverse = self.nodes[ROW.inverse_length, : self.count]
         self.heights = np.append(0.0, np.cumsum(1.0 / inverse))
 
@@ -127,7 +128,7 @@ def test_linear_functions_are_read_exactly_within_sheets(layer):
     grid = Cut(Rig(layer=layer), cells=40)
     middles = 0.5 * (grid.heights[1:] + grid.heights[:-1])
     values = 3.0 * middles + np.where(grid.sheets == 2, 1.0, 0.0)
-    points = make_grid(Rig(layer=layer), cells=40).points(77)
+    points = reading_points(grid.bodies, 77)
     heights = np.linspace(0.0, layer.thickness, 77).tolist()
     for height, (cell, neighbour, weight, fraction) in zip(heights, points, strict=True):
         assert grid.sheets[cell] == grid.sheets[neighbour]
