@@ -50,10 +50,37 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 from soft_throw_ros.core import stepper
-from soft_throw_ros.core.cell_grid import POINT, ROUNDING
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.plate_kernels import motion_at
+
+BODY = np.dtype(
+    [
+        ('count', 'i8'),  # number of cells
+        ('thickness', 'f8'),  # [m]
+        ('mass', 'f8'),  # [kg]
+        ('stiffness', 'f8'),  # at the plate's frequency [N/m]
+        ('lag', 'f8'),  # viscosity over stiffness [s]
+        ('max_compression', 'f8'),  # of a neo-Hookean body, 0 for a linear one [-]
+        ('relaxed', 'f8'),  # share of the spring in the stiffness [-]
+        ('tangent', 'f8'),  # largest stiffness of any state over the stiffness [-]
+        ('maxwell', 'f8', (3,)),  # shares of the Maxwell elements in the stiffness [-]
+    ]
+)
+"""A sheet, to be cut into cells of one kind."""
+
+POINT = np.dtype(
+    [
+        ('cell', 'i8'),  # at the height
+        ('neighbour', 'i8'),  # of this cell in its sheet, or the cell itself if it has none
+        ('weight', 'f8'),  # of the neighbour for quantities in the middle of cells [-]
+        ('fraction', 'f8'),  # of the cell below the height [-]
+    ]
+)
+"""A height at which the layer is read."""
+
+ROUNDING = 1e-9
+"""Relative rounding error of a crossing time. [-]"""
 
 _FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed [-]."""
@@ -173,11 +200,7 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
         body = bodies[n]
         mass, spring = body.mass / body.count, body.stiffness * body.count
         inverse = body.count / body.thickness
-        tangent = body.relaxed  # of the stiffest state
-        if body.max_compression > 0.0:
-            tangent *= (1.0 + 2.0 / (1.0 - body.max_compression) ** 3) / 3.0
-        tangent = (tangent + body.maxwell[0] + body.maxwell[1] + body.maxwell[2]) * spring
-        implicit = 0.0
+        implicit, tangent = 0.0, body.tangent * spring
         if 0.0 < math.sqrt(mass / tangent) * (1.0 + ROUNDING) < s.step:
             implicit = _AVERAGE_ACCELERATION * s.step * s.step * tangent
         for j in range(first, first + body.count):
@@ -426,12 +449,6 @@ def _link_tension(nodes, j, parity, case, rate):
     return nodes[ROW.tension + parity, j] + viscous + implicit
 
 
-@subroutine
-def _record_event(s, events, kind, fraction, height, velocity):
-    """Write down an event in the last step."""
-    stepper.note_event(s, events, kind, (s.index - 1 + fraction) * s.step, height, velocity)
-
-
 @inlined
 def _contact_forces(s, nodes):
     """Compute the forces of the layer on plate and projectile."""
@@ -481,7 +498,9 @@ def _handle_release(s, nodes, events):
         _find_largest_strain(s, nodes)
     s.contact = False
     height, _ = _motion(s, nodes, s.cells + 1, t)
-    _record_event(s, events, stepper.RELEASE, t, height, velocity)
+    stepper.note_event(
+        s, events, stepper.RELEASE, (s.index - 1 + t) * s.step, height, velocity
+    )
 
 
 @subroutine
@@ -507,7 +526,7 @@ def _handle_landing(s, nodes, events):
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
     kind = stepper.LANDING if s.landed else stepper.RECONTACT
-    _record_event(s, events, kind, t, height, velocity)
+    stepper.note_event(s, events, kind, (s.index - 1 + t) * s.step, height, velocity)
 
 
 @inlined

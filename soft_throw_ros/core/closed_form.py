@@ -89,10 +89,7 @@ class FirstRelease(NamedTuple):
 
 
 def first_release(
-    *,
-    mass_ratio: float,
-    speed_ratio: float,
-    damping_ratio: float = 0.0,
+    *, mass_ratio: float, speed_ratio: float, damping_ratio: float = 0.0,
     gravity_ratio: float = 0.0,
 ) -> FirstRelease:
     r"""
@@ -102,23 +99,17 @@ def first_release(
     ------
     ThrowUnresolvedError
         If the projectile does not leave within `MAX_INTERVALS` (fewer if gravity makes many of
-        them worth a search), or rounding would spoil the promised accuracy (strong damping or a
-        heavy projectile, and many crossings).
+        them worth a search), or rounding would spoil the promised accuracy.
 
     Notes
     -----
-    See the module. The interval of release is found from G at the ends of intervals; within it the
-    root is bracketed and polished by Newton's iteration.
-
-    In interval 0 the bracket is certain: G rises at most until the plate is fastest, falls through
-    0 before the plate stops, and with gravity falls at least until the plate brakes hardest.
-    Later, G may dip to 0 in an interval at whose end it is positive again (k >= 2 and stiff
-    layers). In dense scans of 10^5 throws it did so only with G at one end of the interval below
-    0.28 :math:`\omega t_s` and rising at its end. Hence every minimum is looked for if G comes
-    below 1 :math:`\omega t_s` and does not clearly fall. With gravity the limit found is 0.8
-    :math:`\omega t_s` times the largest steady amplitude so far, and 2 is taken; and as G may
-    also be negative at the end for the second time (never seen for k <= 3 and
-    :math:`\kappa > 4`), those intervals are searched as well.
+    The interval of release is found from G at the ends of intervals; within it the root is
+    bracketed and polished by Newton's iteration. In interval 0 the bracket is certain. Later, G
+    may dip to 0 in an interval at whose end it is positive again; in dense scans of 10^5 throws it
+    did so only with G at one end of the interval below 0.28 :math:`\omega t_s` (with gravity: 0.8
+    times the largest steady amplitude so far) and rising at its end. Hence every minimum is looked
+    for if G comes below 1 (with gravity: 2) and does not clearly fall. With gravity G may also be
+    negative at the end for the second time (never seen for k <= 3 and :math:`\kappa > 4`).
 
     Examples
     --------
@@ -288,16 +279,8 @@ def _wave(mu, kappa, zeta, gravity):
     scale = 1.0 / (below.real * below.real + below.imag * below.imag)
     inverse = complex(below.real * scale, -below.imag * scale)
     return _Wave(
-        mu,
-        rate,
-        kappa,
-        root,
-        gravity * crossing * mu * root,
-        lam,
-        inverse,
-        (lam * mu - 1.0) * inverse,
-        2.0 * (lam * mu) * inverse,
-        _phasor(lam, 2.0),
+        mu, rate, kappa, root, gravity * crossing * mu * root, lam, inverse,
+        (lam * mu - 1.0) * inverse, 2.0 * (lam * mu) * inverse, _phasor(lam, 2.0),
         math.exp(-2.0 * rate),
     )
 
@@ -341,7 +324,8 @@ def _find(wave, c, b):
         arriving *= wave.step
         power *= wave.reflection
         steady = arriving + wave.reflection * steady
-        if _size(steady) > _GROWTH_LIMIT**2 or _underflows(k, wave.mu):
+        underflows = k > 250 and wave.mu < 2.0 / 700.0  # e^{-sigma / mu}, but not phi_k
+        if _size(steady) > _GROWTH_LIMIT**2 or underflows:
             return _INACCURATE, k, 0.0, 0.0, math.nan, steady
         older = b[k - 2] if k > 1 else 0.0
         b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - (k - 1) * older) * _INVERSE[k]
@@ -353,7 +337,7 @@ def _find(wave, c, b):
         pull = wave.to_force * steady
         before = force
         force = (pull * wave.step).imag - s_next - s_now + weight
-        # Where may G + weight come down to 0 and rise again within the interval? See the Notes.
+        # Where may G + weight come down to 0 and rise again? See the Notes of `first_release`.
         smooth = True
         if weight > 0.0:
             smooth = k <= 3 and turn < 0.5 * math.pi
@@ -378,12 +362,6 @@ def _find(wave, c, b):
 def _size(z):
     """Compute |z|^2."""
     return z.real * z.real + z.imag * z.imag
-
-
-@inlined
-def _underflows(k, mu):
-    """Return whether e^{-sigma / mu} may underflow where phi_k is not negligible."""
-    return k > 250 and mu < 2.0 / 700.0
 
 
 @inlined

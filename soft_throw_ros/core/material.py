@@ -84,12 +84,7 @@ def require_constant_loss(loss_tangent: float) -> None:
 @lru_cache(maxsize=4096)
 def relaxation(loss_tangent: float) -> Relaxation:
     """
-    Fit Maxwell elements to a constant loss tangent.
-
-    Raises
-    ------
-    ValueError
-        If it is larger than `LARGEST_CONSTANT_LOSS`.
+    Fit Maxwell elements to a constant loss tangent, at most `LARGEST_CONSTANT_LOSS`.
 
     Examples
     --------
@@ -115,15 +110,7 @@ def relaxation(loss_tangent: float) -> Relaxation:
 
 
 def static_stretch(load: float) -> float:
-    """
-    Find the stretch of a neo-Hookean layer under a steady compressive load.
-
-    Parameters
-    ----------
-    load : float
-        Over a third of modulus times section. [-]
-
-    """
+    """Find the stretch of a neo-Hookean layer under a load over a third of modulus and section."""
     stretch = 1.0
     for _ in range(50):  # Newton, from above: the curve is concave
         excess = stretch - 1.0 / (stretch * stretch) + load

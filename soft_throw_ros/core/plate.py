@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +26,8 @@ if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a m
 Floats = NDArray[np.float64]
 
 
-class PlateMotion:
-    """A motion that every model of a throw accepts."""
+class Motion:
+    """Base of the motions."""
 
     def states_at(self, time: Floats) -> Floats:
         """Height [m], velocity [m/s] and acceleration [m/s2], in the last axis."""
@@ -43,27 +43,12 @@ class PlateMotion:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Underdamped(PlateMotion):
+class Underdamped(Motion):
     r"""
     A step answered by a damped oscillator: up, over, and down to the new height.
 
-    Parameters
-    ----------
-    frequency : float
-        Natural frequency :math:`f` (of the undamped oscillator). [Hz]
-    amplitude : float
-        Height :math:`A` at which the plate settles. [m]
-    damping_ratio : float
-        :math:`\zeta`; 0 gives the harmonic motion :math:`A (1 - \cos \omega t)` of Eq. (1). [-]
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite and positive, or `damping_ratio` is not in [0, 1).
-
-    Notes
-    -----
-    Eqs. (D2)-(D4) of [1]_, with :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`:
+    The parameters are those of `rig.Engine`. Eqs. (D2)-(D4) of [1]_, and (1) without damping, with
+    :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`:
 
     .. math:: V_p = \frac{A \omega}{\sqrt{1 - \zeta^2}} e^{-\zeta \omega t} \sin \omega_d t
 
@@ -84,16 +69,13 @@ class Underdamped(PlateMotion):
     damping_ratio: float = 0.0
 
     def __post_init__(self) -> None:
-        check_fields(self, damping_ratio='in_unit_interval')
+        check_fields(self)
 
     @classmethod
     def of(cls, engine: Engine) -> Underdamped:
         """Make the motion of `engine`."""
-        return cls(
-            frequency=engine.frequency,
-            amplitude=engine.amplitude,
-            damping_ratio=engine.damping_ratio,
-        )
+        values = (engine.frequency, engine.amplitude, engine.damping_ratio)
+        return cls(frequency=values[0], amplitude=values[1], damping_ratio=values[2])
 
     @property
     def angular_frequency(self) -> float:
@@ -103,20 +85,20 @@ class Underdamped(PlateMotion):
     @property
     def exponent(self) -> complex:
         r""":math:`\lambda = -\zeta \omega + i \omega_d` [1/s]."""
-        omega = 2.0 * math.pi * self.frequency
-        return omega * complex(-self.damping_ratio, math.sqrt(1.0 - self.damping_ratio**2))
+        zeta = self.damping_ratio
+        return self.angular_frequency * complex(-zeta, math.sqrt(1.0 - zeta**2))
 
     @property
     def velocity_factor(self) -> float:
         r""":math:`V_p(t)` is the imaginary part of this times :math:`e^{\lambda t}` [m/s]."""
-        omega = 2.0 * math.pi * self.frequency
-        return self.amplitude * omega / math.sqrt(1.0 - self.damping_ratio**2)
+        root = math.sqrt(1.0 - self.damping_ratio**2)
+        return self.amplitude * self.angular_frequency / root
 
     @property
     def peak_velocity(self) -> float:
         """:math:`V_p^*`, Eq. (D4) [m/s]."""
-        omega = 2.0 * math.pi * self.frequency
-        return float(self.amplitude * omega * peak_velocity_ratio(self.damping_ratio))
+        ratio = peak_velocity_ratio(self.damping_ratio)
+        return float(self.amplitude * self.angular_frequency * ratio)
 
     @property
     def peak_velocity_time(self) -> float:
@@ -138,7 +120,7 @@ def peak_velocity_ratio(damping_ratio: Any) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class SampledMotion(PlateMotion):
+class SampledMotion(Motion):
     """
     A motion given by states of the plate, which quintics join: at rest before and after them.
 
@@ -183,18 +165,8 @@ class SampledMotion(PlateMotion):
         """
         Lay a twice differentiable cubic spline through positions; fourth order in the spacing.
 
-        It starts at rest. Heights count from the first sample.
-
-        Parameters
-        ----------
-        times, positions : array_like, shape (n,)
-            Times increase. [s], [m]
-
-        Raises
-        ------
-        ValueError
-            If fewer than 4 samples are given, a value is not finite, or times do not increase.
-
+        It starts at rest, and heights [m] count from the first sample. ValueError if fewer than 4
+        samples are given, a value is not finite, or times [s] do not increase.
         """
         times, positions = require_samples(times, positions, 'positions')
         from scipy.interpolate import CubicSpline
@@ -238,6 +210,10 @@ class SampledMotion(PlateMotion):
         inside = np.clip(time, self.start_time, self.end_time)
         rates = (np.where(time == inside, self._path(inside, order), 0.0) for order in (1, 2))
         return np.stack((self._path(inside), *rates), axis=-1)
+
+
+PlateMotion: TypeAlias = Underdamped | SampledMotion
+"""A motion that every model of a throw accepts."""
 
 
 def motion_of(engine: Engine) -> PlateMotion:

@@ -32,29 +32,14 @@ FEWEST = 4
 
 @kernel
 def fit_cubics(
-    at: Floats,
-    times: Floats,
-    positions: Floats,
-    half: float,
-    states: Floats,
-    errors: Floats,
+    at: Floats, times: Floats, positions: Floats, half: float, states: Floats, errors: Floats,
 ) -> None:
     """
-    Fit a cubic around each time, unchecked; the error of the velocity is of third order.
+    Fit a cubic around each of some times [s]; the error of the velocity is of third order.
 
-    Parameters
-    ----------
-    at : ndarray, shape (n,)
-        Times of the estimates, increasing. [s]
-    times, positions : ndarray, shape (m,)
-        Samples, times increasing. [s], [m]
-    half : float
-        Half the length of the window. [s]
-    states, errors : ndarray, shapes (n, 3) and (n,)
-        For the results: position [m], velocity [m/s] and acceleration [m/s2]; errors of the
-        velocity for unit noise of the position [1/s]. NaN where samples are too few, or on one
-        side only.
-
+    All times increase; `half` is half the length of the window [s]. A row of the results `states`
+    is position [m], velocity [m/s] and acceleration [m/s2]; `errors` are those of the velocity for
+    unit noise of the position [1/s]. NaN where samples are too few, or on one side only.
     """
     first = 0
     behind, ahead = 2.0 * BEHIND, 2.0 * AHEAD

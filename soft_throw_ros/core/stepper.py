@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import Cancelled, check_cancelled
 from soft_throw_ros.core.kernels import Record, subroutine
-from soft_throw_ros.core.plate import require_series
 from soft_throw_ros.core.plate_kernels import (
     append_states,
     extrapolate,
@@ -195,29 +194,13 @@ class Stepper:
 
     def advance_to(self, time: float) -> int:
         """
-        Go forward to `time`, however far, and bring `state` there.
+        Go forward to a time, bring `state` there, and return the number of events until then.
 
-        Parameters
-        ----------
-        time : float
-            Time since the start; must not decrease from call to call. [s]
-
-        Returns
-        -------
-        int
-            Number of events until now.
-
-        Raises
-        ------
-        ValueError
-            If `time` is not finite or goes backwards.
-        HorizonError
-            If the plate is not known that far ahead; nothing has changed.
-        EventLimitError
-            If there were too many events on the way; only `reset` helps.
-
+        ValueError if the time [s] is not finite or decreases from call to call; HorizonError if
+        the plate is not known that far ahead, and nothing has changed; EventLimitError if there
+        were too many events on the way, and only `reset` helps.
         """
-        count = self._advance(time)
+        count: int = self._advance(time)
         if count < 0:
             raise self._refusal(count, float(time))
         return count
@@ -256,22 +239,11 @@ class Stepper:
         """
         Append states of a measured plate in real time; quintics join the states.
 
-        The plate is known up to the last state; with a single state, up to this state. It is at
-        rest before the first state.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Increasing, from call to call too; the first not negative. [s]
-        states : array_like, shape (n, 3)
-            Height, velocity and acceleration at each. [m], [m/s], [m/s2]
-
-        Raises
-        ------
-        ValueError
-            If the stepper was not made with `is_measured`, or states are not finite, not
-            increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
-
+        A row of the states, of shape (n, 3), is height [m], velocity [m/s] and acceleration
+        [m/s2]; times [s] increase, from call to call too. The plate is at rest before the first
+        state, and known up to the last one. ValueError if the stepper was not made with
+        `is_measured`, or states are not finite, not increasing, at negative times, or more than
+        `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
         """
         if not self._is_measured:
             raise ValueError('append_plate_states needs a stepper made with is_measured')
@@ -286,8 +258,10 @@ class Stepper:
             return
         last = float(self._core[0]['last'][0])
         if not _are_in_order(times, states, last):
-            require_series(times, states, 'states', after=last)
-            raise ValueError(f'times must not be negative, got {times[0]:g} s')
+            raise ValueError(
+                f'times must increase from {last:g} s and not be negative, and all be finite, '
+                f'got times {times} and states {states}'
+            )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
         if ahead > MAX_PIECES_AHEAD:
             raise ValueError(
@@ -345,13 +319,9 @@ class Stepper:
         """
         Write the state of the layer at the present time, from plate to top.
 
-        Parameters
-        ----------
-        out : ndarray, shape (3, field_points) or (4, field_points)
-            Of float64, else ValueError: heights above the plate's rest position [m], velocities
-            [m/s], forces through the layer, positive in compression [N], and, if there is a
-            fourth row, total strains, negative in compression [-].
-
+        The rows of `out`, of float64 and shape (3 or 4, field_points), are heights above the
+        plate's rest position [m], velocities [m/s], forces through the layer, positive in
+        compression [N], and total strains, negative in compression [-]; else ValueError.
         """
         if out is not self._readable:
             _require_target(out, self.field_points)
@@ -515,11 +485,6 @@ def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str
 
 def _require_target(out: Floats, points: int) -> None:
     """Raise ValueError unless a kernel can write a layer to `out`."""
-    shapes, got = ((3, points), (4, points)), type(out).__name__
-    if isinstance(out, np.ndarray):
-        if out.dtype == np.float64 and out.shape in shapes and out.flags.carray:
-            return
-        got = f'{out.dtype} of shape {out.shape}'
-    raise ValueError(
-        f'out must be a contiguous float64 array of shape (3 or 4, {points}), got {got}'
-    )
+    is_array = isinstance(out, np.ndarray) and out.dtype == np.float64 and out.flags.carray
+    if not (is_array and out.shape in ((3, points), (4, points))):
+        raise ValueError(f'out must be a float64 array of shape (3 or 4, {points}), got {out!r}')

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import takewhile
 import math
 from typing import NamedTuple
 
@@ -38,9 +39,8 @@ _BUDGET = 0.5
 _QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
 """Crossings plus periods after a release that show how far up the free top swings."""
 
-
 _LOSSLESS_CELLS, _MAX_CELLS = 256, 2048
-"""Cells of lossless sheets from which the step is halved; fewer miss short releases. [-]"""
+"""Cells of lossless sheets between which the step is halved; fewer miss short releases. [-]"""
 
 _HALVING = 1e-4
 """Largest relative change of time and speed at which halving the step ends. [-]"""
@@ -84,13 +84,8 @@ class Fields(NamedTuple):
 
 def ejections(events: Iterable[Event]) -> tuple[Event, ...]:
     """Return the ejections: the releases before the projectile has come down on the layer."""
-    selected = []
-    for event in events:
-        if event.kind == 'landing':
-            break
-        if event.kind == 'release':
-            selected.append(event)
-    return tuple(selected)
+    before = takewhile(lambda event: event.kind != 'landing', events)
+    return tuple(event for event in before if event.kind == 'release')
 
 
 def apex_height(ejection: Event, gravity: float) -> float:
@@ -132,12 +127,15 @@ def make_settled_stepper(
     """
     if cells is not None or not rig.layer.parts or rig.layer.loss_tangent > 0.0:
         return make_stepper(rig, cells=cells, field_points=field_points), cells
-    cells, latest, before = _LOSSLESS_CELLS, rig.longest_wait, None
+    before: tuple[float, float] | None = None
+    cells, latest = _LOSSLESS_CELLS, rig.longest_wait
     while True:
         stepper = make_stepper(rig, cells=cells, field_points=field_points)
         event = stepper.advance_to_release(latest=latest, cancelled=cancelled)
         now = (math.nan, math.nan) if event is None else (event.time, event.velocity)
-        is_settled = before and np.allclose(now, before, rtol=_HALVING, atol=0.0, equal_nan=True)
+        is_settled = before is not None and np.allclose(
+            now, before, rtol=_HALVING, atol=0.0, equal_nan=True
+        )
         if is_settled or cells == _MAX_CELLS:
             return stepper, cells
         cells, before = 2 * cells, now
@@ -229,15 +227,7 @@ class Throw:
         return apex_height(self.last_release, self.rig.gravity)
 
     def trajectory(self, time: ArrayLike) -> Trajectory:
-        """
-        Return positions and velocities at increasing times [s]; this follows the throw again.
-
-        Raises
-        ------
-        ValueError
-            For times that do not increase.
-
-        """
+        """Return positions and velocities at increasing times [s], following the throw again."""
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
         stepper = self._stepper()
         rows = np.empty((time.size, 5))
@@ -249,20 +239,9 @@ class Throw:
 
     def fields(self, time: ArrayLike, *, points: int = 64) -> Fields:
         """
-        Return strain and velocity of the layer; this follows the throw again.
+        Return strain and velocity of the layer at increasing times [s], following the throw again.
 
-        Parameters
-        ----------
-        time : array_like, shape (n,)
-            Increasing. [s]
-        points : int
-            Depths from plate to top, both included.
-
-        Raises
-        ------
-        ValueError
-            As for `trajectory`, or for fewer than 2 points.
-
+        There are so many `points` from plate to top, both included, at least 2.
         """
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
         stepper = self._stepper(points)
@@ -384,7 +363,7 @@ def _run(
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
     latest = MAX_DURATION if until is None else until
-    affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
+    wait, affordable = rig.longest_wait, max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position
@@ -402,7 +381,7 @@ def _run(
                 return
         if until is not None:
             continue
-        if time > affordable or (not event_count and time > rig.longest_wait):
+        if time > affordable or (not event_count and time > wait):
             return
         low, high = min(low, stepper.surface_position), max(high, stepper.surface_position)
         if event_count and not stepper.in_contact and time - last.time > quiet:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
 from soft_throw_ros.core.batch import Cancelled, run_batches, ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
-from soft_throw_ros.core.rig import Engine, Layer, Rig, scales_of, values_of
+from soft_throw_ros.core.rig import Engine, Layer, RANGES, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import EventLimitError, RateError
 from soft_throw_ros.core.throw import make_settled_stepper, simulate, ThrowUnfinishedError
 
@@ -31,10 +31,8 @@ Changes: TypeAlias = Mapping[str, Floats | float]
 """Other values of a rig by name: of engine and layer, `mass` of the projectile, `gravity` [SI]."""
 
 _KINDS = {
-    **dict.fromkeys(('frequency', 'amplitude', 'density', 'diameter'), 'positive'),
-    **dict.fromkeys(('loss_tangent', 'gravity'), 'not_negative'),
+    **{name: kind for name, kind in RANGES.items() if name != 'length'},
     **dict.fromkeys(('thickness', 'wave_speed', 'mass'), 'finite'),  # no layer, no throw: NaN
-    'damping_ratio': 'in_unit_interval',
 }
 """Names of `Changes`, and their ranges for `checks.require_all`."""
 
@@ -188,7 +186,8 @@ def throw_many(
     status[~np.isnan(results[0])] = RELEASED
     results[:, status != RELEASED] = math.nan  # loads without a release, which a method may have
     rows = np.insert(results, 2, (results[1] / peak_speed) ** 2, axis=0).reshape(7, *shape)
-    return Throws(*rows, status.astype(np.int8).reshape(shape))
+    numbers: Any = (*rows, status.astype(np.int8).reshape(shape))
+    return Throws(*numbers)
 
 
 def _checked(changes: Changes) -> dict[str, Floats]:
@@ -204,17 +203,7 @@ def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
 
 
 def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
-    """
-    Return a rig with other values.
-
-    Parameters
-    ----------
-    rig : Rig
-        Sheets of a stack, and a motion of the plate, change in proportion to the whole.
-    changes : mapping of str to float
-        See `Changes`.
-
-    """
+    """Return a rig with other values; a stack and a motion of the plate change in proportion."""
     of_engine = _of(Engine, changes)
     engine = replace(rig.engine, **of_engine)
     if engine.motion and (of_engine.keys() & {'frequency', 'amplitude'}):
@@ -315,17 +304,8 @@ def last_release(rig: Rig, *, cancelled: Cancelled | None = None) -> LastRelease
     """
     Follow one throw until the projectile has left for good.
 
-    Parameters
-    ----------
-    rig, cancelled
-        The rig, and a callback as for `throw_many`.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If the projectile does not leave, or cannot be followed.
-    SearchCancelledError
-        If `cancelled` returns True.
+    ThrowUnresolvedError if the projectile does not leave, or cannot be followed;
+    SearchCancelledError if `cancelled` returns True.
 
     Examples
     --------

@@ -8,8 +8,8 @@ import numba as nb
 import numpy as np
 import pytest
 from soft_throw_ros.core import cell_kernels
-from soft_throw_ros.core.cell_grid import cut_layer, reading_points
 from soft_throw_ros.core.cell_kernels import RECORD, ROW, ROWS
+from soft_throw_ros.core.cell_stepper import cut_layer, reading_points
 from soft_throw_ros.core.rig import Layer, Rig
 
 STACK = Layer.of_sheets(

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from reference import method_of_lines, normal_modes
 from reference.cases import (
-    EXACT,
     exact_release,
     FREQUENCY,
     log_uniform,
@@ -50,7 +49,6 @@ CASES = {
     'lossy': LOSSY,
     'stacked': Rig(layer=Layer.of_sheets(SHEETS)),
 }
-SOME_EXACT = [EXACT[i] for i in (0, 2, 10, 11, 12, 14, 19)]
 # Loss tangent 0.05, computed with 40-digit closed forms, checked by a second method
 EXACTLY_LOSSY = make_rig(0.6345238095238095, 7.34629294755877, loss_tangent=0.05)
 LOSSY_PHASE, LOSSY_SPEED = 0.46694752928793415, 1.8077831318189745
@@ -59,15 +57,6 @@ LOSSY_PHASE, LOSSY_SPEED = 0.46694752928793415, 1.8077831318189745
 def throw(rig, **options):
     """Advance until the projectile has left, and return the stepper."""
     return released(CellStepper(rig, **options), periods=4.0)
-
-
-@pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), SOME_EXACT)
-def test_first_throw_without_loss_is_exact_to_1e_4(mu, kappa, zeta, phase, alpha):
-    rig = make_rig(mu, kappa, zeta)
-    release = throw(rig).events()[0]
-    transfer = (release.velocity / Underdamped.of(rig.engine).peak_velocity) ** 2
-    assert release.time * FREQUENCY == pytest.approx(phase, rel=1e-4)
-    assert transfer == pytest.approx(alpha, rel=1e-4, abs=1e-4)
 
 
 def test_release_with_loss_is_exact_to_1e_4_at_the_default_and_1e_3_with_16_cells():
@@ -148,20 +137,6 @@ def test_every_event_is_of_second_order(mu, kappa):
     assert (order(cells, errors) > 1.6).all()
 
 
-def test_release_from_a_stack_is_of_second_order_and_1e_4_at_the_default():
-    """The sheets have cells of one crossing time, so that grids can be compared."""
-    sheets = (Layer(thickness=7.8e-3), Layer(thickness=1e-2, wave_speed=20.0, loss_tangent=0.1))
-    rig = Rig(layer=Layer.of_sheets(sheets))
-    cells = np.array([36, 72, 144, 288])
-    releases = [throw(rig, cells=int(count)).events()[0] for count in cells]
-    finest = throw(rig, cells=2304).events()[0]
-    errors = [[a.time - finest.time, a.velocity - finest.velocity] for a in releases]
-    assert (order(cells, errors) > 1.7).all()
-    release = throw(rig).events()[0]
-    assert release.time == pytest.approx(finest.time, rel=1e-4)
-    assert release.velocity**2 == pytest.approx(finest.velocity**2, rel=1e-4)
-
-
 def test_state_and_events_agree_with_the_exact_history():
     rig = Rig(gravity=20.0)
     history = follow(rig, max_events=5)
@@ -189,37 +164,30 @@ def test_state_and_events_agree_with_the_exact_history():
                 assert stepper.state[index] == pytest.approx(float(exact), abs=3e-3 * unit)
 
 
-def test_layer_agrees_with_the_exact_history_to_second_order():
+def test_layer_agrees_with_the_exact_history():
+    """Except near kinks, which travel between plate and top."""
     rig = make_rig(0.6345, 7.346, gravity=9.81)
-    history = follow(rig, max_events=1)
-    layer, scale = rig.layer, rig.engine.speed_scale
+    history, layer, crossing = follow(rig, max_events=1), rig.layer, rig.crossing_time
     depths = np.linspace(0.0, layer.thickness, 33)
-    cells, errors = [50, 100, 200], []
-    for count in cells:
-        stepper = CellStepper(rig, cells=count, field_points=33)
-        read, worst = np.empty((4, 33)), np.zeros(3)
-        for time in np.linspace(0.0, 0.99 * history.end_time, 50):
-            stepper.advance_to(time)
-            stepper.read_layer(read)
-            kink = np.zeros(33, dtype=bool)
-            for crossing in (depths / 7.8, rig.crossing_time - depths / 7.8):
-                away = (time - crossing + 0.5 * rig.crossing_time) % rig.crossing_time
-                kink |= abs(away - 0.5 * rig.crossing_time) < 0.06 * rig.crossing_time
-            exact = history.strain(depths, time)
-            wrong = np.array([
-                7.8 / scale * (read[3] - exact),
-                (read[1] - history.velocity(depths, time)) / scale,
-                7.8 / scale * (read[2] / (layer.youngs_modulus * layer.section) + exact),
-            ])
-            worst = np.maximum(worst, np.abs(wrong[:, ~kink]).max(axis=1, initial=0.0))
-            assert read[0][0] == stepper.state[PLATE_POSITION]
-            assert read[0][-1] == pytest.approx(stepper.state[PROJECTILE_POSITION], rel=1e-12)
-            slope = np.diff(read[0]) / np.diff(depths) - 1.0
-            middle = 0.5 * (exact[1:] + exact[:-1])
-            assert slope == pytest.approx(middle, abs=3e-3 * scale)
-        errors.append(worst)
-    assert (np.array(errors[-1]) < 1e-3).all()
-    assert (order(cells, errors) > 1.5).all()
+    stepper, read = CellStepper(rig, cells=200, field_points=33), np.empty((4, 33))
+    for time in np.linspace(0.0, 0.99 * history.end_time, 50):
+        stepper.advance_to(time)
+        stepper.read_layer(read)
+        phases = np.stack([time - depths / 7.8, time + depths / 7.8]) / crossing
+        smooth = (abs(phases - phases.round()) > 0.06).all(axis=0)
+        exact = history.strain(depths, time)
+        for computed, expected in (
+            (read[3], exact),
+            (read[1] / 7.8, history.velocity(depths, time) / 7.8),
+            (-read[2] / (layer.youngs_modulus * layer.section), exact),
+        ):
+            error = 1e-3 * rig.engine.speed_scale / 7.8
+            assert computed[smooth] == pytest.approx(expected[smooth], abs=error)
+        assert read[0][[0, -1]] == pytest.approx(
+            stepper.state[[PLATE_POSITION, PROJECTILE_POSITION]], rel=1e-12
+        )
+        slope = np.diff(read[0]) / np.diff(depths) - 1.0
+        assert slope == pytest.approx(0.5 * (exact[1:] + exact[:-1]), abs=3e-3)
 
 
 @settings(max_examples=100)
@@ -253,13 +221,21 @@ def test_large_strain_of_the_default_rig_has_its_reference_value():
     assert curved.time / linear.time == pytest.approx(0.97, abs=5e-3)
 
 
-@pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel'])
-def test_energy_transfer_of_a_gel_is_of_second_order(case):
-    rig = CASES[case]
-    cells = np.array([32, 64, 128, 256])
+# These sheets have cells of one crossing time, so that grids can be compared
+EVEN = Rig(layer=Layer.of_sheets(
+    (Layer(thickness=7.8e-3), Layer(thickness=1e-2, wave_speed=20.0, loss_tangent=0.1))
+))
+
+
+@pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel', 'even'])
+def test_energy_transfer_is_of_second_order_and_1e_4_at_the_default(case):
+    rig = CASES.get(case, EVEN)
+    cells = np.array([36, 72, 144, 288])
     speeds = [throw(rig, cells=int(count)).events()[0].velocity for count in cells]
-    finest = throw(rig, cells=2048).events()[0].velocity
+    finest = throw(rig, cells=2304).events()[0].velocity
     assert order(cells, np.array(speeds) - finest) > 1.6
+    default = throw(rig).events()[0].velocity
+    assert default**2 == pytest.approx(finest**2, rel=1e-4 if case == 'even' else 6e-4)
 
 
 def test_shocks_are_resolved():
@@ -399,14 +375,7 @@ def test_measured_plate_is_followed_to_the_last_whole_step():
     assert stepper.horizon == 0.0
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'complaint'),
-    [
-        ({'cells': 0}, f'cells must be from 1 to {MAX_CELLS}, got 0'),
-        ({'cells': MAX_CELLS + 1}, f'got {MAX_CELLS + 1}'),
-        ({'cells': 64.0}, r'cells .* got 64\.0'),
-    ],
-)
-def test_bad_arguments_are_quoted(arguments, complaint):
-    with pytest.raises(ValueError, match=complaint):
-        CellStepper(Rig(), **arguments)
+@pytest.mark.parametrize('cells', [0, MAX_CELLS + 1, 64.0])
+def test_bad_numbers_of_cells_are_quoted(cells):
+    with pytest.raises(ValueError, match=f'cells must be .* got {cells}'):
+        CellStepper(Rig(), cells=cells)

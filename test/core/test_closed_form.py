@@ -164,33 +164,6 @@ def test_no_release_is_refused_in_the_promised_range():
     assert np.isfinite(releases.ejection_phase).all()
 
 
-@pytest.mark.parametrize('damping_ratio', [0.0, 0.064])
-@pytest.mark.parametrize(('crossings', 'mass_ratio'), [(3, 0.3), (5, 0.9), (7, 1.5)])
-def test_release_is_exact_on_both_sides_of_a_jump(crossings, mass_ratio, damping_ratio):
-    low, high = 2.0, 60.0  # released before, and after so many crossings
-    while high - low > 1e-14 * high:
-        middle = 0.5 * (low + high)
-        release = release_of(mass_ratio, middle, damping_ratio)
-        if release.ejection_phase * middle < crossings:
-            low = middle
-        else:
-            high = middle
-    jump = mp.findroot(
-        lambda speed_ratio: speed_of_projectile(
-            mp.mpf(crossings), mass_ratio, speed_ratio, damping_ratio, derivative=1
-        ),
-        mp.mpf(low),
-    )
-    assert low == pytest.approx(float(jump), rel=1e-13)
-    before, after = float(jump * (1 - mp.mpf('1e-12'))), float(jump * (1 + mp.mpf('1e-12')))
-    times = []
-    for speed_ratio in (before, after):
-        release = release_of(mass_ratio, speed_ratio, damping_ratio)
-        assert_exact(release, mass_ratio, speed_ratio, damping_ratio)
-        times.append(release.ejection_phase * speed_ratio)
-    assert times[0] < crossings < times[1] - 0.01
-
-
 @pytest.mark.parametrize(
     'case',
     [

@@ -17,8 +17,8 @@ from reference.cases import (
 )
 from reference.method_of_steps import follow
 from scipy.integrate import trapezoid
-from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
-from soft_throw_ros.core.rig import Engine, Layer, Rig, values_of
+from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
+from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.stepper import (
     PLATE_FORCE,
     PLATE_POSITION,
@@ -26,8 +26,7 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
 )
-from soft_throw_ros.core.throws import throw_many
-from soft_throw_ros.core.wave_stepper import throw_batch, WaveStepper
+from soft_throw_ros.core.wave_stepper import WaveStepper
 
 
 @settings(max_examples=60)
@@ -226,29 +225,3 @@ def test_energy_is_conserved_over_twenty_bounces(ratios):
             break
         assert energy(model) == pytest.approx(conserved, rel=3e-3)  # the rule errs at jumps
     assert model.event_count > 20
-
-
-def test_batched_throws_agree_with_steppers():
-    rng = np.random.default_rng(3)
-    ratios = {
-        'mass_ratio': 10.0 ** rng.uniform(-1.3, 1.5, 12),
-        'speed_ratio': 10.0 ** rng.uniform(0.0, 1.7, 12),
-        'damping_ratio': rng.uniform(0.0, 0.3, 12),
-        'gravity_ratio': rng.choice([0.0, 0.05], 12),
-    }
-    exact = first_releases(**ratios)
-    rigs = [make_rig(*case) for case in zip(*ratios.values(), strict=True)]
-    values = [values_of(rig) for rig in rigs]
-    time, speed, *_ = throw_batch(
-        {name: np.array([row[name] for row in values]) for name in values[0]}
-    )
-    assert time * FREQUENCY == pytest.approx(exact.ejection_phase, abs=1e-5, nan_ok=True)
-    scale = rigs[0].engine.speed_scale
-    assert speed / scale == pytest.approx(exact.speed, abs=1e-5, nan_ok=True)
-    throws = throw_many(rigs, loads=True)
-    for n in np.flatnonzero(np.isfinite(time)):
-        model = WaveStepper(rigs[n])
-        model.advance_to((float(exact.ejection_phase[n]) + 0.01) / FREQUENCY)
-        loads = model.loads
-        expected = loads.strain, loads.acceleration, loads.plate_force, model.plate_work
-        assert [row[n] for row in throws[3:7]] == pytest.approx(expected, rel=1e-3)
