@@ -106,11 +106,23 @@ class Underdamped(Motion):
         return math.acos(self.damping_ratio) / self.exponent.imag
 
     def states_at(self, time: Floats) -> Floats:
-        """Height [m], velocity [m/s] and acceleration [m/s2], Eqs. (D1) and (D2)."""
-        rate, change = self.exponent, np.expm1(self.exponent * np.maximum(time, 0.0))
-        turned = change + 1.0
-        columns = change / rate, turned, np.where(time < 0.0, 0.0, rate * turned)
-        return np.asarray(self.velocity_factor * np.stack(columns, axis=-1).imag)
+        """Height [m], velocity [m/s] and acceleration [m/s2]."""
+        rate, since = self.exponent, np.maximum(time, 0.0)
+        height, velocity, acceleration = damped_state(since, self.amplitude, rate.real, rate.imag)
+        return np.stack((height, velocity, np.where(time < 0.0, 0.0, acceleration)), axis=-1)
+
+
+def damped_state(time: Any, amplitude: float, growth: float, turn: float) -> tuple[Any, Any, Any]:
+    """Compute height, velocity and acceleration of a damped step, also inside kernels."""
+    half_sine, half_cosine = np.sin(0.5 * turn * time), np.cos(0.5 * turn * time)
+    fading = np.expm1(growth * time)
+    decayed = 1.0 + fading
+    # 1 - cos as 2 sin^2, so that the first micrometres keep their digits
+    sine, versine = 2.0 * half_sine * half_cosine, 2.0 * half_sine * half_sine
+    rise = versine * decayed - fading + growth / turn * decayed * sine  # Eq. (D2)
+    turning = turn * (1.0 - versine) + growth * sine
+    factor = amplitude * (turn + growth * growth / turn)
+    return amplitude * rise, factor * decayed * sine, factor * decayed * turning  # Eq. (D1)
 
 
 def peak_velocity_ratio(damping_ratio: Any) -> Any:

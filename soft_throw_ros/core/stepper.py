@@ -260,7 +260,7 @@ class Stepper:
         if not _are_in_order(times, states, last):
             raise ValueError(
                 f'times must increase from {last:g} s and not be negative, and all be finite, '
-                f'got times {times} and states {states}'
+                f'got times {times.tolist()} and states {states.tolist()}'
             )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
         if ahead > MAX_PIECES_AHEAD:
@@ -268,12 +268,15 @@ class Stepper:
                 f'states must not be more than {MAX_PIECES_AHEAD} ahead of advance_to, '
                 f'got {times.size} which makes {ahead}'
             )
-        core = self._core
-        core['pieces'][0] = append_states(
-            core['last'][0], int(core['pieces'][0]), self._path, times, states
+        self._append(times, states)
+        self._core['piece_end'][0] = -math.inf  # the present piece may end now
+        self._core['horizon'][:2] = times[-1]
+
+    def _append(self, times: Floats, states: Floats) -> None:
+        record = self._core[0]
+        record['pieces'] = append_states(
+            record['last'], int(record['pieces']), self._path, times, states
         )
-        core['piece_end'][0] = -math.inf  # the present piece may end now
-        core['horizon'][:2] = times[-1]
 
     def fork(self) -> Stepper:
         """
@@ -305,10 +308,7 @@ class Stepper:
         """
         self._numbers[:] = origin._numbers
         self._copy_layer(origin)
-        record = self._core[0]
-        record['pieces'] = append_states(
-            record['last'], int(record['pieces']), self._path, times, states
-        )
+        self._append(times, states)
         extrapolate(self._core, self._path)
 
     def _copy_layer(self, origin: Stepper) -> None:

@@ -109,6 +109,44 @@ def test_loads_are_exact_to_1e_3_and_stay_after_the_first_release(
     assert (model.loads, model.plate_work) == (loads, work)
 
 
+@pytest.mark.parametrize('gravity', [0.0, 20.0])
+@pytest.mark.parametrize(
+    ('make', 'error'), [(WaveStepper, 1e-5), (partial(CellStepper, cells=200), 1e-3)]
+)
+def test_state_and_layer_agree_with_the_exact_history(make, error, gravity):
+    """Except near kinks, which travel between plate and top, and where landings make jumps."""
+    rig = Rig(gravity=gravity)
+    history, model = follow(rig, max_events=1, until=0.02), make(rig, field_points=33)
+    depths, layer = np.linspace(0.0, rig.layer.thickness, 33), np.empty((4, 33))
+    scale, wave_speed = rig.engine.speed_scale, rig.layer.wave_speed
+    force = rig.layer.impedance * scale
+    for time in np.linspace(0.0, 0.99 * history.events[0].time, 60):
+        model.advance_to(time)
+        model.read_layer(layer)
+        phases = np.stack([time - depths / wave_speed, time + depths / wave_speed])
+        phases /= rig.crossing_time
+        smooth = (abs(phases - phases.round()) > 0.06).all(axis=0)
+        strain = history.strain(depths, time)
+        for computed, exact, unit in (
+            (layer[1], history.velocity(depths, time), scale),
+            (layer[3], strain, scale / wave_speed),
+            (layer[2], -rig.layer.impedance * wave_speed * strain, force),
+        ):
+            assert computed[smooth] == pytest.approx(exact[smooth], abs=max(1e-4, error) * unit)
+        slope = np.diff(layer[0]) / np.diff(depths) - 1.0
+        assert slope == pytest.approx(0.5 * (strain[1:] + strain[:-1]), abs=3e-3)
+        for index, exact, unit in (
+            (TIME, time, 0.0),
+            (PLATE_POSITION, history.motion.position(time), 0.01 * scale / FREQUENCY),
+            (PLATE_VELOCITY, history.motion.velocity(time), 0.01 * scale),
+            (PROJECTILE_POSITION, history.projectile_position(time), scale / FREQUENCY),
+            (PROJECTILE_VELOCITY, history.projectile_velocity(time), scale),
+            (PLATE_FORCE, history.plate_force(time), 3.0 * force),
+            (PROJECTILE_FORCE, history.contact_force(time), 3.0 * force),
+        ):
+            assert model.state[index] == pytest.approx(float(exact), abs=error * unit)
+
+
 @all_steppers
 def test_reset_repeats_the_throw_bit_for_bit(make):
     model, fresh = make(), make()

@@ -20,9 +20,7 @@ from scipy.integrate import trapezoid
 from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.stepper import (
-    PLATE_FORCE,
     PLATE_POSITION,
-    PROJECTILE_FORCE,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
 )
@@ -155,31 +153,6 @@ def test_kinds_of_events_distinguish_recontacts_and_landings():
     weightless = WaveStepper(make_rig(3.0333, 2.5))
     weightless.advance_to(0.5)
     assert 'landing' not in [event.kind for event in weightless.events()]
-
-
-@pytest.mark.parametrize('gravity', [0.0, 9.81])
-def test_state_and_layer_agree_with_the_method_of_steps(gravity):
-    rig = Rig(gravity=gravity)
-    history = follow(rig, max_events=1, until=0.02)
-    model = WaveStepper(rig, field_points=33)
-    scale = rig.engine.speed_scale
-    depths = np.linspace(0.0, rig.layer.thickness, 33)
-    layer = np.empty((4, 33))
-    for time in np.linspace(0.0, history.end_time, 60):
-        model.advance_to(time)
-        model.read_layer(layer)
-        stress = rig.layer.impedance * rig.layer.wave_speed
-        assert layer[1] == pytest.approx(history.velocity(depths, time), abs=1e-4 * scale)
-        exact = history.strain(depths, time)
-        assert layer[3] == pytest.approx(exact, abs=1e-4 * scale / rig.layer.wave_speed)
-        assert layer[2] == pytest.approx(-stress * layer[3])
-        for index, value, unit in (
-            (PROJECTILE_POSITION, history.projectile_position(time), scale / FREQUENCY),
-            (PROJECTILE_VELOCITY, history.projectile_velocity(time), scale),
-            (PLATE_FORCE, history.plate_force(time), rig.layer.impedance * scale),
-            (PROJECTILE_FORCE, history.contact_force(time), rig.layer.impedance * scale),
-        ):
-            assert model.state[index] == pytest.approx(float(value), abs=1e-5 * unit)
 
 
 @pytest.mark.parametrize('ratios', [(0.05, 2.0, 0.0, 0.0), (0.6, 7.3, 0.064, 0.03), (5.0, 20.0)])
