@@ -50,7 +50,7 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 from soft_throw_ros.core import stepper
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
 from soft_throw_ros.core.plate_kernels import motion_at
 
@@ -87,9 +87,6 @@ _FORCE_NOISE = 1e-11
 
 _AVERAGE_ACCELERATION = 0.25
 """Newmark's parameter beta of cells that a wave crosses in less than a step. [-]"""
-
-_SHOCK = 1.0
-"""Artificial viscosity of von Neumann and Richtmyer, over the density. [-]"""
 
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
@@ -160,7 +157,7 @@ RECORD = np.dtype(
         ('edge_weights', 'f8', (2,)),
         ('collision_node', 'i8'),  # lowest of the nodes that meet the projectile as one
         ('collision_mass', 'f8'),  # of these nodes [kg]
-        # the linear system of the mean velocities, see `factorise`
+        # the linear system of the mean velocities, see `_factorise`
         ('first', 'i8', (2,)),  # first and last of the nodes that are coupled
         ('end', 'i8', (2,)),
         ('first_stiff', 'i8'),  # first and last link that is too fast for the step
@@ -193,13 +190,15 @@ RECORD = np.dtype(
 
 
 @subroutine
-def cut(s: Record, nodes: Any, bodies: Any) -> None:
+def _cut(s, nodes, bodies):
     """Cut sheets into cells; the projectile is a point."""
     first = 0
     for n in range(bodies.size):
         body = bodies[n]
         mass, spring = body.mass / body.count, body.stiffness * body.count
         inverse = body.count / body.thickness
+        s.is_curved = s.is_curved or body.max_compression > 0.0
+        s.has_maxwell = s.has_maxwell or body.relaxed < 1.0
         implicit, tangent = 0.0, body.tangent * spring
         if 0.0 < math.sqrt(mass / tangent) * (1.0 + ROUNDING) < s.step:
             implicit = _AVERAGE_ACCELERATION * s.step * s.step * tangent
@@ -210,7 +209,7 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
             if body.max_compression > 0.0:
                 nodes[ROW.third_modulus, j] = body.relaxed * spring / inverse / 3.0
                 nodes[ROW.min_stretch, j] = 1.0 - body.max_compression
-                nodes[ROW.shock_viscosity, j] = _SHOCK * mass * inverse
+                nodes[ROW.shock_viscosity, j] = mass * inverse  # von Neumann and Richtmyer
             else:
                 nodes[ROW.stiffness, j] = body.relaxed * spring
             for element in range(3):
@@ -222,8 +221,8 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
 
 
 @subroutine
-def factorise(s: Record, nodes: Any, case: int) -> None:
-    """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
+def _factorise(s, nodes, case):
+    """Compute the factors of the matrix in flight (0) or in contact (1), see `_solve`."""
     step, rigid = s.step, s.cells if case == 1 else -1
     last = nodes.shape[1] - 1
     mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
@@ -273,7 +272,7 @@ def _substitute(nodes, x, case, first, end):
 
 
 @inlined
-def solve(s: Record, nodes: Any) -> None:
+def _solve(s, nodes):
     """
     Compute the mean velocities w of all nodes above the plate.
 
@@ -300,27 +299,13 @@ def solve(s: Record, nodes: Any) -> None:
 
 
 @subroutine
-def _prepare_links(s, nodes, omega):
-    """Find out which materials there are, and prepare the Maxwell elements."""
-    for j in range(nodes.shape[1] - 1):
-        s.is_curved = s.is_curved or nodes[ROW.third_modulus, j] > 0.0
-        for element in range(3):
-            s.has_maxwell = s.has_maxwell or nodes[ROW.maxwell_stiffness + element, j] > 0.0
-    for element in range(3):
-        s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
-        half = 0.5 * s.step * s.maxwell_rates[element]
-        s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
-        s.maxwell_gain[element] = 1.0 / (1.0 + half)
-
-
-@subroutine
 def _prepare_contact(s, nodes):
     """Prepare the free top, the equations of flight and contact, and the nodes of a landing."""
     top = s.cells
     # A dashpot that takes half of the momentum of the top in half a step ends its alternation
     nodes[ROW.viscosity, top - 1] += s.rate * nodes[ROW.mass, top]
-    factorise(s, nodes, 0)
-    factorise(s, nodes, 1)
+    _factorise(s, nodes, 0)
+    _factorise(s, nodes, 1)
     s.contact = True
     # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
     # such cells part meet as one.
@@ -381,8 +366,12 @@ def prepare(
             s.edge_cells[end, 1] = edge + (1 - 2 * end)
             s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
-    cut(s, nodes, bodies)
-    _prepare_links(s, nodes, omega)
+    for element in range(3):
+        s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
+        half = 0.5 * step * s.maxwell_rates[element]
+        s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
+        s.maxwell_gain[element] = 1.0 / (1.0 + half)
+    _cut(s, nodes, bodies)
     _prepare_contact(s, nodes)
     _prepare_rest(s, nodes)
 
@@ -557,7 +546,7 @@ def _march(s, nodes, path, events, goal):
         while True:
             if not s.contact:  # both sides of the contact are free of the weight
                 nodes[ROW.tension + now, link] = s.mass * s.gravity
-            solve(s, nodes)
+            _solve(s, nodes)
             _contact_forces(s, nodes)
             if leaves:
                 break

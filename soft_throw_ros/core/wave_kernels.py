@@ -326,18 +326,15 @@ def _write_top(s, offset, a, V, P):
     s.upward[1] = a
     if s.contact:
         s.downward[1] = V - a
-        s.surface = s.top + 2.0 * P - s.relaxation * V
-        s.state[stepper.PROJECTILE_POSITION] = s.rest_height + s.surface
-        s.state[stepper.PROJECTILE_VELOCITY] = V
-        force = s.impedance * (2.0 * a - V + s.gravity_offset)
-        s.state[stepper.PROJECTILE_FORCE] = force
+        s.surface = height = s.top + 2.0 * P - s.relaxation * V
+        velocity, force = V, s.impedance * (2.0 * a - V + s.gravity_offset)
     else:
         time, height, velocity = _free_flight(s, offset)
-        s.downward[1] = a + s.gravity_offset
+        s.downward[1], force = a + s.gravity_offset, 0.0
         s.surface = s.top + 2.0 * P + s.gravity_offset * time
-        s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
-        s.state[stepper.PROJECTILE_VELOCITY] = velocity
-        s.state[stepper.PROJECTILE_FORCE] = 0.0
+    s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
+    s.state[stepper.PROJECTILE_VELOCITY] = velocity
+    s.state[stepper.PROJECTILE_FORCE] = force
 
 
 @subroutine

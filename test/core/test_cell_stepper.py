@@ -18,7 +18,7 @@ from reference.cases import (
     released,
 )
 from reference.method_of_steps import follow
-from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
+from soft_throw_ros.core.cell_stepper import CellStepper, cut_layer, MAX_CELLS, reading_points
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import (
@@ -309,6 +309,31 @@ def test_measured_plate_is_followed_to_the_last_whole_step():
         stepper.advance_to(0.011)
     stepper.reset()
     assert stepper.horizon == 0.0
+
+
+THIN = Layer.of_sheets((
+    Layer(thickness=6e-3, wave_speed=7.8),
+    Layer(thickness=5e-5, wave_speed=100.0, density=7800.0),
+    Layer(thickness=9e-3, wave_speed=20.0, loss_tangent=0.2),
+))
+
+
+@pytest.mark.parametrize('layer', [Layer(), Layer(loss_tangent=0.1), THIN])
+def test_linear_functions_are_read_exactly_within_sheets(layer):
+    step, bodies = cut_layer(Rig(layer=layer), cells=40)
+    counts = [max(1, int(sheet.crossing_time / step * (1.0 + 1e-9))) for sheet in layer.sheets]
+    assert bodies['count'].tolist() == counts
+    sheets = np.repeat(np.arange(len(counts)), counts)
+    ends = np.append(0.0, np.cumsum((bodies['thickness'] / counts)[sheets]))
+    values = 1.5 * (ends[1:] + ends[:-1]) + sheets  # which jump from sheet to sheet
+    heights = np.linspace(0.0, layer.thickness, 77).tolist()
+    points = reading_points(bodies, 77).tolist()
+    for height, (cell, neighbour, weight, fraction) in zip(heights, points, strict=True):
+        below, above = ends[cell:cell + 2]
+        assert below + fraction * (above - below) == pytest.approx(height)
+        if cell != neighbour:
+            read = values[cell] + weight * (values[neighbour] - values[cell])
+            assert read == pytest.approx(3.0 * height + sheets[cell])
 
 
 @pytest.mark.parametrize('cells', [0, MAX_CELLS + 1, 64.0])
