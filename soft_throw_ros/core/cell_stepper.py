@@ -149,11 +149,6 @@ def count_cells(crossings: Floats, step: Floats | float) -> NDArray[np.int64]:
     return np.maximum(1, (crossings / step * (1.0 + ROUNDING)).astype(np.int64))
 
 
-def crossing_time(rig: Rig) -> float:
-    """Return the crossing time of the fastest wave of the layer [s]."""
-    return float(_make_sheets(rig)[1].sum())
-
-
 def cut_layer(rig: Rig, *, cells: int) -> tuple[float, NDArray[np.void]]:
     """
     Cut the layer of a rig into about so many cells, at least 1 per sheet.
@@ -181,7 +176,7 @@ def cells_per_layer(rig: Rig) -> int:
     64
 
     """
-    rate = 1.0 / crossing_time(rig)  # updates per second, over the square of the cells
+    rate = 1.0 / float(_make_sheets(rig)[1].sum())  # of updates, over the square of the cells
     updates = _CELLS**2 * rate
     require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, 'cell updates per second')
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))

@@ -50,10 +50,6 @@ from soft_throw_ros.core.plate import peak_velocity_ratio
 MAX_INTERVALS = 2048
 """Most wave intervals (two crossings each) before the computation gives up with an error. [-]"""
 
-_RELEASED = 0
-_NOT_WITHIN = 1
-_INACCURATE = 2
-
 _GROWTH_LIMIT = 1e4
 """Largest |Q_k|; alpha loses at most 1e-14 |Q_k|, and |Q_k| is 34 at most within the box. [-]"""
 
@@ -120,16 +116,17 @@ def first_release(
     (0.39944, 4.123215)
 
     """
-    case = (
-        checks.require_positive('mass_ratio', mass_ratio),
-        checks.require_positive('speed_ratio', speed_ratio),
-        checks.require_in_unit_interval('damping_ratio', damping_ratio),
-        checks.require_not_negative('gravity_ratio', gravity_ratio),
-    )
-    phase, speed, status = _first_release(*case, np.empty((2, MAX_INTERVALS)))
-    if status != _RELEASED:
-        raise _unresolved(status, phase, case)
-    return FirstRelease(phase, speed, float((speed / peak_velocity_ratio(case[2])) ** 2))
+    ratios = {
+        'mass_ratio': mass_ratio, 'speed_ratio': speed_ratio, 'damping_ratio': damping_ratio,
+        'gravity_ratio': gravity_ratio,
+    }
+    release = FirstRelease(*map(float, first_releases(**ratios, threads=1)))
+    if math.isnan(release.speed):
+        case = ', '.join(f'{name} {value:g}' for name, value in ratios.items())
+        raise ThrowUnresolvedError(
+            f'no release is known to 1e-9 within {MAX_INTERVALS} wave intervals for {case}'
+        )
+    return release
 
 
 def first_releases(
@@ -191,58 +188,33 @@ def first_releases(
     )
     ratios, shape = np.stack(arrays).reshape(len(arrays), -1), arrays[0].shape
     phase, speed = np.empty((2, ratios.shape[1]))
-    status = np.empty(ratios.shape[1], dtype=np.int64)
 
     def run(batch: NDArray[np.int64]) -> None:
-        _release_series(ratios, phase, speed, status, batch[0], batch.size)
+        _release_series(ratios, phase, speed, batch[0], batch.size)
 
     run_batches(run, np.arange(phase.size), size=_BATCH, threads=threads)
-    phase[status != _RELEASED] = np.nan
     energy_transfer = (speed / peak_velocity_ratio(ratios[2])) ** 2
     return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
 
 
-def _unresolved(
-    status: int, crossings: float, ratios: tuple[float, float, float, float]
-) -> ThrowUnresolvedError:
-    """Return the exception for a throw without a release."""
-    mu, kappa, zeta, gravity = ratios
-    case = (
-        f'mass_ratio {mu:g}, speed_ratio {kappa:g}, damping_ratio {zeta:g}, '
-        f'gravity_ratio {gravity:g}'
-    )
-    if status == _NOT_WITHIN:
-        return ThrowUnresolvedError(f'no release within {crossings:.0f} crossings for {case}')
-    return ThrowUnresolvedError(
-        f'the release cannot be computed to 1e-9 in double precision for {case}; '
-        'fewer crossings, less damping or a lighter projectile can'
-    )
-
-
-@kernel
-def _first_release(mu, kappa, zeta, gravity, work):
-    """
-    Compute (t_e f, V_e / (A w), status), or number of crossings, NaN and another status.
-
-    `work` is an array of shape (2, MAX_INTERVALS).
-    """
-    c = work[0]
+@subroutine
+def _first_release(mu, kappa, zeta, gravity, c, b):
+    """Compute (t_e f, V_e / (A w)), NaN if they are unknown; c and b are memory."""
     wave = _wave(mu, kappa, zeta, gravity)
-    status, k, low, high, guess, steady = _find(wave, c, work[1])
-    if status != _RELEASED:
-        return 2.0 * k + 1.0, math.nan, status
+    k, low, high, guess, steady = _find(wave, c, b)
+    if high == 0.0:
+        return math.nan, math.nan
     sigma = guess if low < guess < high else 0.5 * (low + high)
-    phase, speed, status = _polish(k, low, high, sigma, wave, steady, c)
-    return phase, speed, status
+    return _polish(k, low, high, sigma, wave, steady, c)
 
 
 @kernel
-def _release_series(ratios, phase, speed, status, first, count):
+def _release_series(ratios, phase, speed, first, count):
     """Compute some throws from number `first` on; `ratios` has a row for each ratio."""
-    work = np.empty((2, MAX_INTERVALS))
+    c, b = np.empty(MAX_INTERVALS), np.empty(MAX_INTERVALS)
     for n in range(first, first + count):
-        phase[n], speed[n], status[n] = _first_release(
-            ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], work
+        phase[n], speed[n] = _first_release(
+            ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], c, b
         )
 
 
@@ -290,7 +262,7 @@ def _find(wave, c, b):
     """
     Find the wave interval of the release; fill c with c_j, b with phi_j(2 / mu).
 
-    Returns status, interval k, a bracket of the root, a first guess of the root, and Q_k.
+    Returns interval k, a bracket of the root (up to 0 if it is unknown), a guess, and Q_k.
     """
     turn = wave.lam.imag
     weight = wave.weight
@@ -304,17 +276,17 @@ def _find(wave, c, b):
         # G rises, at most until the plate is fastest, and falls through 0 before it stops.
         high = min(2.0, math.pi / turn)
         if high < 2.0 or force <= 0.0:
-            return _RELEASED, 0, 0.0, high, _first_guess(wave), steady
+            return _FIRST, 0.0, high, _first_guess(wave), steady
     else:
         # G falls at least until the plate brakes hardest, and later periods push it off less
         # than the first.
         high = min(2.0, 2.0 * math.acos(-wave.lam.real / math.hypot(turn, wave.lam.real)) / turn)
         if _force(_FIRST, high, wave, steady, c)[0] <= 0.0:
-            return _RELEASED, 0, 0.0, high, _first_guess(wave), steady
+            return _FIRST, 0.0, high, _first_guess(wave), steady
         if high < 2.0:
             low, high = _search(_FIRST, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
             if high > 0.0:
-                return _RELEASED, 0, low, high, math.nan, steady
+                return _FIRST, low, high, math.nan, steady
     effort = 0.0
     arriving = complex(1.0, 0.0)  # e^{2 k lambda}
     power = complex(1.0, 0.0)  # r^k
@@ -326,7 +298,7 @@ def _find(wave, c, b):
         steady = arriving + wave.reflection * steady
         underflows = k > 250 and wave.mu < 2.0 / 700.0  # e^{-sigma / mu}, but not phi_k
         if _size(steady) > _GROWTH_LIMIT**2 or underflows:
-            return _INACCURATE, k, 0.0, 0.0, math.nan, steady
+            return k, 0.0, 0.0, math.nan, steady
         older = b[k - 2] if k > 1 else 0.0
         b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - (k - 1) * older) * _INVERSE[k]
         s_before, s_now = s_now, s_next
@@ -346,16 +318,16 @@ def _find(wave, c, b):
         if force > 0.0 and min(before, force) > margin:
             continue
         if force <= 0.0 and smooth:
-            return _RELEASED, k, 0.0, 2.0, 2.0 * before / (before - force), steady
+            return k, 0.0, 2.0, 2.0 * before / (before - force), steady
         if smooth and _force(k, 2.0, wave, steady, c)[1] < -0.25 * turn:
             continue
         effort += (16 + 8 * k + 6.0 * turn) * (k + 8)
         if effort > _SEARCH_EFFORT:
-            return _NOT_WITHIN, k, 0.0, 0.0, math.nan, steady
+            return k, 0.0, 0.0, math.nan, steady
         low, high = _search(k, 0.0, 2.0, wave, steady, c)
         if high > 0.0:
-            return _RELEASED, k, low, high, math.nan, steady
-    return _NOT_WITHIN, MAX_INTERVALS, 0.0, 0.0, math.nan, steady
+            return k, low, high, math.nan, steady
+    return _FIRST, 0.0, 0.0, math.nan, steady
 
 
 @inlined
@@ -401,7 +373,7 @@ def _attached(k, sigma, wave, steady, c):
 
 @subroutine
 def _polish(k, low, high, sigma, wave, steady, c):
-    """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w), status)."""
+    """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w))."""
     tolerance = max(1e-7 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
     change, speed = high - low, math.nan
     for i in range(160):
@@ -425,8 +397,8 @@ def _polish(k, low, high, sigma, wave, steady, c):
     # The steady wave is known relative to its phase; each interval adds to the error
     wave_size = math.sqrt(_size(steady)) * min(1.0, wave.lam.imag * (2.0 * k + 1.0 + sigma))
     if not is_found or _ROUNDING * (k + 1.0) * wave_size > _ACCURACY * abs(speed):
-        return 2.0 * k + 1.0, math.nan, _INACCURATE
-    return phase, speed, _RELEASED
+        return math.nan, math.nan
+    return phase, speed
 
 
 @subroutine

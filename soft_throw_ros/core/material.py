@@ -72,15 +72,6 @@ class Relaxation(NamedTuple):
     strengths: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def require_constant_loss(loss_tangent: float) -> None:
-    """Raise ValueError for a constant loss tangent above `LARGEST_CONSTANT_LOSS`."""
-    if loss_tangent > LARGEST_CONSTANT_LOSS:
-        raise ValueError(
-            f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
-            f'got {loss_tangent:g}'
-        )
-
-
 @lru_cache(maxsize=4096)
 def relaxation(loss_tangent: float) -> Relaxation:
     """
@@ -95,7 +86,6 @@ def relaxation(loss_tangent: float) -> Relaxation:
     (0.821, 1.336)
 
     """
-    require_constant_loss(loss_tangent)
     if loss_tangent == 0.0:
         return Relaxation()
     from scipy.optimize import nnls  # which takes long to import, and few layers need

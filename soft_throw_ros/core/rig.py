@@ -17,10 +17,10 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.material import (
+    LARGEST_CONSTANT_LOSS,
     LARGEST_STRAIN,
     LOSSES,
     relaxation,
-    require_constant_loss,
     static_stretch,
     STRESS_STRAIN_LAWS,
 )
@@ -170,8 +170,11 @@ class Layer:
 
     def __post_init__(self) -> None:
         check_fields(self, 'layer.')
-        if self.loss == 'constant':
-            require_constant_loss(self.loss_tangent)
+        if self.loss == 'constant' and self.loss_tangent > LARGEST_CONSTANT_LOSS:
+            raise ValueError(
+                f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
+                f'got {self.loss_tangent:g}'
+            )
         if self.parts:
             own = {name: value for name, value in vars(self).items() if name != 'parts'}
             whole = _values_of_sheets(self.parts)
@@ -402,15 +405,11 @@ class Rig:
 
     def check_for_waves(self) -> None:
         """Raise ValueError if the layer is a stack, is not linear, or has internal loss."""
-        layer, need = self.layer, ''
-        if layer.parts:
-            need = f'a layer of one material, got {len(layer.parts)} sheets'
-        elif layer.stress_strain_law != 'linear':
-            need = f'layer.stress_strain_law linear, got {layer.stress_strain_law}'
-        elif layer.loss_tangent > 0.0:
-            need = f'layer.loss_tangent 0, got {layer.loss_tangent:g}'
-        if need:
-            raise ValueError(f'travelling waves need {need}')
+        if self.layer.needs_cells:
+            raise ValueError(
+                'travelling waves need a layer of one material, linear and without loss, '
+                f'got {len(self.layer.sheets)} sheets, {self.layer}'
+            )
 
 
 def values_of(rig: Rig) -> dict[str, float]:

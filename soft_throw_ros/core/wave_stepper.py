@@ -65,8 +65,7 @@ def steps_per_crossing(rig: Rig) -> int:
     It is 512, or more where the relaxation time or the plate's period is short, or less where
     steps would be more than `MAX_STEP_RATE` in a second. Errors in :math:`t f` and
     :math:`V / (A \omega)`: 1e-6 at the first release, and 1e-3 at the next four events of 95 % of
-    random rigs. ValueError if the layer is a stack or has loss, or, with a feasible value, if
-    `MAX_STEPS` or `MAX_STEP_RATE` are too few.
+    random rigs. ValueError, with a feasible value, if `MAX_STEPS` or `MAX_STEP_RATE` are too few.
 
     Examples
     --------
@@ -74,7 +73,6 @@ def steps_per_crossing(rig: Rig) -> int:
     512
 
     """
-    rig.check_for_waves()
     slowest = _FEWEST_STEPS / rig.crossing_time
     require_feasible(rig, 'layer.thickness', slowest, MAX_STEP_RATE, 'steps per second')
     limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * rig.crossing_time))
