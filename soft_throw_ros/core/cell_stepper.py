@@ -71,9 +71,6 @@ _MIN_STEPS_PER_PERIOD = 80.0
 _MAX_BATCH_CELLS = 2048
 """Most cells that `throw_batch` chooses. [-]"""
 
-_SLICE = 0.1
-"""Time of a processor between two looks at a flag. [s]"""
-
 
 _SHOCK_SPEED = 1.055
 """Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
@@ -209,16 +206,16 @@ def throw_batch(
     bodies, crossings = make_bodies(values, layer)
     steps = crossings.sum(axis=1) / (_choose_cells(scales, layer) if cells is None else cells)
     bodies['count'] = count_cells(crossings, steps[:, None])
-    latest, omega = scales.longest_wait, scales.angular_frequency
+    omega = scales.angular_frequency
     peak_force = values['amplitude'] * omega * scales.impedance
     columns = steps, values['mass'], values['gravity'], omega, peak_force
 
-    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, int]:
+    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
         nodes = np.zeros((ROWS, bodies['count'][n].sum() + 2))
         prepare(core, nodes, bodies[n], *(column[n] for column in columns))
-        return nodes, 1 + int(_UPDATE_COST * nodes.shape[1] * latest[n] / steps[n] / _SLICE)
+        return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
 
-    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, latest, cancelled)
+    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, math.nan, cancelled)
 
 
 def _choose_cells(scales: Scales, layer: Layer) -> NDArray[np.int64]:

@@ -42,9 +42,6 @@ STANDARD_GRAVITY = 9.81
 _MAX_PERIODS = 16.0
 """Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
 
-_MAX_CROSSINGS = 4096.0
-"""Longest wait of steppers for a release, in crossings of the wave. [-]"""
-
 RANGES = {
     **dict.fromkeys(('frequency', 'amplitude', 'thickness', 'wave_speed', 'density'), 'positive'),
     **dict.fromkeys(('diameter', 'mass', 'length'), 'positive'),
@@ -435,8 +432,7 @@ class Scales(NamedTuple):
         """Time until which steppers follow throws without a release [s]."""
         own_period = 2.0 * math.pi * np.sqrt(self.crossing_time * self.relaxation_time)
         longest = np.maximum(2.0 * math.pi / self.angular_frequency, own_period)
-        wait = self.crossing_time + _MAX_PERIODS * longest
-        return np.minimum(wait, _MAX_CROSSINGS * self.crossing_time)
+        return self.crossing_time + _MAX_PERIODS * longest
 
 
 def scales_of(values: Mapping[str, Any]) -> Scales:

@@ -28,7 +28,7 @@ from soft_throw_ros.core.plate_kernels import (
     write_damped,
     write_motion,
 )
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Rig, scales_of
 
 Floats = NDArray[np.float64]
 
@@ -54,6 +54,12 @@ _NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
 
 MAX_EVENTS = 4096
 """Most events of one throw."""
+
+_SLICE = 0.1
+"""Time of a processor between two looks at a flag. [s]"""
+
+_MAX_CROSSINGS = 4096.0
+"""Longest wait for a release in batches, in crossings of the wave. [-]"""
 
 COMMON = [
     *PLATE,
@@ -378,27 +384,30 @@ class Stepper:
 def follow_batch(
     record: np.dtype[np.void],
     advance: Callable[..., int],
-    prepare: Callable[[NDArray[np.void], int], tuple[Floats, int]],
+    prepare: Callable[[NDArray[np.void], int], tuple[Floats, float]],
     values: Mapping[str, Floats],
-    latest: Floats,
+    until: Floats | float,
     cancelled: Cancelled | None,
 ) -> Floats:
     """
-    Follow throws to their first releases, or up to `latest` [s], without steppers.
+    Follow throws to their first releases, or up to a time [s] if it is no NaN, without steppers.
 
-    `prepare` completes the third record of a throw by its number, and returns its layer and the
-    number of looks at `cancelled`. The result has a row each for time (NaN without a release),
+    `prepare` completes the third record of a throw by its number, and returns its layer and its
+    cost, see `Stepper.cost`. The result has a row each for time (NaN without a release),
     speed, largest strain, acceleration and plate force, and work of the plate.
     """
     amplitude, zeta = values['amplitude'], values['damping_ratio']
-    omega = 2.0 * math.pi * values['frequency']
+    scales = scales_of(values)
+    longest = np.minimum(scales.longest_wait, _MAX_CROSSINGS * scales.crossing_time)
+    latest = np.where(np.isnan(until), longest, until)
     core, no_events = np.zeros(3, record), np.empty((0, 4))
     numbers = core.view(np.float64).reshape(3, -1)
     rows = np.empty((6, latest.size))
     for n in range(latest.size):
         numbers[:] = 0.0
-        write_damped(core, amplitude[n], omega[n], zeta[n])
-        layer, looks = prepare(core, n)
+        write_damped(core, amplitude[n], scales.angular_frequency[n], zeta[n])
+        layer, cost = prepare(core, n)
+        looks = 1 + int(cost * latest[n] / _SLICE)
         numbers[:2] = numbers[2]
         for look in range(1, looks + 1):
             check_cancelled(cancelled)

@@ -161,17 +161,17 @@ def throw_batch(
         _STEPS_PER_RELAXATION / scales.mass_ratio, _STEPS_PER_PERIOD / scales.speed_ratio
     )
     steps = np.clip(32.0 * np.ceil(steps / 32.0), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    latest = np.where(np.isfinite(until), until + crossing / steps, scales.longest_wait)
     columns = (
         steps, values['thickness'], crossing, scales.relaxation_time, values['gravity'],
         scales.impedance, omega, values['amplitude'] * omega,
     )
 
-    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, int]:
+    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
         prepare(core, *(column[n] for column in columns))
-        return make_waves(int(steps[n])), 1
+        return make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
 
-    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, latest, cancelled)
+    until = until + crossing / steps
+    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, until, cancelled)
 
 
 def warm_up() -> None:
