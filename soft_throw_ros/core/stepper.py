@@ -486,7 +486,7 @@ def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str
     if factor > 1.0:
         feasible = margin * value * (factor if bound == 'more' else 1.0 / factor)
         raise RateError(
-            f'{name} {value:g} {dimension}, with a crossing in {rig.crossing_time:.4g} s, needs '
+            f'{name} {value:g} {dimension} at layer.wave_speed {rig.layer.wave_speed:g} m/s needs '
             f'{needed:.3g} {unit}, the limit is {limit:g}; '
             f'feasible: {name} of {feasible:.4g} {dimension} or {bound}'
         )
