@@ -12,14 +12,16 @@ of 95 % intervals that contain the true value. The same seed gives the same tabl
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
 import json
+import multiprocessing
 from pathlib import Path
 import sys
 
-from soft_throw_ros.commands.options import add_executor_options, open_executor
+from soft_throw_ros.commands.options import add_dask_option, open_map
 from soft_throw_ros.core.batch import usable_processors
 from trials import table
 from trials.judge import judge, Verdict
@@ -42,16 +44,19 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument(
         '--log', metavar='FILE', type=Path, help='write all verdicts to a file of JSON lines'
     )
-    add_executor_options(parser)
-    parser.set_defaults(workers=usable_processors())
+    add_dask_option(parser)
     arguments = parser.parse_args(args)
     if arguments.rigs < 1:
         parser.error(f'argument --rigs: must be at least 1, got {arguments.rigs}')
     rows = [row for row in ROWS if any(text in row.name for text in arguments.rows)]
     if not rows:
         parser.error(f'argument --rows: no row has any of {", ".join(arguments.rows)} in its name')
-    with open_executor(arguments) as executor:
-        verdicts = _run(rows, arguments, executor)
+    spawn = multiprocessing.get_context('spawn')  # threads do not survive a fork
+    with (
+        open_map(arguments.dask) as run_trials,
+        ProcessPoolExecutor(usable_processors(), mp_context=spawn) as workers,
+    ):
+        verdicts = _run(rows, arguments, run_trials if arguments.dask else workers.map)
     if arguments.log:
         lines = [json.dumps(asdict(verdict)) for verdict in verdicts]
         arguments.log.write_text('\n'.join(lines) + '\n', encoding='utf-8')
@@ -60,15 +65,14 @@ def main(args: list[str] | None = None) -> int:
 
 
 def _run(
-    rows: list[Row], arguments: argparse.Namespace, executor: Executor | None
+    rows: list[Row], arguments: argparse.Namespace, run_trials: Callable[..., Iterable[Verdict]]
 ) -> list[Verdict]:
     """Run the trials of all rows, and print each line of the table when it is complete."""
     verdicts = []
     names = [row.name for row in rows for _ in range(arguments.rigs)]
     numbers = [number for _ in rows for number in range(arguments.rigs)]
     run_trial = partial(judge, seed=arguments.seed)
-    map_trials = map if executor is None else executor.map
-    results = iter(map_trials(run_trial, names, numbers))
+    results = iter(run_trials(run_trial, names, numbers))
     print(*table.header(), sep='\n', flush=True)
     for row in rows:
         of_row = [next(results) for _ in range(arguments.rigs)]

@@ -14,8 +14,8 @@ import numpy as np
 from soft_throw_ros.commands.options import new_file, positive
 from soft_throw_ros.commands.output import (
     CommandParser,
+    print_lines,
     print_note,
-    print_text,
     report_io_errors,
     require,
     run_command,
@@ -91,12 +91,11 @@ def _run(arguments: argparse.Namespace) -> int:
         *(f'# {note}' for note in notes),
         *csv_lines(tracks),
     ]
-    text = '\n'.join(lines) + '\n'
     if arguments.output:
         with written_file(arguments.output) as unfinished:
-            unfinished.write_text(text, encoding='utf-8')
+            unfinished.write_text('\n'.join(lines) + '\n', encoding='utf-8')
     else:
-        print_text(text)
+        print_lines(lines)
     for note in notes:
         print_note('track', f'{arguments.video}: {note}')
     return 0
