@@ -83,8 +83,3 @@ def test_plate_that_gravity_holds_is_explained_with_exit_code_1(command):
 def test_strain_that_no_layer_can_bear_is_called_impossible(command, amplitude, texts):
     printed = command.run('--amplitude', amplitude)
     assert re.findall('linear range|impossible', printed) == texts
-
-
-def test_bad_value_is_named_with_its_file(command, write):
-    path = write('twin:\n  ros__parameters:\n    gravity: -1\n', 'bad.yaml')
-    assert command.refused('--config', path).startswith(f'{path}: gravity must be')
