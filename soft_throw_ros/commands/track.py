@@ -37,7 +37,6 @@ _MAX_ACCELERATION = 1e5  # acceleration beyond that of any plate [m/s2]
 _MAX_FALL = 1.4  # apparent gravity over gravity, or its inverse, beyond which a rate is wrong
 _MIN_SEEN = 0.5  # share of the pictures that must show the plate for its frequency
 _MAX_RATE_ERROR = 0.01  # deviation from the rate in the file, beyond which a note is printed
-_MAX_GAPS = 3  # largest number of gaps of a spot that a note lists
 
 
 def main(args: list[str] | None = None) -> int:
@@ -84,9 +83,9 @@ def _run(arguments: argparse.Namespace) -> int:
         if recorded and abs(rate / recorded - 1.0) > _MAX_RATE_ERROR:
             notes.append(f'--rate is {rate:g}, but the file gives {recorded:g}')
     noises = ', '.join(f'{body} {track.noise:.2g} m' for body, track in tracks.items())
-    scale = f'{rate:g} pictures per second, {pixels:g} pixels are {length:g} m.'
     lines = [
-        f'# From {Path(arguments.video).name}: {scale}',
+        f'# From {Path(arguments.video).name}: {rate:g} pictures per second, '
+        f'{pixels:g} pixels are {length:g} m.',
         f'# Noise: {noises}',
         *(f'# {note}' for note in notes),
         *csv_lines(tracks),
@@ -112,7 +111,6 @@ def _gap_notes(spots: Sequence[Spot], count: int) -> Iterator[str]:
         last = spot.picture[-1] if spot.picture else -1
         if last < count - 1 and not spot.has_left:
             gaps.append(f'{last + 1} to the end')
-        gaps[_MAX_GAPS:] = [f'{len(gaps) - _MAX_GAPS} more times'] * (len(gaps) > _MAX_GAPS)
         if gaps:
             yield f'the spot at {spot.location} is not seen in pictures {", ".join(gaps)}'
 

@@ -32,16 +32,11 @@ _TARGET_TOLERANCE = 1e-5  # relative error of the target, beyond it a solution i
 class Aim(PredictedThrow):
     """A throw that reaches its target."""
 
-    amplitude: float
-    """Amplitude of the plate. [m]"""
-    height: float
-    """Rise of the projectile above its rest position; infinite without gravity. [m]"""
-    speed: float
-    """Speed at the last release. [m/s]"""
-    rig: Rig
-    """The rig of this throw."""
-    present: Rig
-    """The rig as it is."""
+    amplitude: float  # amplitude of the plate [m]
+    height: float  # rise of the projectile above its rest position; infinite without gravity [m]
+    speed: float  # speed at the last release [m/s]
+    rig: Rig  # the rig of this throw
+    present: Rig  # the rig as it is
 
     @property
     def summary(self) -> str:

@@ -107,18 +107,12 @@ class HighestPoint(NamedTuple):
 class Landscape:
     """Ejection phase and energy transfer over two axes. Made by `compute_landscape`."""
 
-    rig: Rig
-    """The rig of all throws, apart from the axes."""
-    axes: Mapping[str, Floats]
-    """Values of the two axes, of shapes (n,) and (m,). [SI]"""
-    ejection_phase: Floats
-    """:math:`t_e f`, shape (n, m); NaN where the projectile does not leave. [-]"""
-    energy_transfer: Floats
-    r""":math:`\alpha = (V_e / V_p^*)^2`, shape (n, m); NaN as above. [-]"""
-    release: Release
-    """Release that counts, the first or the last."""
-    density_ratio: float
-    """Density of the projectile over that of the layer, for the axes x and C. [-]"""
+    rig: Rig  # the rig of all throws, apart from the axes
+    axes: Mapping[str, Floats]  # values of the two axes, of shapes (n,) and (m,) [SI]
+    ejection_phase: Floats  # shape (n, m); NaN where the projectile does not leave [-]
+    energy_transfer: Floats  # likewise [-]
+    release: Release  # release that counts, the first or the last
+    density_ratio: float  # projectile over layer, for the axes x and C [-]
 
     @property
     def optimum(self) -> HighestPoint | None:

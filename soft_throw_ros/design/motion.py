@@ -150,10 +150,8 @@ class PlateLimits:
 class Pulses(NamedTuple):
     """A motion of the plate: a series of quadratic B-splines in its velocity."""
 
-    step: float
-    """Time between neighbours. [s]"""
-    heights: Floats
-    """Coefficients of the B-splines. [m/s]"""
+    step: float  # time between neighbours [s]
+    heights: Floats  # coefficients of the B-splines [m/s]
 
     def motion(self) -> SampledMotion:
         """Return the motion, without the rest before and after it."""
@@ -233,16 +231,11 @@ def find_best_motion(
 class MotionDesign(PredictedThrow):
     """The best motion of the plate, and its throw."""
 
-    rig: Rig
-    """The rig with the best motion."""
-    present: Rig
-    """The rig as it is."""
-    limits: PlateLimits
-    """Limits of the actuator."""
-    now: PredictedThrow | None
-    """Throw of the rig as it is; None if it does not throw."""
-    worst: PredictedThrow | None
-    """Slowest throw of the best motion within the uncertainties; None if a rig does not throw."""
+    rig: Rig  # the rig with the best motion
+    present: Rig  # the rig as it is
+    limits: PlateLimits  # limits of the actuator
+    now: PredictedThrow | None  # throw of the rig as it is; None if it does not throw
+    worst: PredictedThrow | None  # slowest throw within the uncertainties; None without a throw
 
     @property
     def motion(self) -> SampledMotion:

@@ -22,7 +22,7 @@ from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throws import require_uniform, SEARCH_CELLS, STRONG_GRAVITY
 from soft_throw_ros.design.maximise import Box, maximise, NEAR, Optimum
 from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
-from soft_throw_ros.design.score import Limits, Objective, peak, Score
+from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score
 from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
@@ -53,32 +53,19 @@ class LibraryCandidate(NamedTuple):
 class Recommendation(PredictedThrow):
     """Throw of the recommended layer, and throws to compare it with."""
 
-    rig: Rig
-    """The rig with the recommended layer."""
-    present: Rig
-    """The rig as it is."""
-    vary: Vary
-    """Part of the layer that was allowed to change."""
-    layer: str
-    """Name of the recommended layer in the library, if it was picked there."""
-    score: float
-    """Energy transfer that counts for the objective. [-]"""
-    stuck_fraction: float
-    """Share of the throws within the uncertainties that do not release the projectile. [-]"""
-    now: PredictedThrow | None
-    """The rig as it is; None if it does not throw."""
-    now_score: float
-    """Score of the rig as it is, 0 if it does not throw. [-]"""
-    now_stuck_fraction: float
-    """The stuck fraction of the rig as it is. [-]"""
-    by_thickness: PredictedThrow | None
-    """The best layer if only the thickness may change; None if none throws within the limits."""
-    by_wave_speed: PredictedThrow | None
-    """The same for the wave speed."""
-    candidates: tuple[LibraryCandidate, ...]
-    """Layers of the library that came near, if one was to be picked; the best first."""
-    tolerances: Mapping[str, float]
-    """Changes of thickness [m] and wave speed [m/s], up or down, that cost `TOLERATED_LOSS`."""
+    rig: Rig  # the rig with the recommended layer
+    present: Rig  # the rig as it is
+    vary: Vary  # part of the layer that was allowed to change
+    layer: str  # name of the recommended layer in the library, if it was picked there
+    score: float  # energy transfer that counts for the objective [-]
+    stuck_fraction: float  # share of throws within the uncertainties without a release [-]
+    now: PredictedThrow | None  # the rig as it is; None if it does not throw
+    now_score: float  # score of the rig as it is, 0 if it does not throw [-]
+    now_stuck_fraction: float  # the same share of the rig as it is [-]
+    by_thickness: PredictedThrow | None  # the best layer if only the thickness may change
+    by_wave_speed: PredictedThrow | None  # the best layer if only the wave speed may change
+    candidates: tuple[LibraryCandidate, ...]  # from the library, the best first
+    tolerances: Mapping[str, float]  # changes up or down that cost `TOLERATED_LOSS` [SI]
 
     @property
     def gain(self) -> float:
@@ -207,8 +194,8 @@ def recommend(
         if vary == 'library'
     )
     box = Box(limits.thickness, limits.wave_speed) if vary == 'library' else spaces[0].box
-    present = search.evaluate(_Space(rig, box), rig)
-    if present.score > 0.0:
+    present = search.evaluate(rig)
+    if present.score > 0.0 and box.contains(rig.layer.thickness, rig.layer.wave_speed):
         is_best = not ranked or present.score >= (1.0 - _EQUAL) * ranked[0].score
         ranked = [present, *ranked] if is_best else [*ranked, present]
     if not ranked:
@@ -223,8 +210,9 @@ def recommend(
 
     best, stuck = ranked[0], stuck_fraction_of(ranked[0])
     if stuck > MAX_STUCK_FRACTION:
-        others = [*ranked[1:], *search._replace(uncertainties=uncertainties).rank(spaces)]
-        for other in sorted(others, key=lambda item: -item.score):
+        safe = search._replace(objective=partial(robust, uncertainties=uncertainties))
+        others = [search.evaluate(item.rig, item.name) for item in safe.rank(spaces)]
+        for other in sorted([*ranked[1:], *others], key=lambda item: -item.score):
             if (share := stuck_fraction_of(other)) <= MAX_STUCK_FRACTION:
                 best, stuck = other, share
                 break
@@ -324,7 +312,6 @@ class _Search(NamedTuple):
     objective: Objective
     limits: Limits
     cancelled: Cancelled | None
-    uncertainties: Uncertainties | None = None
 
     def rank(self, spaces: list[_Space], starts: Sequence[Layer] = ()) -> list[_Candidate]:
         """
@@ -336,7 +323,7 @@ class _Search(NamedTuple):
         for space in spaces:
             has_cells = space.rig.layer.needs_cells
             layers = [(layer.thickness, layer.wave_speed) for layer in starts]
-            score = self._score(space, SEARCH_CELLS if has_cells else None)
+            score = self._score(space.rig, SEARCH_CELLS if has_cells else None)
             optimum = maximise(
                 score,
                 space.box,
@@ -354,19 +341,13 @@ class _Search(NamedTuple):
             (item for item in candidates if item.score > 0.0), key=lambda item: -item.score
         )
 
-    def evaluate(self, space: _Space, rig: Rig) -> _Candidate:
-        """Score a layer of a space with all cells; 0 outside the space."""
-        layer = (rig.layer.thickness, rig.layer.wave_speed)
-        is_inside = space.box.contains(*layer)
-        score = float(self._score(space)(*layer)[0]) if is_inside else 0.0
-        return _Candidate(rig, score, space.name)
+    def evaluate(self, rig: Rig, name: str = '') -> _Candidate:
+        """Score the layer of a rig with all cells."""
+        score = self._score(rig)(rig.layer.thickness, rig.layer.wave_speed)
+        return _Candidate(rig, float(score[0]), name)
 
-    def _score(self, space: _Space, cells: int | None = None) -> Score:
-        """Return the score of layers of a space."""
-        return Score(
-            space.rig, self.objective, self.limits, uncertainties=self.uncertainties,
-            cells=cells, cancelled=self.cancelled,
-        )
+    def _score(self, rig: Rig, cells: int | None = None) -> Score:
+        return Score(rig, self.objective, self.limits, cells=cells, cancelled=self.cancelled)
 
     def _grid_step(self, space: _Space) -> float:
         """
@@ -389,7 +370,7 @@ class _Search(NamedTuple):
             layer = replace(space.rig.layer, thickness=thickness, wave_speed=wave_speed)
             return replace(space.rig, layer=layer)
 
-        exact = self.evaluate(space, with_layer(*optimum))
+        exact = self.evaluate(with_layer(*optimum), space.name)
         if exact.score >= (1.0 - _COARSE_ERROR) * optimum.score:
             return exact
         nearby = Box(*(
@@ -397,6 +378,6 @@ class _Search(NamedTuple):
             for (low, high), value in zip(space.box, optimum, strict=False)
         ))
         best = maximise(
-            self._score(space), nearby, step=_NEARBY, starts=[optimum[:2]], tolerance=1e-3
+            self._score(space.rig), nearby, step=_NEARBY, starts=[optimum[:2]], tolerance=1e-3
         )
         return exact if best is None else _Candidate(with_layer(*best), best.score, space.name)

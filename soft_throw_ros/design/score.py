@@ -127,8 +127,6 @@ class Score:
     limits : Limits, optional
         Limits of the loads, which hold for every throw that counts; the search itself keeps
         those of thickness and wave speed.
-    uncertainties : Uncertainties, optional
-        Errors at whose corners the projectile has to leave, too.
     cells, cancelled : optional
         Arguments of `throw_many`.
 
@@ -140,7 +138,6 @@ class Score:
         objective: Objective,
         limits: Limits | None = None,
         *,
-        uncertainties: Uncertainties | None = None,
         cells: int | None = None,
         cancelled: Cancelled | None = None,
     ) -> None:
@@ -149,9 +146,6 @@ class Score:
         self._cells = cells
         self._cancelled = cancelled
         self._variants = objective(rig)
-        self._counted = len(self._variants)
-        if uncertainties is not None:
-            self._variants = np.vstack([self._variants, uncertainties.variants(rig, CORNERS)])
         self._order = np.arange(len(self._variants))
 
     def __call__(
@@ -192,10 +186,8 @@ class Score:
             loads=limits.of_loads, cells=self._cells, cancelled=self._cancelled,
         )
         transfers: Floats = np.nan_to_num(throws.energy_transfer)
-        is_counted = numbers < self._counted
         if limits.of_loads:
             is_within = throws.peak_strain <= limits.max_strain
             is_within &= throws.peak_acceleration <= limits.max_acceleration
-            transfers[is_counted & ~is_within] = 0.0
-        transfers[~is_counted & (transfers > 0.0)] = math.inf
+            transfers[~is_within] = 0.0
         return transfers

@@ -130,16 +130,6 @@ def test_loss_may_be_an_axis_that_begins_at_zero():
     assert landscape.energy_transfer[1, 1] == pytest.approx(1.8077831318189745**2, rel=2e-3)
 
 
-def test_projectile_that_is_held_is_nan():
-    rig = replace(Rig(), engine=Engine(frequency=1.0, amplitude=1e-3))
-    axes = {'layer.thickness': [0.01], 'layer.wave_speed': [5.0, 10.0]}
-    for release in ('first', 'last'):
-        held = compute_landscape(rig, axes, release=release)
-        assert np.isnan(held.energy_transfer).all()
-        assert np.isnan(held.ejection_phase).all()
-        assert held.optimum is None
-
-
 @pytest.mark.parametrize(
     ('axes', 'options', 'message'),
     [
