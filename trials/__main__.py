@@ -44,6 +44,10 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument(
         '--log', metavar='FILE', type=Path, help='write all verdicts to a file of JSON lines'
     )
+    parser.add_argument(
+        '--workers', metavar='N', type=int, default=usable_processors(),
+        help='number of worker processes without --dask (default: one per processor)',
+    )
     add_dask_option(parser)
     arguments = parser.parse_args(args)
     if arguments.rigs < 1:
@@ -51,12 +55,13 @@ def main(args: list[str] | None = None) -> int:
     rows = [row for row in ROWS if any(text in row.name for text in arguments.rows)]
     if not rows:
         parser.error(f'argument --rows: no row has any of {", ".join(arguments.rows)} in its name')
-    spawn = multiprocessing.get_context('spawn')  # threads do not survive a fork
-    with (
-        open_map(arguments.dask) as run_trials,
-        ProcessPoolExecutor(usable_processors(), mp_context=spawn) as workers,
-    ):
-        verdicts = _run(rows, arguments, run_trials if arguments.dask else workers.map)
+    if arguments.dask or arguments.workers == 1:
+        with open_map(arguments.dask) as run_trials:
+            verdicts = _run(rows, arguments, run_trials)
+    else:
+        spawn = multiprocessing.get_context('spawn')  # threads do not survive a fork
+        with ProcessPoolExecutor(arguments.workers, mp_context=spawn) as workers:
+            verdicts = _run(rows, arguments, workers.map)
     if arguments.log:
         lines = [json.dumps(asdict(verdict)) for verdict in verdicts]
         arguments.log.write_text('\n'.join(lines) + '\n', encoding='utf-8')

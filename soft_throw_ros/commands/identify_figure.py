@@ -28,6 +28,7 @@ def draw_throws(
     model, bodies = result.model, ['plate', 'projectile'][: 1 + bool(result.model.projectiles)]
     figure = Figure(figsize=(9.6, 3.6 + 1.5 * len(bodies)), layout='constrained')
     above, *below = figure.subplots(1 + len(bodies), 1, height_ratios=[2.6, *[1.0] * len(bodies)])
+    below[-1].sharex(below[0])
     highest = 0.0
     for (throw, body, _), residual in zip(model.series, result.fit.residuals, strict=True):
         if throw >= _MAX_THROWS:

@@ -83,9 +83,9 @@ def _run(arguments: argparse.Namespace) -> int:
         if recorded and abs(rate / recorded - 1.0) > _MAX_RATE_ERROR:
             notes.append(f'--rate is {rate:g}, but the file gives {recorded:g}')
     noises = ', '.join(f'{body} {track.noise:.2g} m' for body, track in tracks.items())
+    scale = f'{rate:g} pictures per second, {pixels:g} pixels are {length:g} m.'
     lines = [
-        f'# From {Path(arguments.video).name}: {rate:g} pictures per second, '
-        f'{pixels:g} pixels are {length:g} m.',
+        f'# From {Path(arguments.video).name}: {scale}',
         f'# Noise: {noises}',
         *(f'# {note}' for note in notes),
         *csv_lines(tracks),
