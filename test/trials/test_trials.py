@@ -4,8 +4,6 @@
 
 import json
 import math
-from pathlib import Path
-import subprocess
 import sys
 import time
 
@@ -59,28 +57,6 @@ def test_command_identifies_a_clean_throw(capsys, tmp_path):
     assert [clean[key] for key in ('row', 'refusal', 'warnings')] == [name, '', []]
     for name in ('layer.wave_speed', 'ejection.time'):
         assert Deviation(*clean['results'][name]).errors < 4.0
-
-
-def test_workers_end_when_their_parent_is_killed():
-    code = """
-import argparse, multiprocessing, os, signal
-from soft_throw_ros.commands.options import open_executor
-with open_executor(argparse.Namespace(dask=None, workers=2)):
-    print(*[child.pid for child in multiprocessing.active_children()], flush=True)
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-    command = [sys.executable, '-c', code]
-    parent = subprocess.run(command, check=False, stdout=subprocess.PIPE, timeout=60.0)
-    stats = [Path('/proc', pid, 'stat') for pid in parent.stdout.decode().split()]
-    assert len(stats) == 2
-
-    def is_running(stat):
-        return stat.exists() and stat.read_text().split()[2] != 'Z'
-
-    deadline = time.monotonic() + 20.0
-    while any(map(is_running, stats)) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not any(map(is_running, stats))
 
 
 @pytest.mark.parametrize(
