@@ -27,7 +27,7 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.recording import rerun_viewer as viewer
-from soft_throw_ros.recording.timeseries import find_throws, identify, READERS, ThrowStart
+from soft_throw_ros.recording.twin_journal import find_throws, identify, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _show_bag(arguments: argparse.Namespace) -> None:
 
     with BagReader(arguments.bag) as reader:
         topics = {item.topic: identify(item.topic, item.type)[1] for item in reader.channels}
-        if not any(topic in READERS for topic in topics.values()):
+        if not any(topic in TWIN_TOPICS for topic in topics.values()):
             raise ValueError(
                 f'{reader.path}: no topic of a twin is in the bag; topics: {", ".join(topics)}'
             )
