@@ -12,7 +12,7 @@ import time
 from typing import Any
 
 from mcap.exceptions import EndOfFile
-from mcap.reader import NonSeekingReader
+from mcap.reader import make_reader, NonSeekingReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from soft_throw_ros.storage.bag_metadata import dump_yaml
@@ -72,6 +72,12 @@ def write(path: Path, messages: Iterable[Message], chunk: int = 1000, **kwargs: 
             if number % chunk == chunk - 1:
                 writer.flush()
     return path
+
+
+def notes(folder: Path) -> dict[str, dict[str, str]]:
+    """Return the named texts in the last file of a bag, as mcap reads them."""
+    with max(folder.glob('*.mcap')).open('rb') as file:
+        return {item.name: item.metadata for item in make_reader(file).iter_metadata()}
 
 
 PLAIN = Channel(topic='/plain', type='std_msgs/msg/String', schema='string data')

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tracemalloc
 
-from bags import channel, PLAIN, plain, profiles, read, saved, text, write
+from bags import channel, notes, PLAIN, plain, profiles, read, saved, text, write
 from damage import accepted, datas, few
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -29,7 +29,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
-from soft_throw_ros.storage import mcap_records
+from soft_throw_ros.storage import bag_reader
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
@@ -93,14 +93,12 @@ def test_bag_is_read_by_all_and_recovered_up_to_its_damage(
             if message.sequence in breaks:  # a chunk, or a file, ends
                 writer.split() if message.sequence % 16 == 0 else writer.flush()
             writer.write(message)
-        writer.add_metadata('name', {'key': 'value'})
     rows = sorted(((m.channel.topic, *m[1:]) for m in messages), key=lambda row: row[2])
     assert read_by_others(folder / 'bag') == [(row[0], row[2], row[1]) for row in rows]
     assert read(folder / 'bag') == rows
     assert read(folder / 'bag', '/odd') == [row for row in rows if row[0] == '/odd']
     with BagReader(folder / 'bag') as reader:
         assert [m.sequence for m in reader.messages(by_log_time=False)] == list(range(len(times)))
-        assert [item.metadata for item in reader.metadata] == [{'key': 'value'}]
         assert (reader.start_time, reader.end_time) == (min(times, default=0),
                                                         max(times, default=0))
     newest = max((folder / 'bag').glob('*.mcap'), key=lambda path: path.stat().st_mtime_ns)
@@ -355,10 +353,12 @@ def test_mcap_with_any_index_or_none_is_read_and_recovered(
         )
         for sequence, time in enumerate(times):
             writer.add_message(number, time, bytes([sequence % 256]), time, sequence)
+        writer.add_metadata('name', {'key': 'value'})
         writer.finish()
     rows = sorted((time, sequence) for sequence, time in enumerate(times))
     for bag in (path, recover(path, tmp_path / 'recovered').target):
         assert [(time, sequence) for _, _, time, _, sequence in read(bag)] == rows
+    assert notes(bag)['name'] == {'key': 'value'}
 
 
 @pytest.mark.parametrize(
@@ -485,7 +485,7 @@ def test_chunk_and_index_beyond_the_limit_are_refused(tmp_path, monkeypatch):
     for name, size, limit in (('chunk', 200_000, 100_000), ('index', 100, 3_000)):
         messages = [plain(number, size=size) for number in range(50)]
         path = write(tmp_path / name, messages, chunk=1, compression='none')
-        monkeypatch.setattr(mcap_records, 'MAX_RECORD', limit)
+        monkeypatch.setattr(bag_reader, 'MAX_RECORD', limit)
         with pytest.raises(UnfinishedError, match=f'more than {limit}'):
             BagReader(path)
         monkeypatch.undo()
