@@ -383,8 +383,8 @@ class _TwinView:
         rig, throw = twin.rig, twin.throw
         twin.read(message)
         if twin.rig is not None and twin.rig is not rig:
-            is_throw = twin.throw is not None and twin.throw is not throw
-            self._draw_rig(twin.throw.stamp if is_throw else self._stamp_of(message), twin.rig)
+            begun = twin.throw if twin.throw is not throw else None
+            self._draw_rig(begun.stamp if begun else self._stamp_of(message), twin.rig)
 
     def _draw_rig(self, stamp: int, rig: Rig) -> None:
         """Draw the bodies of a rig, and a scale of heights on the left."""
