@@ -167,12 +167,11 @@ class Viewer:
     def wait(self) -> None:
         """Wait until it listens; raise ViewerError if it ends, or not within `START_TIME`."""
         deadline = time.monotonic() + START_TIME
-        while not listens(self.port):
-            if self._process.poll() is not None:
-                raise self._end_with_error('has ended')
-            if time.monotonic() > deadline:
-                raise self._end_with_error(f'has not answered within {START_TIME:g} s')
-            time.sleep(_POLL)
+        with self._explained_errors():
+            while not listens(self.port):
+                if self._process.poll() is not None or time.monotonic() > deadline:
+                    raise TimeoutError(f'nothing listens at {HOST}:{self.port}')
+                time.sleep(_POLL)
 
     def client(self) -> ViewerClient:
         """Return a client after a first picture; raise NoGraphicsError without Vulkan."""
@@ -200,27 +199,23 @@ class Viewer:
 
     @contextlib.contextmanager
     def _explained_errors(self) -> Iterator[None]:
-        """Convert errors of the client into ViewerError, with the reason if it is known."""
+        """End the process after an error of the client, and raise ViewerError with its reason."""
         try:
             yield
         except _CLIENT_ERRORS as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 # without graphics the viewer closes its connections seconds before it ends
                 self._process.wait(START_TIME)
-            raise self._end_with_error(f'does not draw ({error})') from None
-
-    def _end_with_error(self, problem: str) -> ViewerError:
-        """End the process, and return an error with its first message."""
-        self._errors.seek(0)
-        output = self._errors.read()
-        self.end()
-        if any(word in output for word in _NO_GRAPHICS):
-            return NoGraphicsError(
-                'the viewer finds no graphics; on Debian and Ubuntu `apt install '
-                'mesa-vulkan-drivers libvulkan1` installs a software renderer'
-            )
-        reason = output.strip().partition('\n')[0] or 'it has left no message'
-        return ViewerError(f'the viewer {problem}: {reason}')
+            self._errors.seek(0)
+            output = self._errors.read()
+            self.end()
+            if any(word in output for word in _NO_GRAPHICS):
+                raise NoGraphicsError(
+                    'the viewer finds no graphics; on Debian and Ubuntu `apt install '
+                    'mesa-vulkan-drivers libvulkan1` installs a software renderer'
+                ) from None
+            reason = output.strip().partition('\n')[0] or 'it has left no message'
+            raise ViewerError(f'the viewer does not draw ({error}): {reason}') from None
 
 
 def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
