@@ -150,7 +150,7 @@ def strain_frame(
         return to_png(figure)
 
 
-def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
+def _energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
     """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
     layer = Layer(density=rig.layer.density, diameter=rig.layer.diameter)
     rig = replace(rig, engine=replace(rig.engine, motion=None), layer=layer)
@@ -172,7 +172,7 @@ def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Fig
     for name, layer in layers.items():
         alpha = recommendation.get('now.energy_transfer' if name == 'now' else 'energy_transfer')
         if not isinstance(alpha, float):
-            alpha = float(energy_transfer(rig, *np.array(layer)))
+            alpha = float(_energy_transfer(rig, *np.array(layer)))
         text = f'α {alpha:.3f}' if alpha > 0.0 else 'no release'
         marks.append((f'{name}: {text}', 1e3 * layer[0], layer[1]))
     for column, axis in enumerate(_MAP_COUNTS):
@@ -184,7 +184,7 @@ def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Fig
         thicknesses, wave_speeds = (
             np.geomspace(*limits[axis], count // coarseness) for axis, count in _MAP_COUNTS.items()
         )
-        transfer = energy_transfer(rig, thicknesses[:, None], wave_speeds)
+        transfer = _energy_transfer(rig, thicknesses[:, None], wave_speeds)
         if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # duration of the next grid
             break
     axes = MapAxis('Lₛ (mm)', 1e3 * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
