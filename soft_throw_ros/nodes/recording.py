@@ -10,7 +10,7 @@ is a process with subscriptions of its own.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 import json
 from pathlib import Path
@@ -152,11 +152,10 @@ class Recording:
             self.writer.flush()  # first, since the process may be killed soon
         self.subscriptions.close()
         if self.writer is not None:
-            losses = self.losses()
-            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
-            if refused := self.subscriptions.refused:
-                self._note(self.writer, 'not recorded', refused)
-            self.writer.close()
+            losses, refused = self.losses(), self.subscriptions.refused
+            counts = {'total': sum(losses.values()), **losses}
+            notes = {'losses': {topic: str(count) for topic, count in counts.items()}}
+            self.writer.close(notes | ({'not recorded': refused} if refused else {}))
         if self.viewer is not None:
             self.viewer.close()
 
@@ -202,12 +201,6 @@ class Recording:
             messages = self.subscriptions.drain()
             if self.writer is not None:
                 self.writer.put(messages)
-
-    @staticmethod
-    def _note(writer: WriterThread, name: str, values: Mapping[str, object]) -> None:
-        """Add named values to the metadata of the bag."""
-        texts = {key: str(value) for key, value in values.items()}
-        writer.call(lambda bag: bag.add_metadata(name, texts))
 
     def _viewer_command(self, recorder: Node, arguments: Sequence[str]) -> list[str]:
         """Return the command that shows the recorded topics."""
