@@ -21,7 +21,7 @@ from soft_throw_ros.twin.plate_estimator import (
 )
 from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
-from soft_throw_ros.twin.sample_buffer import Rows, seconds_since, to_samples
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.sensor_checks import SensorChecks, SwappedBodies
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -106,9 +106,9 @@ class PlateMonitor:
         self._checks = checks
         self.estimator = PlateEstimator(
             config,
+            counts,
             origin_ns=None if onset is None else onset.onset_ns,
-            samples=() if onset is None else onset.samples,
-            counts=counts,
+            samples=None if onset is None else onset.samples,
         )
         self._jump = _JumpDetector()
         self._rest = math.nan if onset is None else onset.rest.plate  # height of the plate [m]
@@ -119,7 +119,7 @@ class PlateMonitor:
         """Wait for another rest before a throw, and use the parameters `config` from now on."""
         if config != self.estimator.config:
             self._checks.begin(self.estimator.config)
-            self.estimator = PlateEstimator(config, counts=self.estimator.counts)
+            self.estimator = PlateEstimator(config, self.estimator.counts)
         self._jump = _JumpDetector()
 
     @property
@@ -145,8 +145,8 @@ class PlateMonitor:
         """Return whether the projectile has risen before the plate, which no wave can cause."""
         rest, plate = onset.rest, self.estimator.config.plate
         begin_ns = onset.onset_ns - self.estimator.config.smoothing_window_ns
-        before = self.estimator.samples(begin_ns, onset.onset_ns)[-_SAMPLES_BEFORE:]
-        rises = before['projectile'] - rest.projectile
+        before = self.estimator.samples(begin_ns, onset.onset_ns).projectile[-_SAMPLES_BEFORE:]
+        rises = before - rest.projectile
         least = max(OUTLIER_SIGMAS * rest.noise, _EARLY_RISE * plate.amplitude)
         return len(rises) == _SAMPLES_BEFORE and bool((rises > least).all())
 
@@ -211,23 +211,24 @@ def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     if rest is None or len(samples) < FEWEST:
         return None
     # a slow engine moves for many samples; a subset suffices
-    thinned = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
+    stride = math.ceil(len(samples) / _MOST_FOR_START)
+    thinned = samples[(len(samples) - 1) % stride::stride]
     onset_ns, size = find_start(thinned, begun_ns, rest, config)
     moved = estimator.samples(onset_ns + 1, estimator.complete_ns + 1)
     if len(moved) < FEWEST - 1:
         return None
-    height, speed, _ = size * config.motion.states_at(seconds_since(onset_ns, moved)).T
+    height, speed, _ = size * config.motion.states_at(moved.seconds_since(onset_ns)).T
     if (config.direction * speed).max() < config.start_speed:
         return None
-    misfit = float(np.median(np.abs(moved['plate'] - rest.plate - height)))
+    misfit = float(np.median(np.abs(moved.plate - rest.plate - height)))
     if misfit > max(_MOST_MISFIT * config.plate.amplitude, OUTLIER_SIGMAS * rest.noise):
         return None
     before = estimator.samples(onset_ns - window_ns)
-    return Onset(onset_ns=onset_ns, rest=rest, samples=tuple(to_samples(before)))
+    return Onset(onset_ns=onset_ns, rest=rest, samples=before)
 
 
 def find_start(
-    samples: Rows, begun_ns: int, rest: RestBaseline, config: MeasurementConfig
+    samples: Samples, begun_ns: int, rest: RestBaseline, config: MeasurementConfig
 ) -> tuple[int, float]:
     """
     Return the start of a plate that was fast at `begun_ns` [ns], and its relative amplitude [-].
@@ -235,7 +236,7 @@ def find_start(
     Both are by least squares, in Gauss-Newton steps, with their expected errors as samples.
     """
     window = config.smoothing_window
-    since, heights = seconds_since(begun_ns, samples), samples['plate'] - rest.plate
+    since, heights = samples.seconds_since(begun_ns), samples.plate - rest.plate
     start, size = -config.rise_time, 1.0
     prior = np.array([1.0 / AMPLITUDE_ERROR, 1.0 / window]) ** 2
     for _ in range(_START_STEPS):

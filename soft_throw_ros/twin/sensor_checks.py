@@ -127,7 +127,7 @@ class SensorChecks:
 
     def _check_noise(self, estimator: PlateEstimator) -> None:
         """Report noise that hides the rest of the plate."""
-        heights = estimator.samples(-math.inf)['plate']
+        heights = estimator.samples().plate
         if heights.size < _FEWEST_SAMPLES:
             return
         noise, expected = _scatter(heights), estimator.config.position_noise

@@ -571,7 +571,7 @@ def test_measured_run_is_replayed_bit_by_bit_from_any_throw(seed, throw, rate) -
 def test_offset_of_the_stamps_is_in_the_results_of_a_run_and_of_its_replay() -> None:
     run = Run(**MEASURED)
     for offset_ns in (-7, 10**18):
-        run.on_samples = partial(run.session.measure, clock_offset_ns=offset_ns)
+        run.clock_offset_ns = offset_ns
         run.measure(noise=5e-6)
         run.session.reset()
         run.go(3)

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.plate_estimator import PlateEstimator, SampledSpan
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.plate_estimator import PlateEstimator, SampleCounts, SampledSpan
+from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from soft_throw_ros.twin.sensor_checks import (
     HighNoise,
     LowRate,
@@ -26,7 +26,7 @@ def estimate(*, rate: float = 5000.0, noise: float = 1e-6) -> PlateEstimator:
         Sample(round(index * SECOND / rate), noise * random.standard_normal())
         for index in range(100)
     ]
-    return PlateEstimator(MEASUREMENT, samples=samples)
+    return PlateEstimator(MEASUREMENT, SampleCounts(), samples=Samples.of(samples))
 
 
 def test_good_sensor_is_not_reported() -> None:
