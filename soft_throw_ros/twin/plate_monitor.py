@@ -22,7 +22,6 @@ from soft_throw_ros.twin.plate_estimator import (
 from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.sample_buffer import Samples
-from soft_throw_ros.twin.sensor_checks import SensorChecks, SwappedBodies
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 RISE = 0.125
@@ -36,12 +35,6 @@ _MOST_MISFIT = 0.05
 
 _START_STEPS = 6
 """Gauss-Newton steps of this fit. [-]"""
-
-_EARLY_RISE = 0.1
-"""Rise of the projectile before the plate, in amplitudes of the engine, that is no noise. [-]"""
-
-_SAMPLES_BEFORE = 3
-"""Last samples before the onset, which all show whether the projectile moved first. [-]"""
 
 _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
@@ -84,8 +77,8 @@ class PlateMonitor:
     """
     A monitor of the plate from one throw to the next.
 
-    The monitor updates the counts of samples and the diagnoses. The samples of the onset of a
-    throw that has just begun are used again.
+    The monitor updates the counts of samples. The samples of the onset of a throw that has just
+    begun are used again.
 
     Notes
     -----
@@ -100,10 +93,8 @@ class PlateMonitor:
         self,
         config: MeasurementConfig,
         counts: SampleCounts,
-        checks: SensorChecks,
         onset: Onset | None = None,
     ) -> None:
-        self._checks = checks
         self.estimator = PlateEstimator(
             config,
             counts,
@@ -118,7 +109,6 @@ class PlateMonitor:
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and use the parameters `config` from now on."""
         if config != self.estimator.config:
-            self._checks.begin(self.estimator.config)
             self.estimator = PlateEstimator(config, self.estimator.counts)
         self._jump = _JumpDetector()
 
@@ -133,22 +123,9 @@ class PlateMonitor:
         if motion.times.size:
             self._update_state(motion)
         onset = self._detect(motion)
-        if onset is None:
-            return motion, None
-        self._jump.cancel()
-        if self._has_swapped(onset):
-            self._checks.report(SwappedBodies())
-            return motion, None
+        if onset is not None:
+            self._jump.cancel()
         return motion, onset
-
-    def _has_swapped(self, onset: Onset) -> bool:
-        """Return whether the projectile has risen before the plate, which no wave can cause."""
-        rest, plate = onset.rest, self.estimator.config.plate
-        begin_ns = onset.onset_ns - self.estimator.config.smoothing_window_ns
-        before = self.estimator.samples(begin_ns, onset.onset_ns).projectile[-_SAMPLES_BEFORE:]
-        rises = before - rest.projectile
-        least = max(OUTLIER_SIGMAS * rest.noise, _EARLY_RISE * plate.amplitude)
-        return len(rises) == _SAMPLES_BEFORE and bool((rises > least).all())
 
     def _to_ns(self, time: float) -> int:
         assert self.estimator.origin_ns is not None
@@ -172,16 +149,12 @@ class PlateMonitor:
         return None
 
     def _update_state(self, motion: PlateStates) -> None:
-        """Store the latest state of the plate, and check its motion."""
+        """Store the latest state of the plate."""
         height, speed, _ = motion.states[-1].tolist()
-        since_rest = float(motion.times[-1]) - self._jump.last_quiet
-        config = self.estimator.config
-        was_at_rest = self.is_armed and since_rest < REST_WINDOWS * config.smoothing_window
-        self._checks.observe(height, speed, was_at_rest=was_at_rest)
         if math.isnan(self._rest):
             self._rest, self._projectile = height, (height, 0.0)
         self._plate = height, speed
-        is_slow = abs(speed) < config.start_speed
+        is_slow = abs(speed) < self.estimator.config.start_speed
         self._projectile = self._plate if is_slow else (self._projectile[0], 0.0)
 
     def state(self, rest: State) -> State:

@@ -405,10 +405,8 @@ class ThrowCycle:
         if not config.is_measured:
             self.monitor = None
         elif self.monitor is None or onset is not None:
-            self.sensor_checks.begin(config.measurement)
-            self.monitor = PlateMonitor(
-                config.measurement, self.sample_counts, self.sensor_checks, onset
-            )
+            self.sensor_checks.begin()
+            self.monitor = PlateMonitor(config.measurement, self.sample_counts, onset)
         else:
             self.monitor.rearm(config.measurement)
 
