@@ -9,8 +9,7 @@ apart, see `soft_throw_ros.core.smoothing`. The plate is therefore known up to a
 window, the latency and at most an eighth of the window before the newest sample. Samples that
 arrive for a complete time are late, and are refused.
 
-Outliers among complete samples are left out, see `outlier_filter`: a body is not accelerated by
-much more than the acceleration of the engine.
+Outliers among complete samples are left out, see `outlier_filter`.
 """
 
 from __future__ import annotations
@@ -162,10 +161,8 @@ class PlateEstimator:
         self.outliers = 0  # accepted samples that were left out later
         self.complete_ns = LONG_AGO  # time until which samples are complete [ns]
         self._next = 0  # next time to estimate, in spacings
-        plate = config.plate
-        acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
         self._outlier_filter = OutlierFilter(
-            acceleration, config.position_noise, config.stamp_error
+            config.plate, config.position_noise, config.stamp_error
         )
 
     def samples(self, begin_ns: int = LONG_AGO, end_ns: int | None = None) -> Samples:
@@ -229,18 +226,14 @@ class PlateEstimator:
         assert self.origin_ns is not None
         new = buffer.samples[first:last]
         is_outlier = self._outlier_filter.find(new.seconds_since(self.origin_ns), new.heights)
-        count = len(is_outlier)
-        if count < len(new):  # the last sample waits for the next one
-            self.complete_ns = int(new.stamps[-1]) - 1
         if is_outlier.any():
             outliers = int(is_outlier.any(axis=1).sum())
             self.outliers += outliers
             self.counts.outliers += outliers
-            new.projectile[:count][is_outlier[:, 1]] = math.nan
-            removed = is_outlier[:, 0]
-            buffer.remove(first, removed)
-            count -= int(removed.sum())
-        stamps = buffer.samples.stamps[max(first - 1, 0):first + count]
+            new.projectile[is_outlier[:, 1]] = math.nan
+            buffer.remove(first, is_outlier[:, 0])
+            last -= int(is_outlier[:, 0].sum())
+        stamps = buffer.samples.stamps[max(first - 1, 0):last]
         return float((stamps[1:] - stamps[:-1]).max(initial=0)) / SECOND
 
     def advance(self, now_ns: int) -> PlateStates:

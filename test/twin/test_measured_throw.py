@@ -246,7 +246,7 @@ def test_throw_with_many_outliers_is_marked() -> None:
 
 def test_heights_in_millimetres_are_reported() -> None:
     run = Run(**MEASURED)
-    run.measure(noise=5e-6, duration=0.1, change=partial(map, in_millimetres))
+    run.measure(noise=5e-6, onset=2.0, duration=0.1, change=partial(map, in_millimetres))
     assert sum('divide heights in millimetres by 1000' in text for text in run.notices()) == 1
     assert not run.results('release')
 
@@ -282,9 +282,9 @@ def test_results_with_stated_stamp_errors_are_correct() -> None:
 
 def test_throw_that_noise_may_release_is_invalid() -> None:
     run = Run(**MEASURED)
-    for throw in (1, 2):  # stamps scatter by ten times of what is stated
-        change = partial(with_stamp_errors, error=1e-4, seed=throw)
-        run.measure(noise=5e-6, seed=throw, duration=0.2, change=change)
+    for throw in (1, 2):  # stamps scatter by twenty times of what is stated
+        change = partial(with_stamp_errors, error=2e-4, seed=throw + 1)
+        run.measure(noise=5e-6, seed=throw + 1, duration=0.2, change=change)
         run.session.reset()
         run.go(3)
         final = run.results('final')[-1]
