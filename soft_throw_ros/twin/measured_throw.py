@@ -197,12 +197,12 @@ class MeasuredThrow(OngoingThrow):
     ) -> tuple[tuple[Event, ...], Residual | None]:
         """Advance as far as the plate is known, and compare with samples of the projectile."""
         rest, start_ns, residuals = self._onset.rest, self._onset.onset_ns, self._residuals
+        if residuals.is_complete:
+            return self._go_to(known, max_events)[1], None
         stepper, first_ns = self._stepper, start_ns + round(self._stepper.state[TIME] * SECOND)
         samples = self._estimator.samples(
             max(residuals.last_ns, first_ns) + 1, start_ns + math.floor(known * SECOND) + 1
         )
-        if residuals.is_complete:
-            samples = samples[-1:]
         heights = samples.heights - (rest.plate, rest.projectile)
         is_measured = np.isfinite(heights[:, 1])
         stamps, heights = samples.stamps[is_measured], heights[is_measured]
@@ -371,8 +371,6 @@ class _ResidualStatistics:
 
     def add(self, times: Floats, differences: Floats, events: Sequence[Event]) -> None:
         """Add residuals at times since the start, with the events until the last one."""
-        if self.is_complete:
-            return
         release, landing, *_ = [*(event.time for event in events), math.inf, math.inf]
         self.is_complete = bool(times[-1] > release + self.longest)
         is_flying = (times > release) & (times < landing)
