@@ -19,7 +19,7 @@ import time
 from types import ModuleType
 
 from soft_throw_ros.configuration import Settings, TWIN
-from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.configuration.twin import layer_of
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.twin import outlier_filter, plate_estimator, plate_observer
@@ -58,9 +58,8 @@ PARTS: dict[str, Callable[[], object]] = {
 
 def needed_parts(settings: Settings) -> list[str]:
     """Return the names of the parts that a rig with these settings needs."""
-    config = TwinConfig.from_settings(settings)
-    stepper = 'cells' if config.rig.layer.needs_cells else 'travelling_wave'
-    return [stepper, 'measured'] if config.is_measured else [stepper]
+    stepper = 'cells' if layer_of(settings).needs_cells else 'travelling_wave'
+    return [stepper, *(['measured'] if settings['engine.motion'] == 'measured' else [])]
 
 
 def missing_parts() -> list[str]:

@@ -118,7 +118,7 @@ def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
 
 def test_bad_request_changes_nothing(twin, client) -> None:
     for request, reason in (
-        ({'layer__thicknes': 0.01}, 'did you mean layer.thickness?'),
+        ({'layer__thicknes': 0.01}, "no parameter of the twin is named 'layer.thicknes'"),
         ({'gravity': 1.0, 'layer__thickness': -1.0}, '-1.0'),
         ({'use_sim_time': True, 'layer__thickness': -1.0}, '-1.0'),
     ):
@@ -234,14 +234,14 @@ def test_file_for_several_nodes_starts_each_of_them(ros, start, tmp_path: Path) 
 
 
 def test_refusal_of_a_huge_value_is_short(twin, client) -> None:
-    for name, value, end in (
-        ('layer__stack', '8e-3 gelatin,' * 80_000, '(1040000 characters)'),
-        ('layer__name', 'x' * 1_000_000, '(1000000 characters)'),
-        ('recommendation__masses', [0.001] * 1_000_000, '(1000000 items)'),
-        ('x' * 100_000, 1.0, '(100000 characters)'),
-        ('gravity', [0.001] * 1_000_000, '(1000000 items)'),
+    for name, value in (
+        ('layer__stack', '8e-3 gelatin,' * 80_000),
+        ('layer__name', 'x' * 1_000_000),
+        ('recommendation__masses', [0.001] * 1_000_000),
+        ('x' * 100_000, 1.0),
+        ('gravity', [0.001] * 1_000_000),
     ):
         reason = client.set_atomically(**{name: value})
+        assert '...' in reason
         assert len(reason) < 300
-        assert reason.endswith(end)
         assert unchanged(twin)

@@ -25,7 +25,6 @@ from soft_throw_ros.configuration.interface import (
     TWIN_TOPICS,
 )
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.result_keys import RESULT_KEYS
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.batch import usable_processors
 from soft_throw_ros.core.rig import Rig
@@ -136,11 +135,10 @@ def test_results_of_both_stages_have_uncertainties(thrown) -> None:
     assert expected.energy_transfer.low < values['energy_transfer'] < expected.energy_transfer.high
 
 
-def test_keys_of_a_result_are_those_of_the_table(thrown) -> None:
-    names = {key.name for key in RESULT_KEYS}
+def test_keys_of_a_result_are_those_of_the_page(thrown, result_keys) -> None:
     rig = set(rig_values(Rig()))
     for message in thrown.heard(TWIN_TOPICS.throw_result):
-        assert msg_to_values(message.status[0]).keys() - rig <= names
+        assert msg_to_values(message.status[0]).keys() - rig <= result_keys
 
 
 def test_a_result_has_the_time_of_its_event_as_stamp(thrown) -> None:
