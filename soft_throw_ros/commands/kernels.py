@@ -22,7 +22,7 @@ from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.twin import layer_of
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.design.requests import solve_request
-from soft_throw_ros.twin import outlier_filter, plate_observer
+from soft_throw_ros.twin import outlier_filter, plate_estimator, plate_observer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 Say = Callable[[str], object]
@@ -30,7 +30,7 @@ Say = Callable[[str], object]
 _INTERVAL = 2.0  # from one line of progress to the next [s]
 _SOURCES = (  # of kernels
     *Path(smoothing.__file__).parent.glob('*.py'),
-    *(Path(str(module.__file__)) for module in (outlier_filter, plate_observer)),
+    *Path(str(plate_observer.__file__)).parent.glob('*.py'),
 )
 
 
@@ -43,7 +43,7 @@ def _step(stepper: ModuleType, **layer: float) -> None:
 
 def _measure() -> None:
     """Run the kernels that process samples of a plate once."""
-    for module in (smoothing, outlier_filter, plate_observer):
+    for module in (smoothing, outlier_filter, plate_estimator, plate_observer):
         module.warm_up()
 
 

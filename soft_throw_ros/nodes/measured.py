@@ -9,16 +9,16 @@ draining the queue costs a tenth of this.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-import math
+from collections.abc import Callable, Iterator
 
+import numpy as np
 from rclpy.node import Node
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
-from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
+from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
 from soft_throw_ros.twin.plate_estimator import FARTHEST
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.session import Session
 
 MAX_MESSAGE_SIZE = 2**14
@@ -78,7 +78,7 @@ class Measurement:
         self._is_warned = False
         self._names: tuple[str, ...] = ()  # of a message without the plate
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
-        self._read = JointStateReader().read
+        self._reader = JointStateReader()
 
     def read_messages(self) -> None:
         """
@@ -88,9 +88,8 @@ class Measurement:
         """
         messages = self._subscription.drain(MAX_DATA_RATE / self._session.rate)
         if self._session.is_measured:
-            samples = self._samples([message.data for message in messages])
-            if samples:
-                samples = self._by_our_clock(samples)
+            for samples in self._samples([message.data for message in messages]):
+                self._correct_stamps(samples)
                 self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
                 self._warn_of_units()
 
@@ -131,16 +130,14 @@ class Measurement:
                 f'joint_names.plate {self._joints[0]!r} are missing'
             )
 
-    def _by_our_clock(self, samples: list[Sample]) -> list[Sample]:
+    def _correct_stamps(self, samples: Samples) -> None:
         """Correct the stamps of samples by the offset of the sensor's clock."""
-        clock, now = self.clock, self._now()
+        now = self._now()
         if now != self._arrival_ns:
             self._observe(now)
             self._arrival_ns, self._arrived = now, []
-        self._arrived += [sample.stamp_ns for sample in samples]
-        if not clock.offset_ns:
-            return samples
-        return [sample._replace(stamp_ns=sample.stamp_ns + clock.offset_ns) for sample in samples]
+        self._arrived += samples.stamps.tolist()
+        samples.stamps += self.clock.offset_ns
 
     def _observe(self, now: int) -> None:
         """
@@ -157,35 +154,37 @@ class Measurement:
         if self.clock.observe(self._arrived, arrival):
             self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
 
-    def _samples(self, datas: list[bytes]) -> list[Sample]:
-        """Decode messages; refuse and count those that are not valid."""
-        samples, refused = [], self._session.sample_counts.refused
-        for data in datas:
-            if len(data) > MAX_MESSAGE_SIZE:
-                refused['too large'] += 1
-                continue
-            try:
-                values = self._read(data)
-            except MessageError:
-                refused['unreadable'] += 1
-                continue
-            sample = _to_sample(values, self._joints)
-            if sample is None:
-                refused['names'] += 1
+    def _samples(self, datas: list[bytes]) -> Iterator[Samples]:
+        """Decode messages, all alike at once; refuse and count those that are not valid."""
+        refused = self._session.sample_counts.refused
+        small = [data for data in datas if len(data) <= MAX_MESSAGE_SIZE]
+        if len(small) < len(datas):
+            refused['too large'] += len(datas) - len(small)
+        try:
+            batches = [self._reader.read_all(small)] if small else []
+        except MessageError:
+            batches = []
+            for data in small:
+                try:
+                    batches.append(self._reader.read_all([data]))
+                except MessageError:
+                    refused['unreadable'] += 1
+        for values in batches:
+            samples = _to_samples(values, self._joints)
+            if samples is None:
+                refused['names'] += len(values.stamps)
                 self._warn_of_names(values.names)
             else:
-                samples.append(sample)
-        return samples
+                yield samples
 
 
-def _to_sample(values: JointValues, joints: tuple[str, str]) -> Sample | None:
-    """Return the sample in a message; None without the plate, the first of the joints."""
-    stamp_ns, names, position, *_ = values
-    plate, projectile = joints
-    if plate not in names or len(position) != len(names):
+def _to_samples(values: JointStates, joints: tuple[str, str]) -> Samples | None:
+    """Return the samples in messages; None without the plate, the first of the joints."""
+    names, position = values.names, values.position
+    if joints[0] not in names or position.shape[1] != len(names):
         return None
-    return Sample(
-        stamp_ns,
-        position[names.index(plate)],
-        position[names.index(projectile)] if projectile in names else math.nan,
-    )
+    heights = np.full((len(position), 2), np.nan)
+    for column, joint in enumerate(joints):
+        if joint in names:
+            heights[:, column] = position[:, names.index(joint)]
+    return Samples(values.stamps, heights)
