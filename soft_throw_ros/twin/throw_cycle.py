@@ -208,12 +208,9 @@ class ThrowCycle:
     return to rest along continuous paths.
 
     A change of the rig, of the measurement, of rates or of the time scale waits until the return
-    begins: after a throw, at a reset, or, if the rig is at rest, before the next throw, which
-    starts later by the time of the return. All that wait take effect together. Every other change
-    is effective at once.
-
-    If a controller moves the plate (`engine.command`), the motion is an output some time before
-    the throw starts, and no settings take effect in between.
+    begins, and all that wait take effect together: after a throw, at a reset, or, if the rig is at
+    rest, before the next throw. Not while a controller has the motion of the next throw
+    (`engine.command`). Every other change is effective at once.
 
     If the plate is measured, a throw starts when the plate moves up suddenly after a rest,
     regardless of the period. It also ends when samples are missing for longer than a wave needs to
