@@ -349,7 +349,7 @@ def trial(
         {'engine': {'frequency': 1.003, 'amplitude': 0.985}},
         {'motion_file': 'ramp.csv'},  # commanded
     ],
-    ids=lambda row: ' '.join(row),
+    ids=' '.join,
 )
 def test_errors_and_leads_of_predictions_hold(write, row) -> None:
     if 'motion_file' in row:
@@ -477,9 +477,8 @@ INVALID = {
 def test_arbitrary_samples_are_followed_or_refused_and_replayed(
     loss, rate, wait, invalid, moved, gap, throw
 ) -> None:
-    run = Run(
-        **MEASURED, layer__loss_tangent=loss, measured__latency=wait, rate__field=10.0 + 900e3 * wait
-    )
+    request = {'layer__loss_tangent': loss, 'measured__latency': wait}
+    run = Run(**MEASURED, **request, rate__field=10.0 + 900e3 * wait)
     samples = rigs.measured_throw(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
