@@ -72,17 +72,14 @@ class MeasuredPositions:
         start_ns, end_ns = start_ns - self.clock_offset_ns, end_ns - self.clock_offset_ns
         if not self._batches or self._batches[0][0][0] > start_ns:
             raise TrackError('measurements of its start were not received')
-        stamps = np.concatenate([batch[0] for batch in self._batches])
-        positions = np.concatenate([batch[1] for batch in self._batches])
+        stamps, positions = map(np.concatenate, zip(*self._batches, strict=True))
         stamps, order = np.unique(stamps, return_index=True)
         inside = (stamps >= start_ns) & (stamps <= end_ns)
         time = 1e-9 * (stamps[inside] - start_ns)
-        plate, projectile = positions[order][inside].T
-        return ThrowTracks(
-            name=name,
-            plate=Track(time=time, position=plate),
-            projectile=Track(time=time, position=projectile),
+        plate, projectile = (
+            Track(time=time, position=column) for column in positions[order][inside].T
         )
+        return ThrowTracks(name=name, plate=plate, projectile=projectile)
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -32,14 +32,6 @@ class MeasuredThrow(NamedTuple):
         return cls(speed, gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)
 
 
-def flight_duration(result: ThrowResult) -> float:
-    """Return the time from the release to the apex, at most one plate period [s]."""
-    rig, release = result.rig, result.first
-    assert release is not None
-    duration = 1.0 / rig.engine.frequency
-    return min(duration, release.ejection_speed / rig.gravity) if rig.gravity else duration
-
-
 def describe_gain(
     by_engine: Sequence[MeasuredThrow], commanded: Sequence[MeasuredThrow]
 ) -> tuple[str, dict[str, str]]:
