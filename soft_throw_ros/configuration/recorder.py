@@ -38,7 +38,7 @@ RECORDER = Table(
             low=1024, high=65535),
         row('rerun.python', '',
             'Python that has Rerun, rclpy and this package; empty for the one that runs the '
-            'recorder; cannot be changed after the start'),
+            'recorder; cannot be changed after the start', is_fixed=True),
     ),
 )
 """The parameters of the recorder; all take effect when recording is started."""

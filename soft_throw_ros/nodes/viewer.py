@@ -36,12 +36,7 @@ DISCOVERY_PERIOD = 0.2
 
 
 class Viewer(RunnableNode):
-    """
-    Node that shows the topics of twins live in Rerun.
-
-    ParameterError is raised, in one line, if a parameter is refused, Rerun is missing, or the sink
-    cannot be opened.
-    """
+    """Node that shows the topics of twins live in Rerun."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('viewer', **kwargs)
@@ -73,13 +68,13 @@ class Viewer(RunnableNode):
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
         self._scene = Scene(self._stream, is_live=True)
-        self.create_steady_timer(DISCOVERY_PERIOD, self._discover)
+        self.create_steady_timer(DISCOVERY_PERIOD, self.raw_subscriptions.discover)
         self.create_steady_timer(DRAIN_PERIOD, self._drain)
         self.create_steady_timer(1.0, self._report)
 
     def start(self) -> None:
         """Subscribe to the topics that are there."""
-        self._discover()
+        self.raw_subscriptions.discover()
         self.get_logger().info('ready')
 
     def close(self) -> None:
@@ -88,9 +83,9 @@ class Viewer(RunnableNode):
         self.raw_subscriptions.close()
         with contextlib.suppress(OSError):
             rerun_viewer.finish(self._stream, '', FLUSH_TIME)
-        received = sum(item.received for item in self.raw_subscriptions)
-        lost = sum(item.lost for item in self.raw_subscriptions)
-        self.get_logger().info(f'{received} messages, {lost} not shown')
+        self.get_logger().info(
+            f'{self.raw_subscriptions.received} messages, {self.raw_subscriptions.lost} not shown'
+        )
 
     def _serve(self, port: int, *, opens: bool) -> None:
         """Send the drawing to all viewers that connect, and open one."""
@@ -105,22 +100,16 @@ class Viewer(RunnableNode):
                 self.get_logger().error(str(error))
         self.get_logger().info(f'to see it: rerun {url}')
 
-    def _discover(self) -> None:
-        for topic, reason in self.raw_subscriptions.discover().items():
-            self.get_logger().warning(f'{topic} is not shown: {reason}')
-
     def _drain(self) -> None:
         self._scene.show(self.raw_subscriptions.drain())
 
     def _report(self) -> None:
         """Publish how many messages are not shown."""
-        scene, lost = self._scene, sum(item.lost for item in self.raw_subscriptions)
-        values = {'lost': lost, 'damaged': scene.damaged}
+        values = {'lost': self.raw_subscriptions.lost, 'damaged': self._scene.damaged}
         missing = sum(values.values())
-        text = '; '.join(filter(None, [f'{missing} messages not shown', scene.damage]))
-        status = status_to_msg(
-            self.get_fully_qualified_name(), 'display', text, values, warn=missing > 0
-        )
+        text = '; '.join(filter(None, [f'{missing} messages not shown', self._scene.damage]))
+        name = self.get_fully_qualified_name()
+        status = status_to_msg(name, 'display', text, values, warn=missing > 0)
         now = self.get_clock().now().nanoseconds
         self._outgoing.send(VIEWER_TOPICS.diagnostics, now, [status])
 

@@ -63,10 +63,11 @@ def recorder(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
 def say(ros: Any, recorder: Recorder, publisher: Any, contents: list[str]) -> None:
     """Publish texts, and wait until the recorder has them."""
     ros.spin_until(lambda: publisher.get_subscription_count() > 0, 'the subscription')
-    before = recorder.recording.received
+    subscriptions = recorder.recording.subscriptions
+    before = subscriptions.received
     for text in contents:
         publisher.publish(String(data=text))
-    ros.spin_until(lambda: recorder.recording.received >= before + len(contents), 'the messages')
+    ros.spin_until(lambda: subscriptions.received >= before + len(contents), 'the messages')
 
 
 def test_bag_is_named_by_the_time_and_never_overwritten(
@@ -163,7 +164,7 @@ def test_process_that_is_present_and_sends_nothing_is_reported_once(
     listener.hear(RECORDER_TOPICS.diagnostics, len(listener.heard['/diagnostics']) + 2)
     assert sum('/talk/quiet' in line for line in log) == 1
     process.close()
-    ros.spin_until(lambda: not node.recording.unheard_topics, 'the end of the process')
+    ros.spin_until(lambda: not node.recording.silent_topics, 'the end of the process')
     node.close()
 
 
