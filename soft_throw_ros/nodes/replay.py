@@ -69,28 +69,20 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
         argument_default=argparse.SUPPRESS,
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
-    playing = parser.add_argument_group('playing')
-    playing.add_argument(
+    parser.add_argument(
         '--rate', metavar='R', type=_rate,
         help=f'playback speed relative to the recording, at most {MAX_RATE:g} (default 1)',
     )
-    playing.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
-    playing.add_argument('--loop', action='store_true', help='restart after the end')
-    playing.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
-    playing.add_argument(
-        '--clock',
-        metavar='HZ',
-        nargs='?',
-        type=positive,
-        const=CLOCK_RATE,
+    parser.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
+    parser.add_argument('--loop', action='store_true', help='restart after the end')
+    parser.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
+    parser.add_argument(
+        '--clock', metavar='HZ', nargs='?', type=positive, const=CLOCK_RATE,
         help=f'publish the time of the bag on /clock (default {CLOCK_RATE:g} Hz) '
         'instead of a recorded /clock',
     )
-    checking = parser.add_argument_group('checking')
-    checking.add_argument(
-        '--check',
-        action='store_true',
-        default=False,
+    parser.add_argument(
+        '--check', action='store_true', default=False,
         help='repeat the run from its journal and compare; exit code 1 if a message differs',
     )
     options = vars(parser.parse_args(arguments))
