@@ -21,46 +21,18 @@ LOG_PERIOD = 0.5
 
 class NodeParameters:
     """
-    Declare all parameters of a table on a node, and check their changes.
+    The parameters of a table, declared on a node, and the checks of their changes.
 
-    Parameters
-    ----------
-    node : RunnableNode
-        Made without `automatically_declare_parameters_from_overrides`.
-    table : Table
-        The parameters.
-    on_changed : callable
-        Called after `settings` has been replaced, with the changed values by name.
-    describe : callable, optional
-        Returns for the name of a changed parameter when the change takes effect, for the log.
-    check : callable, optional
-        Called with complete settings before they are accepted, and with its result for the
-        present ones, None at first; raises ValueError to refuse. The result becomes `checked`.
-    arguments : sequence of str
-        The command line, so that errors name the file of a bad value.
+    `settings` are all present values; they are replaced at every change, so that any thread may
+    read them, and `on_changed` is then called with the changes. `check` is called with complete
+    settings before they are accepted, and with its result for the present ones, `checked`, which
+    is None at first; it refuses by ValueError. `describe` returns the end of a log line, which is
+    when the change of a name takes effect. `arguments` are the command line, for the names of
+    files in ParameterError, which is raised in one line if a value or a name is refused.
 
-    Attributes
-    ----------
-    settings : mapping of str to value
-        All present settings; replaced at every change, so that any thread may read it.
-    checked : object
-        The result of `check` for the present settings.
-
-    Raises
-    ------
-    ParameterError
-        If a value is refused, or a name is no parameter; the message is one line.
-
-    Notes
-    -----
     rclpy checks names, types and ranges before it calls the on-set callbacks, and the reasons that
-    it returns lack names and values. So the pre-set callback checks requests. It raises
-    ParameterError, and `RunnableNode.set_parameters_atomically` returns the message as reason.
-    Callbacks of other code never see a part of a refused request, and the descriptors still
-    contain types and ranges for tools.
-
-    Requests arrive in the executor's thread. `apply` and `set_results` belong there too.
-
+    it returns lack names and values. So the pre-set callback checks requests, and callbacks of
+    other code never see a part of a refused request. All calls belong in the executor's thread.
     """
 
     def __init__(
@@ -96,29 +68,18 @@ class NodeParameters:
 
     def apply(self, changes: Settings) -> None:
         """Change several settings as a request would; raise ParameterError if refused."""
-        self._set([Parameter(name, value=value) for name, value in changes.items()])
-
-    def set_results(self, results: Mapping[str, float | str]) -> None:
-        """
-        Set parameters `recommended.*`, which requests cannot change.
-
-        They are named without `recommended.`; those that are missing become nan, or empty.
-
-        """
-        values = {entry.name: entry.default for entry in self._table.entries if entry.is_result}
-        for name, value in results.items():
-            values[f'recommended.{name}'] = value if isinstance(value, str) else float(value)
-        self._results = values
-        self._set([Parameter(name, value=value) for name, value in values.items()])
-
-    def _set(self, parameters: list[Parameter]) -> None:
+        parameters = [Parameter(name, value=value) for name, value in changes.items()]
         result = self._node.set_parameters_atomically(parameters)
         if not result.successful:
             raise ParameterError(result.reason)
 
-    def _present(self, entry: Entry) -> Value:
-        results = self._results if entry.is_result else self.settings
-        return results.get(entry.name, entry.default)
+    def set_results(self, results: Mapping[str, float | str]) -> None:
+        """Set `recommended.*`, named without this prefix; missing ones become nan, or empty."""
+        values = {entry.name: entry.default for entry in self._table.entries if entry.is_result}
+        for name, value in results.items():
+            values[f'recommended.{name}'] = value if isinstance(value, str) else float(value)
+        self._results = values
+        self.apply(values)
 
     def _is_foreign(self, name: str) -> bool:
         """Return whether other code has declared a parameter."""
@@ -138,16 +99,17 @@ class NodeParameters:
         for parameter in parameters:
             name, value = parameter.name, parameter.value
             entry = self._table.by_name.get(name)
-            is_present = entry is not None and repr(value) == repr(self._present(entry))
-            if self._is_foreign(name) or (entry is not None and entry.is_read_only and is_present):
-                passed.append(parameter)  # as it is, so that a dump loads
+            if self._is_foreign(name):
+                passed.append(parameter)
             elif entry is not None and entry.is_read_only:
-                setter = 'set by the twin' if entry.is_result else 'set at the start'
-                raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}', name)
+                present = {**self.settings, **self._results}.get(name, entry.default)
+                if repr(value) != repr(present):  # which may be set, so that a dump loads
+                    setter = 'set by the twin' if entry.is_result else 'set at the start'
+                    raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}')
+                passed.append(parameter)
             elif name in request:
-                raise ParameterError(
-                    f'{name} is given twice, {quote(request[name])} and {quote(value)}'
-                )
+                both = f'{quote(request[name])} and {quote(value)}'
+                raise ParameterError(f'{name} is given twice, {both}')
             else:
                 request[name] = value
         changes = self._table.change(self.settings, request)
@@ -194,7 +156,6 @@ def _descriptor(entry: Entry) -> ParameterDescriptor:
     if isinstance(entry.default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
     else:
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(low), to_value=float(entry.high))
-        ]
+        limits = FloatingPointRange(from_value=float(low), to_value=float(entry.high))
+        descriptor.floating_point_range = [limits]
     return descriptor

@@ -61,11 +61,7 @@ class SystemClock:
         return time.monotonic_ns() + self._offset
 
     def wait_until(self, deadline: int) -> None:
-        """
-        Return at a deadline or earlier; the caller checks the clock and waits again.
-
-        The thread sleeps, and polls during the last microseconds, because a sleep ends late.
-        """
+        """Sleep until a deadline or earlier; poll at the end, because a sleep ends late."""
         target = deadline - self._offset
         pause = target - SPIN - time.monotonic_ns()
         if pause > 0:
@@ -126,33 +122,17 @@ _COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_ju
 
 class Ticker:
     """
-    A thread that advances a session at absolute deadlines.
+    A thread that advances a session at absolute deadlines, at the rate of the session.
 
-    Parameters
-    ----------
-    session : Session
-        The session; its steps are due at its rate, the next one at the first reading of the clock.
-    on_tick : callable
-        Advances the session by one step; called with the deadline. [ns]
-    clock : callable
-        Returns the clock to follow; called before every reading of the clock.
-
-    Attributes
-    ----------
-    counts : Counter of str
-        Number of ticks, and of late, skipped and caught-up ones, by their published names.
-    scheduler : str
-        Scheduling policy of the thread, 'fifo' or 'other'.
-
-    Notes
-    -----
-    If the clock is set, or replaced by another one, the next step is due at once.
+    `on_tick` advances the session by one step, and is called with the deadline [ns]. `clock`
+    returns the clock to follow; if the clock is set or replaced, the next step is due at once.
+    `counts` has the numbers of ticks by their published names, `scheduler` the scheduling policy
+    of the thread, 'fifo' or 'other'.
 
     The thread uses real-time priority as long as this keeps it on time. While it waits for
     Python's global lock, it polls the lock, and may keep the thread that holds the lock from its
     processor. Many nodes on few cores would then do nothing but poll. After a stall the thread
     therefore runs with normal priority for `FIFO_RETRY_DELAY`.
-
     """
 
     def __init__(
@@ -252,12 +232,7 @@ def wake_on_time() -> None:
 
 
 def set_priority(priority: int) -> str:
-    """
-    Set the real-time priority of this thread, or the normal scheduling policy if `priority` is 0.
-
-    Return the resulting policy, 'fifo' or 'other'. Real-time priority is available to root, and to
-    users with an `rtprio` in limits.conf.
-    """
+    """Set the real-time priority of this thread, 0 for none; return its policy, see `Ticker`."""
     try:
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
         os.sched_setscheduler(0, policy, os.sched_param(priority))

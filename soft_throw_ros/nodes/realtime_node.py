@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Base class of the nodes `twin` and `rig`: a thread advances a session by the clock.
-
-Services, parameters and all messages that are not published at every tick run in the executor's
-thread.
-"""
+"""Base class of the nodes `twin` and `rig`: a thread advances a session by the clock."""
 
 from __future__ import annotations
 
@@ -26,43 +21,21 @@ from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 
 _NICE = 10  # niceness of the background compilation, so that it delays no tick
+_COMPILING_POLL = 0.1  # period of the check whether needed kernels are compiled [s]
 
 SWITCH_INTERVAL = 3e-5
-"""Lower limit of the time that a due tick waits for another Python thread [s].
-
-Shorter intervals wake the threads too often.
-"""
+"""Shortest wait of a due tick for another Python thread; shorter ones wake too often. [s]"""
 
 SWITCH_FRACTION = 0.03
-"""The same wait as a fraction of the tick period, used at low rates [-].
-
-A shorter wait gains nothing at low rates, and costs processor time if many nodes share a core.
-"""
+"""The same as a fraction of the tick period, to save processor time at low rates. [-]"""
 
 
 class RealTimeNode(RunnableNode):
     """
-    Abstract node that advances a session at the deadlines of its steps.
+    Abstract node that advances a session at the deadlines of its steps, in a thread of its own.
 
     A subclass declares its parameters with the check `prepare`, creates its publishers, and calls
-    `attach_session` last.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    system_clock : SystemClock, optional
-        Clock of the deadlines, unless the node follows `/clock`.
-    **kwargs
-        As for `rclpy.node.Node`.
-
-    Attributes
-    ----------
-    session : Session
-        The session that the node advances.
-    ticker : Ticker
-        The thread that calls `on_tick`.
-
+    `attach_session` last. `system_clock` is the clock, unless the node follows `/clock`.
     """
 
     session: Session
@@ -83,50 +56,40 @@ class RealTimeNode(RunnableNode):
         ValueError if `prepared_rig.prepare` raises it, or the kernels are still being compiled.
         """
         if before is None:
-            self._load_kernels(settings)
+            self._load_kernels(kernels.needed_parts(settings))
         elif self.is_compiling:
             needed = set(kernels.needed_parts(settings)).intersection(kernels.missing_parts())
             if needed:
                 raise ValueError(f'{", ".join(needed)} is being compiled, try again in seconds')
         return prepare(settings, before)
 
-    def _load_kernels(self, settings: Settings) -> None:
+    def _load_kernels(self, needed: list[str]) -> None:
         """
-        Load the kernels that these settings of a twin require, and compile missing ones.
+        Load the kernels of these parts; a child process compiles all that are missing.
 
-        A child process compiles them. Another child process compiles all other kernels in the
-        background, which are loaded from the disk when they are needed.
+        It begins with the needed ones, and compiles the others in the background. It ends with
+        this process in every case, and files on the disk are complete at any time.
         """
-        say = self.get_logger().info
-        needed, missing = kernels.needed_parts(settings), kernels.missing_parts()
-        first = [part for part in needed if part in missing]
-        if first:  # in a child process, because numba suppresses exceptions of signal handlers
-            compiling = self._compile(first, stdout=subprocess.PIPE)
-            for line in compiling.stdout or ():
-                say(line.decode().strip())
-            compiling.wait()
-        kernels.load_kernels(needed, say=say)
-        others = [part for part in missing if part not in needed]
-        if others:
-            say(f'compiling in the background: {", ".join(others)} (cached for later runs)')
-            self._compiling = self._compile(others, stdout=subprocess.DEVNULL)
-            os.setpriority(os.PRIO_PROCESS, self._compiling.pid, _NICE)
-
-    def _compile(self, parts: list[str], *, stdout: int) -> subprocess.Popen[bytes]:
-        """Start a process that compiles, and that ends with this process in every case."""
-        process = subprocess.Popen(
-            bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up', *parts]),
-            stdin=subprocess.DEVNULL,
-            stdout=stdout,
-            start_new_session=True,  # Ctrl-C reaches only the node, which then kills the process
-        )
-        self.add_cleanup(process.wait)
-        self.add_cleanup(process.kill)  # files on the disk are complete at any time
-        return process
+        missing = sorted(kernels.missing_parts(), key=lambda part: part not in needed)
+        if missing:  # in a child process, because numba suppresses exceptions of signal handlers
+            self.get_logger().info(f'compiling {", ".join(missing)} (cached for later runs)')
+            command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up', *missing]
+            self._compiling = subprocess.Popen(
+                bound_to_parent(command),
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C reaches only the node, which then kills it
+            )
+            self.add_cleanup(self._compiling.wait)
+            self.add_cleanup(self._compiling.kill)
+            while self.is_compiling and not set(needed).isdisjoint(kernels.missing_parts()):
+                time.sleep(_COMPILING_POLL)
+            if self.is_compiling:
+                os.setpriority(os.PRIO_PROCESS, self._compiling.pid, _NICE)
+        kernels.load_kernels(needed, say=self.get_logger().info)
 
     @property
     def is_compiling(self) -> bool:
-        """Whether the background compilation runs; a node that ends kills it last of all."""
+        """Whether kernels are being compiled in the background."""
         return self._compiling is not None and self._compiling.poll() is None
 
     def attach_session(self, session: Session) -> None:

@@ -13,9 +13,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 import math
-import threading
 import time
-from typing import Any
+from typing import Any, TypeAlias
 
 from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
@@ -35,13 +34,20 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.sensor_texts import sensor_text
-from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
+from soft_throw_ros.nodes.texts import (
+    comparison_text,
+    count_of,
+    lead_text,
+    sensor_text,
+    throw_text,
+)
 from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
+
+_RigUncertainty: TypeAlias = tuple[Rig | None, dict[str, float]]  # of the throws of a rig
 
 _COMPILING_POLL = 0.3  # period of the check whether the compilation has finished [s]
 
@@ -49,10 +55,7 @@ PHASES = tuple(Phase)
 """Phases, each at the index that `~/phase_change` publishes."""
 
 LINE_INTERVAL_NS = 9_900_000_000
-"""Shortest time between two log lines about throws, except warnings [ns].
-
-It is slightly below ten seconds, so that the lines come after ten throws at the default period.
-"""
+"""Time between two log lines about throws, ten at the default period, except warnings. [ns]"""
 
 RECOMMENDATION_INTERVAL = 0.3
 """Shortest time between two searches for a better layer, to limit their processor load [s]."""
@@ -62,17 +65,7 @@ class Twin(RealTimeNode):
     """
     The twin of a throwing rig.
 
-    Attributes
-    ----------
-    parameters : NodeParameters
-        All settings.
-    measurement : Measurement
-        Measured samples of a real rig.
-    outgoing : Publishers
-        Publishers of all topics.
-    recommendation : RecommendationState or None
-        The present recommendation; None while it is computed.
-
+    `measurement` receives samples of a real rig; `recommendation` is None while it is computed.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
@@ -82,7 +75,7 @@ class Twin(RealTimeNode):
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
-        self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
+        self._uncertainty: _RigUncertainty = None, {}
         self._last_line_ns = -LINE_INTERVAL_NS
         self._logged_throws = 0
         self._rig_beyond_range: tuple[Rig, float] | None = None
@@ -99,10 +92,6 @@ class Twin(RealTimeNode):
         self._serialize_command()
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
-        self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
-        self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
-        self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
-        self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
         session = Session(
             self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
         )
@@ -138,16 +127,17 @@ class Twin(RealTimeNode):
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the messages of every tick, and hand the others over to the executor."""
         self._send_state(due, outputs.state)
+        send = self.outgoing.send
         if outputs.layer is not None:
-            self._send_layer(due, outputs.layer)
+            send(TWIN_TOPICS.layer_joint_states, due, outputs.layer)
         prediction, residual = outputs.prediction, outputs.residual
         if prediction is not None:
             self.measurement.leads.append(prediction.lead_ns)
-            self._send_prediction(prediction.stamp_ns, prediction[1:4])
+            send(TWIN_TOPICS.predicted_joint_states, prediction.stamp_ns, prediction[1:4])
         if residual is not None:
-            self._send_residual(residual.stamp_ns, residual[1:])
+            send(TWIN_TOPICS.residual, residual.stamp_ns, residual[1:])
         if outputs.command is not None:
-            self._send_command(*outputs.command)
+            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
         if outputs.phases or outputs.results or outputs.throw_field is not None:
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
@@ -156,10 +146,7 @@ class Twin(RealTimeNode):
     def _run_in_executor(self, job: Callable[[], None]) -> None:
         """Run a job in the executor's thread, in the order of the calls."""
         self._jobs.append(job)
-        if threading.current_thread() is threading.main_thread():
-            self._run_jobs()
-        else:
-            self._wake.trigger()
+        self._wake.trigger()
 
     def on_entry(self, line: str) -> None:
         """Schedule the publication of a line of the journal."""
@@ -167,9 +154,7 @@ class Twin(RealTimeNode):
 
     # Worker thread
 
-    def _recommend(
-        self, config: TwinConfig, cancelled: Callable[[], bool]
-    ) -> tuple[Rig, dict[str, float]]:
+    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> _RigUncertainty:
         """Publish a recommendation, and return a rig with the uncertainty of its throws."""
         while self.is_compiling and 'design' in missing_parts() and not cancelled():
             time.sleep(_COMPILING_POLL)
@@ -179,12 +164,10 @@ class Twin(RealTimeNode):
         self._run_in_executor(lambda: self._publish_recommendation(recommended))
         return config.rig, uncertainty_values(config.rig, config.settings)
 
-    def _on_uncertainty(self, found: tuple[Rig, dict[str, float]]) -> None:
+    def _on_uncertainty(self, found: _RigUncertainty) -> None:
         self._uncertainty = found
 
-    def _on_failed_search(
-        self, config: TwinConfig, error: Exception
-    ) -> tuple[Rig, dict[str, float]]:
+    def _on_failed_search(self, config: TwinConfig, error: Exception) -> _RigUncertainty:
         state = RecommendationState(config=config, reason=f'the search has failed: {error!r}')
         self._run_in_executor(lambda: self._publish_recommendation(state))
         return config.rig, {}
@@ -222,50 +205,44 @@ class Twin(RealTimeNode):
         if result.stage == 'release' or (result.stage == 'final' and first is None):
             for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
                 send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
-        if result.stage != 'predicted' or last is None or last.throw != result.throw:
-            self._log_result(result, due)
+        if warning := self._warning_of(result, last):
+            self.get_logger().warning(warning)
+        elif result.stage == 'release' or (result.stage == 'final' and first is None):
+            self._log_throw(result, due)
 
-    def _log_result(self, result: ThrowResult, due: int) -> None:
-        """
-        Log a throw at level DEBUG, or at level WARN if it is invalid or mispredicted.
-
-        One throw in ten seconds is logged at level INFO, with a summary since the last such line.
-        A strain beyond the linear range is a warning once per rig.
-        """
-        log, throw = self.get_logger(), f'throw {result.throw}'
-        settings = self.parameters.settings
-        comparison = result.comparison
+    def _warning_of(self, result: ThrowResult, last: ThrowResult | None) -> str:
+        """Return a warning of an invalid, late or mispredicted throw or a large strain, if any."""
+        is_first = last is None or last.throw != result.throw
+        comparison, rig = result.comparison, (result.rig, result.max_strain)
         if not result.is_valid:
-            log.warning(throw_text(result))
-        elif result.stage == 'predicted':
-            if not result.is_ahead:
-                age = self.measurement.age_ns / SECOND
-                cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
-                if age <= settings['measured.smoothing_window'] / 4.0:
-                    cause = (
-                        'for an earlier prediction decrease measured.smoothing_window or '
-                        'measured.latency, or increase rate.state'
-                    )
-                log.warning(f'{throw}: {lead_text(result)}; {cause}')
-        elif result.stage == 'release' or result.first is None:
-            rig = (result.rig, result.max_strain)
-            if not result.is_linear and rig != self._rig_beyond_range:
-                self._rig_beyond_range = rig
-                log.warning(throw_text(result))
-            elif due - self._last_line_ns >= LINE_INTERVAL_NS:
-                self._last_line_ns = due
-                log.info(throw_text(result) + self._describe_throws(result.throw))
-            else:
-                log.debug(throw_text(result))
-        elif comparison and not comparison.is_within_threshold:
-            log.warning(f'{throw}: {comparison_text(result)}')
+            return throw_text(result)
+        if result.stage == 'predicted' and is_first and not result.is_ahead:
+            age = self.measurement.age_ns / SECOND
+            cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
+            if age <= self.parameters.settings['measured.smoothing_window'] / 4.0:
+                cause = (
+                    'for an earlier prediction decrease measured.smoothing_window or '
+                    'measured.latency, or increase rate.state'
+                )
+            return f'throw {result.throw}: {lead_text(result)}; {cause}'
+        if result.stage != 'predicted' and not result.is_linear and rig != self._rig_beyond_range:
+            self._rig_beyond_range = rig
+            return throw_text(result)
+        if result.stage == 'final' and comparison and not comparison.is_within_threshold:
+            return f'throw {result.throw}: {comparison_text(result)}'
+        return ''
 
-    def _describe_throws(self, number: int) -> str:
-        """Return a summary of the throws since the last summary; empty for the first throw."""
-        throws, self._logged_throws = number - self._logged_throws, number
-        lateness = self._diagnostics.take_lateness()
-        noun = 'throw' if throws == 1 else 'throws'
-        return f'; {throws} {noun}, {lateness}' if number > 1 else ''
+    def _log_throw(self, result: ThrowResult, due: int) -> None:
+        """Log a throw; one in ten seconds at level INFO, with a summary since the last such."""
+        text = throw_text(result)
+        if due - self._last_line_ns < LINE_INTERVAL_NS:
+            self.get_logger().debug(text)
+            return
+        if result.throw > 1:
+            throws = count_of(result.throw - self._logged_throws, 'throw')
+            text += f'; {throws}, {self._diagnostics.take_lateness()}'
+        self._last_line_ns, self._logged_throws = due, result.throw
+        self.get_logger().info(text)
 
     def describe_start(self) -> str:
         """Return the rig, rates and topics for the log line at the start."""
@@ -288,13 +265,12 @@ class Twin(RealTimeNode):
 
     def _log_end(self) -> None:
         """Log the number of throws and skipped ticks of a twin that has begun."""
-        if not hasattr(self, 'ticker'):
-            return
-        throws, skipped = self.session.throws, self.ticker.counts['ticks_skipped']
-        noun = 'throw' if throws == 1 else 'throws'
-        self.get_logger().info(
-            f'stopped after {throws} {noun} in {self.duration:.1f} s, {skipped} ticks skipped'
-        )
+        if hasattr(self, 'ticker'):
+            skipped = self.ticker.counts['ticks_skipped']
+            self.get_logger().info(
+                f'stopped after {count_of(self.session.throws, "throw")} in '
+                f'{self.duration:.1f} s, {skipped} ticks skipped'
+            )
 
     def _publish_recommendation(self, recommended: RecommendationState) -> None:
         """Publish a recommendation, unless the rig has changed since its request."""
@@ -356,22 +332,19 @@ class Twin(RealTimeNode):
         self._run_jobs()  # in case a wake-up was lost
         for fault in self.session.diagnose_sensors():
             self.get_logger().warning(sensor_text(fault))
-        self._check_duplicate_nodes()
+        name = self.get_fully_qualified_name()
+        before = self._duplicate_nodes
+        publishers = self.count_publishers(TWIN_TOPICS.journal.at(name).name)
+        self._duplicate_nodes = max(publishers - 1, 0)
+        if self._duplicate_nodes > before:
+            self.get_logger().error(duplicate_name_warning(name))
+        elif before and not self._duplicate_nodes:
+            self.get_logger().info('no other node has this name any more')
         statuses = self._diagnostics.statuses(
             self._last_result, duplicate_nodes=self._duplicate_nodes
         )
         now = self.get_clock().now().nanoseconds
         self.outgoing.send(TWIN_TOPICS.diagnostics, now, statuses)
-
-    def _check_duplicate_nodes(self) -> None:
-        """Log when another node with the same name appears or disappears."""
-        topic = TWIN_TOPICS.journal.at(self.get_fully_qualified_name()).name
-        before = self._duplicate_nodes
-        self._duplicate_nodes = max(self.count_publishers(topic) - 1, 0)
-        if self._duplicate_nodes > before:
-            self.get_logger().error(duplicate_name_warning(self.get_fully_qualified_name()))
-        elif before and not self._duplicate_nodes:
-            self.get_logger().info('no other node has this name any more')
 
 
 main = partial(run, 'twin', Twin)

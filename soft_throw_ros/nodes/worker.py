@@ -15,30 +15,13 @@ Result = TypeVar('Result')
 
 class LatestOnlyWorker(Generic[Request, Result]):
     """
-    One thread that computes results for requests; a newer request replaces all earlier ones.
+    One thread that computes results for requests; a newer request cancels all earlier ones.
 
-    A newer request cancels the computation for an earlier one, whose result is dropped. An
-    exception ends one computation, and not the thread.
-
-    Parameters
-    ----------
-    compute : callable
-        Computes the result for a request. Its second argument is a function that returns whether
-        the request is cancelled; the result of a cancelled request is not used.
-    on_result : callable
-        Called in the thread with every result.
-    on_failure : callable
-        Returns the result for a request whose computation has raised an exception.
-    log : callable
-        Called with the traceback of every such exception.
-    interval : float
-        Time from a result to the next computation, so that a storm of requests costs little. [s]
-
-    Attributes
-    ----------
-    failures : int
-        Number of computations that have raised an exception.
-
+    `compute` takes a request, and a function that returns whether the request is cancelled; the
+    result is then dropped, otherwise `on_result` receives it in the thread. An exception ends one
+    computation, and not the thread: `failures` counts it, `log` receives the traceback, and
+    `on_failure` returns the result. `interval` is the time from a result to the next computation,
+    so that a storm of requests costs little [s].
     """
 
     def __init__(
