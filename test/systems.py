@@ -26,6 +26,9 @@ TIMEOUT = 90.0
 SETTLING = 2.5
 """Time for two reports of every node. [s]"""
 
+NAMES = ('viewer', 'recorder', 'subscriber', 'twin')
+"""Processes in the order of their start."""
+
 MILLISECOND = 1_000_000
 """One millisecond, the period of ticks. [ns]"""
 
@@ -52,7 +55,7 @@ class Outcome(NamedTuple):
 
 
 class System:
-    """A twin, a recorder with a viewer sink, and a subscriber."""
+    """A twin, a recorder, a viewer that draws into a file, and a subscriber."""
 
     def __init__(self, start: Callable[..., Any], folder: Path) -> None:
         self.bags: list[Path] = []
@@ -60,7 +63,7 @@ class System:
         self._start = start
         self._folder = folder
         self._heard = folder / 'heard'  # stamps written by the subscriber
-        for name in ('recorder', 'subscriber', 'twin'):
+        for name in NAMES:
             self.start(name)
         self.wait_for_states()
 
@@ -70,12 +73,14 @@ class System:
             self.bags.append(self._folder / f'bag{len(self.bags)}')
             rules = (f'folder:={self._folder}', f'name:={self.bags[-1].name}')
             words = [word for rule in rules for word in ('-p', rule)]
-            words += ['-p', 'rerun.sink:=file']
             process = self._start(*SOFT_THROW, name, '--ros-args', *words)
         elif name == 'subscriber':
             self._heard = self._folder / f'heard{len(list(self._folder.glob("heard*")))}'
             command = (sys.executable, '-m', 'bench.soak', '--subscribe', str(self._heard))
             process = self._start(*command, cwd=ROOT)
+        elif name == 'viewer':
+            words = ['-p', 'sink:=file', '-p', f'file:={self._folder}/live.rrd']
+            process = self._start(*SOFT_THROW, name, '--ros-args', *words)
         else:
             process = self._start(*SOFT_THROW, name)
         if name != 'subscriber':
@@ -83,12 +88,9 @@ class System:
         self.running[name] = process
 
     def pids(self, name: str) -> list[int]:
-        """Return the process numbers of a node, of the viewer sink, or of all."""
-        sinks = processes.children_of(self.running['recorder'].process.pid)
-        if name == 'viewer':
-            return sinks
-        nodes = [process.process.pid for process in self.running.values()]
-        return nodes + sinks if name == 'all' else [self.running[name].process.pid]
+        """Return the process numbers of a node, or of all."""
+        names = NAMES if name == 'all' else (name,)
+        return [self.running[name].process.pid for name in names]
 
     def wait_for_states(self) -> None:
         """Wait until recorder and subscriber receive states published after the call."""
@@ -114,7 +116,7 @@ class System:
     def end(self) -> Outcome:
         """End all processes, the twin first, and return the outcome."""
         time.sleep(SETTLING)
-        for name in ('twin', 'subscriber', 'recorder'):
+        for name in reversed(NAMES):
             self.running[name].end_well()
         last = self.running['recorder'].lines[-1]
         assert ' lost' in last

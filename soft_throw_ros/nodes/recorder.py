@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The node `recorder`: records topics into a bag, and starts a viewer that shows them live."""
+"""The node `recorder`: records topics into a bag."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ class Recorder(RunnableNode):
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None  # the one under way
         self.add_cleanup(self.close)
-        self._arguments = arguments
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
         self._logged: set[str] = set()  # problems of the recording
@@ -68,13 +67,14 @@ class Recorder(RunnableNode):
             self.exit_code = 1
 
     def begin(self) -> None:
-        """Start a recording; ParameterError without a bag and a viewer, or if the bag exists."""
+        """Start a recording; ParameterError if the bag exists."""
         _check(self.parameters.settings)
-        self.recording = Recording(self, self.parameters.settings, self._arguments)
+        self.recording = Recording(self, self.parameters.settings)
         self._logged = set()
         self._on_discovery()
         self._report()
-        self._log(self.recording.error or self._message(), is_error=bool(self.recording.error))
+        error = self.recording.writer.error
+        self._log(error or self._message(), is_error=bool(error))
 
     def end(self) -> bool:
         """Finish the recording, and return whether it has failed."""
@@ -120,11 +120,9 @@ class Recorder(RunnableNode):
                 if problem not in self._logged:
                     self._logged.add(problem)
                     self.get_logger().warning(problem)
-            if recording.writer is not None and recording.error:
-                lost = sum(recording.losses().values())
-                self.get_logger().error(
-                    f'{recording.error}; {recording.writer.waiting} messages wait, {lost} are lost'
-                )
+            if error := recording.writer.error:
+                waiting, lost = recording.writer.waiting, sum(recording.losses().values())
+                self.get_logger().error(f'{error}; {waiting} messages wait, {lost} are lost')
         now = self.get_clock().now().nanoseconds
         self._outgoing.send(RECORDER_TOPICS.diagnostics, now, self._statuses())
 
@@ -138,8 +136,6 @@ class Recorder(RunnableNode):
         recording = self.recording
         if recording is None:
             return f'stopped: {self._last}'
-        if recording.writer is None:
-            return 'showing only'
         return f'recording into {recording.bag}' if recording.bag else 'recording nothing'
 
     def _statuses(self) -> list[DiagnosticStatus]:
@@ -153,34 +149,25 @@ class Recorder(RunnableNode):
             'messages': recording.subscriptions.received,
             'topics': len(list(recording.subscriptions)),
         }
-        error, losses, missing = recording.error, recording.losses(), recording.missing_sources
+        error, missing = recording.writer.error, recording.missing_sources
+        losses = recording.losses()
         lost = sum(losses.values())
         text = f'{lost} messages lost{missing}'
-        statuses = [
+        return [
             status('bag', error or self._message(), values, warn=bool(error)),
             status('losses', text, {'lost': lost, **losses}, warn=lost > 0 or bool(missing)),
         ]
-        if recording.viewer is not None:
-            error = recording.viewer.error
-            statuses.append(status('viewer', error or 'started', {}, warn=bool(error)))
-        return statuses
 
 
 def _check(settings: Settings) -> None:
-    """Raise ParameterError for settings that make recording impossible."""
-    if settings['storage'] == settings['rerun.sink'] == 'none':
-        raise ParameterError(
-            "storage and rerun.sink are both 'none', so nothing would be recorded or shown; set "
-            "storage to 'mcap', or rerun.sink to 'viewer', 'serve' or 'file'",
-            'storage',
-        )
-    name = settings['name']
+    """Raise ParameterError for a bag that cannot be created."""
+    name, path = settings['name'], bag_path(settings)
     if name and (name != Path(name).name or name in ('.', '..')):
         raise ParameterError(f'the name of a bag must be that of a folder, got {name!r}', 'name')
-    if settings['storage'] == 'mcap' and name and bag_path(settings).exists():
+    if path.exists():
         raise ParameterError(
-            f'{bag_path(settings)} exists, and a bag is never overwritten; choose another name, '
-            f'or none, got name {name!r}',
+            f'{path} exists, and a bag is never overwritten; choose another name, or none, '
+            f'got name {name!r}',
             'name',
         )
 

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-One recording: topics on their way into a bag, and the viewer that shows them meanwhile.
+One recording: topics on their way into a bag.
 
-One thread takes the received messages every few milliseconds; another one writes them. The viewer
-is a process with subscriptions of its own.
+One thread takes the received messages every few milliseconds; another one writes them.
 """
 
 from __future__ import annotations
@@ -12,9 +11,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
-import json
 from pathlib import Path
-import sys
 import threading
 import time
 
@@ -25,7 +22,6 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, R
 from soft_throw_ros.nodes.topics import full_name
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.child_process import ChildProcess
 from soft_throw_ros.recording.writer_thread import WriterThread
 
 DRAIN_TIME = 0.01
@@ -43,37 +39,24 @@ _MAX_NAMES = 2  # in a sentence
 
 
 class Recording:
-    """One recording from start to stop: subscriptions, bag and viewer, each None if not wanted."""
+    """One recording from start to stop: subscriptions and bag."""
 
-    def __init__(
-        self, recorder: Node, settings: Settings, arguments: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, recorder: Node, settings: Settings) -> None:
         self._settings = settings
         self._wanted = [full_name(recorder, name) for name in settings['topics']]
         self._began = time.monotonic()
         self._silences: dict[bytes, tuple[int, int]] = {}  # received messages and silent seconds
         self.silent_topics: list[str] = []  # of processes that are present
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
-        self.writer: WriterThread | None = None
-        self.viewer: ChildProcess | None = None
-        if settings['storage'] == 'mcap':
-            self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
-        if settings['rerun.sink'] != 'none':
-            self.viewer = ChildProcess(self._viewer_command(recorder, arguments))
+        self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
         self._thread.start()
 
     @property
     def bag(self) -> Path | None:
-        """Folder of the bag; None if there is none, or none yet."""
-        written = self.writer.bag if self.writer is not None else None
-        return written.folder if written is not None else None
-
-    @property
-    def error(self) -> str:
-        """Reason why nothing is written at present; empty if the bag is being written."""
-        return self.writer.error if self.writer is not None else ''
+        """Folder of the bag; None if there is none yet."""
+        return self.writer.bag.folder if self.writer.bag is not None else None
 
     def watch_publishers(self) -> None:
         """
@@ -99,7 +82,7 @@ class Recording:
                 self.silent_topics += [item.channel.topic for item in items]
 
     def problems(self) -> Iterator[str]:
-        """Yield sentences on topics and a viewer that are missing at present."""
+        """Yield sentences on topics of which nothing comes at present."""
         if self.silent_topics:
             yield (
                 f'no message on {first_few(self.silent_topics)} for {SILENCE_LIMIT} s: if there '
@@ -110,45 +93,35 @@ class Recording:
         absent = [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
         if absent and time.monotonic() - self._began > PUBLISHER_TIMEOUT:
             yield f'nothing is published yet on {", ".join(absent)}'
-        if self.viewer is not None and self.viewer.error:
-            yield f'the viewer does not run: {self.viewer.error}; recording goes on without it'
 
     def losses(self) -> dict[str, int]:
         """Return the number of lost messages by topic: published, but not in the bag."""
         lost = Counter({item.channel.topic: item.lost for item in self.subscriptions})
-        if self.writer is not None:
-            for channel, count in self.writer.lost().items():
-                lost[channel.topic] += count
+        for channel, count in self.writer.lost().items():
+            lost[channel.topic] += count
         return dict(sorted((+lost).items()))
 
     @property
     def has_failed(self) -> bool:
         """Whether, after `stop`, the bag has no end, or has none of the received messages."""
-        return bool(self.error) or 0 == self._saved < self.subscriptions.received
+        return bool(self.writer.error) or 0 == self._saved < self.subscriptions.received
 
     @property
     def _saved(self) -> int:
         """Number of received messages that the writer has not lost."""
-        lost = sum(self.writer.lost().values()) if self.writer is not None else 0
-        return max(self.subscriptions.received - lost, 0)
+        return max(self.subscriptions.received - self.writer.lost().total(), 0)
 
     def stop(self) -> None:
-        """Take the last messages, and finish bag and viewer; see `error` and `has_failed`."""
-        if self.viewer is not None:
-            self.viewer.terminate()  # it ends while the bag is finished
+        """Take the last messages, and finish the bag; see `writer.error` and `has_failed`."""
         self._is_stopping.set()
         self._thread.join()
-        if self.writer is not None:
-            self.writer.flush()  # first, since the process may be killed soon
+        self.writer.flush()  # first, since the process may be killed soon
         self.subscriptions.close()
-        if self.writer is not None:
-            losses = self.losses()
-            self._note(self.writer, 'losses', {'total': sum(losses.values()), **losses})
-            if refused := self.subscriptions.refused:
-                self._note(self.writer, 'not recorded', refused)
-            self.writer.close()
-        if self.viewer is not None:
-            self.viewer.close()
+        losses = self.losses()
+        self._note('losses', {'total': sum(losses.values()), **losses})
+        if refused := self.subscriptions.refused:
+            self._note('not recorded', refused)
+        self.writer.close()
 
     def summary(self) -> str:
         """Return a sentence with the numbers of recorded and lost messages."""
@@ -161,8 +134,8 @@ class Recording:
         if self.bag is not None:
             text += f', in {self.bag}'
         text += self.missing_sources
-        if self.error:
-            text += f'; the end is missing: {self.error}'
+        if self.writer.error:
+            text += f'; the end is missing: {self.writer.error}'
             if self._saved and self.bag is not None:
                 text += f'; `soft-throw recover {self.bag}` writes a repaired bag'
         return text
@@ -190,36 +163,12 @@ class Recording:
         is_last = False
         while not is_last:
             is_last = self._is_stopping.wait(DRAIN_TIME)
-            messages = self.subscriptions.drain()
-            if self.writer is not None:
-                self.writer.put(messages)
+            self.writer.put(self.subscriptions.drain())
 
-    @staticmethod
-    def _note(writer: WriterThread, name: str, values: Mapping[str, object]) -> None:
+    def _note(self, name: str, values: Mapping[str, object]) -> None:
         """Add named values to the metadata of the bag."""
         texts = {key: str(value) for key, value in values.items()}
-        writer.call(lambda bag: bag.add_metadata(name, texts))
-
-    def _viewer_command(self, recorder: Node, arguments: Sequence[str]) -> list[str]:
-        """Return the command that shows the recorded topics."""
-        settings = self._settings
-        path = bag_path(settings) if self.bag is None else self.bag / self.bag.name
-        parameters = {
-            'topics': self._wanted,
-            'sink': settings['rerun.sink'],
-            'port': settings['rerun.port'],
-            'file': f'{path.absolute()}.rrd' if settings['rerun.sink'] == 'file' else '',
-        }
-        rules = [f'{name}:={json.dumps(value)}' for name, value in parameters.items()]
-        names = [f'__node:={recorder.get_name()}_viewer', f'__ns:={recorder.get_namespace()}']
-        is_secured = '--enclave' in arguments
-        enclave = arguments[arguments.index('--enclave'):][:2] if is_secured else ()
-        return [
-            settings['rerun.python'] or sys.executable,
-            *('-m', 'soft_throw_ros', 'viewer', '--ros-args', *enclave),
-            *(word for name in names for word in ('-r', name)),
-            *(word for rule in rules for word in ('-p', rule)),
-        ]
+        self.writer.call(lambda bag: bag.add_metadata(name, texts))
 
 
 def first_few(names: Sequence[str]) -> str:

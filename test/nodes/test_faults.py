@@ -48,9 +48,8 @@ def kill(system, name):
     (pid,) = system.pids(name)
     stop(pid)  # at a time at which it holds no lock of the middleware
     os.kill(pid, signal.SIGKILL)
-    if name != 'viewer':  # which the recorder does not start again
-        assert system.running[name].wait() == -signal.SIGKILL
-        system.start(name)
+    assert system.running[name].wait() == -signal.SIGKILL
+    system.start(name)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-import json
 from pathlib import Path
 import shutil
 import subprocess
@@ -183,7 +182,6 @@ def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, 
 def test_recorder_that_could_not_record_is_refused(recorder, tmp_path) -> None:
     (tmp_path / 'there').mkdir()
     for parameters, words in (
-        ({'storage': 'none'}, r"rerun\.sink .*'none'"),
         *(({'name': name}, f"'{name}'") for name in ('../bag', '/tmp/bag', 'a/b', '..')),
         ({'name': 'there'}, 'there exists'),
     ):
@@ -296,33 +294,6 @@ def test_topic_without_publisher_is_reported(ros, recorder, talker, tmp_path, ca
     assert '/talk' not in warnings[0]
 
 
-def test_viewer_of_the_recorder_gets_its_topics_and_sink(
-    ros, recorder, tmp_path
-) -> None:
-    output = tmp_path / 'arguments'
-    viewer = tmp_path / 'viewer'
-    viewer.write_text(
-        f'#!/bin/sh\nprintf "%s\\n" "$@" > {output}.part\nmv {output}.part {output}\n'
-    )
-    viewer.chmod(0o755)
-    node = recorder(
-        '-r', '__ns:=/rig1', storage='none', topics=['talk', '/a'], rerun__sink='file',
-        rerun__python=viewer,
-    )
-    ros.spin_until(output.exists, 'the command of the viewer')
-    words = output.read_text().splitlines()
-    assert words[:4] == ['-m', 'soft_throw_ros', 'viewer', '--ros-args']
-    assert words[words.index('-r') + 1] == '__node:=recorder_viewer'
-    assert '__ns:=/rig1' in words
-    rules = dict(word.split(':=') for word in words if ':=' in word)
-    assert json.loads(rules['topics']) == ['/rig1/talk', '/a']
-    assert json.loads(rules['sink']) == 'file'
-    assert json.loads(rules['file']).startswith(f'{tmp_path}/soft_throw_')
-    assert json.loads(rules['file']).endswith('.rrd')
-    node.close()
-    assert sorted(tmp_path.iterdir()) == [output, viewer]
-
-
 def test_end_saves_all_messages_before_anything_that_takes_time(
     ros, recorder, talker, tmp_path, monkeypatch
 ) -> None:
@@ -342,27 +313,3 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     monkeypatch.setattr(subscriptions, 'close', close_late)
     node.close()
     assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
-
-
-def test_viewer_that_ends_is_reported_once(
-    ros, recorder, talker, tmp_path, capfd
-) -> None:
-    node = recorder(name='bag', rerun__sink='viewer', rerun__python='/bin/false')
-    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
-    ros.spin_until(lambda: bool(node.recording.viewer.error), 'the end of the viewer')
-    for _ in range(3):
-        node._on_second()
-    lines = capfd.readouterr().err.splitlines()
-    (line,) = (line for line in lines if 'the viewer does not run' in line)
-    assert 'exit code 1' in line
-    node.close()
-    assert texts(tmp_path / 'bag') == ['a']
-
-
-def test_program_to_run_can_be_set_at_the_start_only(ros, recorder) -> None:
-    client = ros.parameters(recorder(start='false', rerun__python='/usr/bin/python3'))
-    (reason,) = client.set(rerun__python='/tmp/evil')
-    assert 'rerun.python' in reason
-    assert '/tmp/evil' in reason
-    assert client.set(rerun__python='/usr/bin/python3') == ['']
-    assert client.get('rerun.python') == '/usr/bin/python3'
