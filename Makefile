@@ -59,7 +59,7 @@ endif
 
 .PRECIOUS: .venv/%/.installed .venv/%/.showable
 .PHONY: install warm_up twin throw identify demo loop inspect lint bench bench-check soak trials
-.PHONY: figures lock clean
+.PHONY: figures docs-check lock clean
 .PHONY: test test-all test-slow test-kilted test-apt test-without-vulkan
 
 install: $(INSTALLED)
@@ -118,6 +118,10 @@ figures: $(INSTALLED) $(KERNELS)
 	$(BIN)/python docs/paper/draw.py $(ARGS)
 	$(BIN)/python docs/measured/draw.py
 	$(BIN)/python docs/layers/draw.py
+
+# Run the examples of the pages and compare their output.
+docs-check: .venv/jazzy/.testable $(KERNELS)
+	PATH=$(CURDIR)/.venv/jazzy/bin:$$PATH python docs/check.py
 
 # Compile the kernels beside the linters, or each process of pytest would compile all of them.
 # The two commands share the work: each waits for the parts that the other one compiles.

@@ -4,7 +4,7 @@
 Draw the pictures of docs/identify.md from a simulated video, its tracks and the fitted rig.
 
 `python docs/measured/draw.py` writes the pictures to docs/measured, `--output DIR` to another
-folder. `--keep FILE.avi` keeps the video, with which the commands of the page can be tried.
+folder. `--video FILE.avi` writes the video alone, for the commands of the page.
 """
 
 from __future__ import annotations
@@ -159,11 +159,14 @@ def main(args: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description='Draw the pictures of docs/identify.md.')
     folder = Path(__file__).resolve().parent
     parser.add_argument('--output', metavar='DIR', type=Path, default=folder)
-    parser.add_argument('--keep', metavar='FILE', type=Path, help='keep the video as this')
+    parser.add_argument('--video', metavar='FILE', type=Path, help='write the video alone')
     arguments = parser.parse_args(args)
+    if arguments.video:
+        write_video(arguments.video)
+        return 0
     arguments.output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
-        video = arguments.keep or Path(temporary) / 'throw.avi'
+        video = Path(temporary) / 'throw.avi'
         write_video(video)
         rig, report = identified(video, Path(temporary))
         with style.settings():
