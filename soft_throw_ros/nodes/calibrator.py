@@ -13,10 +13,9 @@ command the best motion of the plate, and measures the gain in ejection speed.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 import threading
-from types import MappingProxyType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -41,7 +40,6 @@ from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,
     msg_to_time,
     msg_to_values,
-    status_to_msg,
 )
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
 from soft_throw_ros.nodes.motion_gain import describe_gain, MeasuredThrow
@@ -90,7 +88,8 @@ class Calibrator(RunnableNode):
         apply = resolve(TWIN_SERVICES.apply_recommendation.name, twin)
         self._apply = self.create_client(Trigger, apply)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
-        self._set_status('nothing has been identified yet')
+        self._make_status = partial(self._outgoing.status, 'identification')
+        self._status = self._make_status('nothing has been identified yet')
         self._ended: tuple[ThrowResult, int] | None = None  # last throw and its stamp, until used
         self._rig_of_throws: Rig | None = None  # of the collected throws
         self._mispredicted: list[ThrowTracks] = []  # in a row
@@ -112,10 +111,6 @@ class Calibrator(RunnableNode):
     def _make_setter(self, name: str) -> Client:
         """Return a client that sets parameters of a node."""
         return self.create_client(SetParametersAtomically, f'{name}/set_parameters_atomically')
-
-    def start(self) -> None:
-        """Log that the node is ready; its timers are running already."""
-        self.get_logger().info('ready')
 
     # Executor thread
 
@@ -203,7 +198,7 @@ class Calibrator(RunnableNode):
         if len(throws) == self.parameters.settings['throws']:
             message, values = describe_gain(self._predicted, throws)
             self.get_logger().info(message)
-            self._set_status(message, values)
+            self._status = self._make_status(message, values)
             self._predicted, self._commanded = [], None
 
     def _measure_flight(self, result: ThrowResult, release_ns: int) -> MeasuredThrow:
@@ -223,8 +218,7 @@ class Calibrator(RunnableNode):
         self._worker.submit(task)
 
     def _publish_status(self) -> None:
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(CALIBRATOR_TOPICS.diagnostics, now, [self._status])
+        self._outgoing.report(CALIBRATOR_TOPICS.diagnostics, [self._status])
 
     # Worker thread
 
@@ -239,7 +233,7 @@ class Calibrator(RunnableNode):
         """Log and publish the reason why an identification has changed nothing."""
         message = f'nothing has been changed: {reason}'
         self.get_logger().warning(message)
-        self._set_status(message, warn=True)
+        self._status = self._make_status(message, warn=True)
         self._predicted = []
 
     def _on_finished(self, _result: None) -> None:
@@ -282,7 +276,7 @@ class Calibrator(RunnableNode):
             'outliers': str(outliers),
             **{f'warning {n}': text for n, text in enumerate(warnings, 1)},
         }
-        self._set_status(message, rows, warn=bool(warnings))
+        self._status = self._make_status(message, rows, warn=bool(warnings))
         if self._set_of_rig is not None:
             before = get_parameters(self._get_of_twin, _LAYER)
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
@@ -290,13 +284,6 @@ class Calibrator(RunnableNode):
             changes = {name: after[name] for name in after if after[name] != before[name]}
             if changes:
                 set_parameters(self._set_of_rig, changes)
-
-    def _set_status(
-        self, message: str, values: Mapping[str, str] = MappingProxyType({}), *, warn: bool = False
-    ) -> None:
-        """Set the diagnostic status."""
-        name = self.get_fully_qualified_name()
-        self._status = status_to_msg(name, 'identification', message, values, warn=warn)
 
     def _apply_recommendation(self) -> str:
         """Request that the twin applies its recommendation; return the answer of the service."""

@@ -113,7 +113,8 @@ class RunnableNode(Node):
         super().destroy_node()
 
     def start(self) -> None:
-        """Start threads and recordings."""
+        """Start threads and recordings, and log that the node is ready."""
+        self.get_logger().info('ready')
 
     def close(self) -> None:
         """Complete files and everything else that must not be cut short."""

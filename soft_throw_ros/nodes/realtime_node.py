@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import subprocess
 import sys
 import time
@@ -19,9 +18,6 @@ from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
-
-_NICE = 10  # niceness of the background compilation, so that it delays no tick
-_COMPILING_POLL = 0.1  # period of the check whether needed kernels are compiled [s]
 
 SWITCH_INTERVAL = 3e-5
 """Shortest wait of a due tick for another Python thread; shorter ones wake too often. [s]"""
@@ -46,51 +42,26 @@ class RealTimeNode(RunnableNode):
     ) -> None:
         super().__init__(name, **kwargs)
         self._system_clock = system_clock or SystemClock()
-        self._compiling: subprocess.Popen[bytes] | None = None
         self._started = time.monotonic()
 
     def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
-        """
-        Return the rig of complete settings of a twin, after the kernels are loaded at the start.
-
-        ValueError if `prepared_rig.prepare` raises it, or the kernels are still being compiled.
-        """
-        if before is None:
-            self._load_kernels(kernels.needed_parts(settings))
-        elif self.is_compiling:
-            needed = set(kernels.needed_parts(settings)).intersection(kernels.missing_parts())
-            if needed:
-                raise ValueError(f'{", ".join(needed)} is being compiled, try again in seconds')
+        """Return the rig of complete settings of a twin, after kernels are compiled at first."""
+        if before is None and kernels.missing_parts():
+            self._compile_kernels()
         return prepare(settings, before)
 
-    def _load_kernels(self, needed: list[str]) -> None:
-        """
-        Load the kernels of these parts; a child process compiles all that are missing.
-
-        It begins with the needed ones, and compiles the others in the background. It ends with
-        this process in every case, and files on the disk are complete at any time.
-        """
-        missing = sorted(kernels.missing_parts(), key=lambda part: part not in needed)
-        if missing:  # in a child process, because numba suppresses exceptions of signal handlers
-            self.get_logger().info(f'compiling {", ".join(missing)} (cached for later runs)')
-            command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up', *missing]
-            self._compiling = subprocess.Popen(
-                bound_to_parent(command),
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C reaches only the node, which then kills it
-            )
-            self.add_cleanup(self._compiling.wait)
-            self.add_cleanup(self._compiling.kill)
-            while self.is_compiling and not set(needed).isdisjoint(kernels.missing_parts()):
-                time.sleep(_COMPILING_POLL)
-            if self.is_compiling:
-                os.setpriority(os.PRIO_PROCESS, self._compiling.pid, _NICE)
-        kernels.load_kernels(needed, say=self.get_logger().info)
-
-    @property
-    def is_compiling(self) -> bool:
-        """Whether kernels are being compiled in the background."""
-        return self._compiling is not None and self._compiling.poll() is None
+    def _compile_kernels(self) -> None:
+        """Compile in a child process, because numba suppresses exceptions of signal handlers."""
+        self.get_logger().info('compiling the kernels, once for this installation')
+        with subprocess.Popen(
+            bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C reaches only the node, which then kills the process
+        ) as process:
+            try:
+                process.wait()
+            finally:
+                process.kill()  # files on the disk are complete at any time
 
     def attach_session(self, session: Session) -> None:
         """Attach the session that the node advances after its start."""
@@ -116,9 +87,8 @@ class RealTimeNode(RunnableNode):
         self._set_switch_interval()  # the rate may have changed
 
     def start(self) -> None:
-        """Load all compiled kernels, freeze the garbage collector, and start the ticks."""
-        if not self.is_compiling:
-            kernels.load_kernels(say=self.get_logger().info)
+        """Load all kernels, freeze the garbage collector, and start the ticks."""
+        kernels.load_kernels(say=self.get_logger().info)
         self._set_switch_interval()
         gc.collect()  # now, since it would delay ticks
         gc.freeze()

@@ -13,7 +13,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.configuration import ParameterError, RECORDER, Settings
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
-from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.recording import bag_path, Recording
@@ -123,13 +122,11 @@ class Recorder(RunnableNode):
             if error := recording.writer.error:
                 waiting, lost = recording.writer.waiting, sum(recording.losses().values())
                 self.get_logger().error(f'{error}; {waiting} messages wait, {lost} are lost')
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(RECORDER_TOPICS.diagnostics, now, self._statuses())
+        self._outgoing.report(RECORDER_TOPICS.diagnostics, self._statuses())
 
     def _report(self) -> None:
         """Publish whether the node records, also for late subscribers."""
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(RECORDER_TOPICS.status, now, self._statuses()[:1])
+        self._outgoing.report(RECORDER_TOPICS.status, self._statuses()[:1])
 
     def _message(self) -> str:
         """Return the state of the recorder as text."""
@@ -139,8 +136,7 @@ class Recorder(RunnableNode):
         return f'recording into {recording.bag}' if recording.bag else 'recording nothing'
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        recording = self.recording
-        status = partial(status_to_msg, self.get_fully_qualified_name())
+        recording, status = self.recording, self._outgoing.status
         if recording is None:
             return [status('bag', self._message(), {'is_recording': False})]
         values = {

@@ -4,16 +4,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from soft_throw_ros.configuration import interface
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, Service, Topic
-from soft_throw_ros.nodes.conversions import cloud_to_msg, encode_command, statuses_to_msg
+from soft_throw_ros.nodes.conversions import (
+    cloud_to_msg,
+    encode_command,
+    status_to_msg,
+    statuses_to_msg,
+)
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from std_srvs.srv import Trigger
 
@@ -81,6 +88,8 @@ class Publishers:
     def __init__(
         self, node: Node, topics: Iterable[Topic], joints: tuple[str, str] = JOINTS
     ) -> None:
+        self.status = partial(status_to_msg, node.get_fully_qualified_name())
+        self._clock = node.get_clock()
         self._joints = dict(zip(JOINTS, joints, strict=True))
         self._senders = {
             topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
@@ -99,6 +108,10 @@ class Publishers:
     def send(self, topic: Topic, *values: object) -> None:
         """Publish once; `sender` describes the values."""
         self._senders[topic.name](*values)
+
+    def report(self, topic: Topic, statuses: Sequence[DiagnosticStatus]) -> None:
+        """Publish statuses, as made by `status`, with the present time as stamp."""
+        self.send(topic, self._clock.now().nanoseconds, statuses)
 
     def _make_sender(self, node: Node, topic: Topic) -> Callable[..., None]:
         """Return a function that converts values into a message and publishes it."""

@@ -13,10 +13,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 import math
-import time
 from typing import Any, TypeAlias
 
-from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
@@ -48,8 +46,6 @@ from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
 _RigUncertainty: TypeAlias = tuple[Rig | None, dict[str, float]]  # of the throws of a rig
-
-_COMPILING_POLL = 0.3  # period of the check whether the compilation has finished [s]
 
 PHASES = tuple(Phase)
 """Phases, each at the index that `~/phase_change` publishes."""
@@ -156,8 +152,6 @@ class Twin(RealTimeNode):
 
     def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> _RigUncertainty:
         """Publish a recommendation, and return a rig with the uncertainty of its throws."""
-        while self.is_compiling and 'design' in missing_parts() and not cancelled():
-            time.sleep(_COMPILING_POLL)
         recommended = recommend_for(config, cancelled)
         if cancelled():
             return config.rig, {}
@@ -283,8 +277,7 @@ class Twin(RealTimeNode):
         else:
             self.get_logger().info(recommended.describe())
         status = recommended.to_status(self.get_fully_qualified_name())
-        now = self.get_clock().now().nanoseconds
-        self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
+        self.outgoing.report(TWIN_TOPICS.recommendation, [status])
 
     def _on_changed(self, changes: Settings) -> None:
         self._serialize_command()
@@ -343,8 +336,7 @@ class Twin(RealTimeNode):
         statuses = self._diagnostics.statuses(
             self._last_result, duplicate_nodes=self._duplicate_nodes
         )
-        now = self.get_clock().now().nanoseconds
-        self.outgoing.send(TWIN_TOPICS.diagnostics, now, statuses)
+        self.outgoing.report(TWIN_TOPICS.diagnostics, statuses)
 
 
 main = partial(run, 'twin', Twin)

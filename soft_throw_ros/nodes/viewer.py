@@ -18,7 +18,6 @@ from typing import Any
 from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import VIEWER_TOPICS
 from soft_throw_ros.configuration.recorder import VIEWER
-from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import exit_after, EXIT_TIME, run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions
@@ -108,10 +107,8 @@ class Viewer(RunnableNode):
         values = {'lost': self.raw_subscriptions.lost, 'damaged': self._scene.damaged}
         missing = sum(values.values())
         text = '; '.join(filter(None, [f'{missing} messages not shown', self._scene.damage]))
-        name = self.get_fully_qualified_name()
-        status = status_to_msg(name, 'display', text, values, warn=missing > 0)
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(VIEWER_TOPICS.diagnostics, now, [status])
+        status = self._outgoing.status('display', text, values, warn=missing > 0)
+        self._outgoing.report(VIEWER_TOPICS.diagnostics, [status])
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ machine.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 import contextlib
 from dataclasses import replace
 import fcntl
@@ -36,13 +36,17 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 from soft_throw_ros.commands.kernels import load_kernels
-from soft_throw_ros.configuration.interface import resolve, Service, Topic
+from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Topic, TWIN_TOPICS
+from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Outputs, ThrowResult
+from soft_throw_ros.twin.sample_buffer import Sample
 from std_srvs.srv import Trigger
 
 with warnings.catch_warnings():
@@ -68,7 +72,6 @@ process cannot lock a port of shared memory ("open_and_lock_file failed") and ta
 
 COLOURS = re.compile(r'\x1b\[[0-9;]*m')
 
-SECOND = 1_000_000_000
 MILLISECOND = SECOND // 1000
 
 AnyNode = TypeVar('AnyNode', bound=Node)
@@ -123,6 +126,14 @@ class Ros:
     def parameters(self, node: Node) -> Parameters:
         """Make a client for the parameter services of `node`."""
         return Parameters(self, node)
+
+    def start_twin(self, *ros_args: str) -> DrivenTwin:
+        """Start a twin on a clock set by the test."""
+        return self.node(DrivenTwin, ros_args=ros_args)
+
+    def listen_to(self, twin: Node | None = None) -> Listener:
+        """Make a listener of a node, or of `/twin` in another process."""
+        return self.node(Listener, self, twin.get_fully_qualified_name() if twin else '/twin')
 
     def remove(self, node: Node) -> None:
         """Destroy a node."""
@@ -301,6 +312,54 @@ class Listener(Node):
         )
 
 
+class Sensors(Node):
+    """Sensors of a rig, which wait until a twin in this process has received their samples."""
+
+    def __init__(self, ros: Ros, twin: DrivenTwin | None, **kwargs: Any) -> None:
+        super().__init__('sensors', **kwargs)
+        self._ros = ros
+        self._twin = twin
+        self._sent = 0
+        name = TWIN_TOPICS.measured_joint_states.at('/twin').name
+        self.publisher = self.create_publisher(JointState, name, QoSProfile(depth=1000))
+        ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
+
+    def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
+        """Publish a sample."""
+        message = JointState(name=list(names), position=[sample.plate, sample.projectile])
+        message.header.stamp = time_to_msg(sample.stamp_ns)
+        self.publisher.publish(message)
+        self._sent += 1
+
+    def wait(self) -> None:
+        """Wait until the twin has taken all that was sent."""
+        twin = self._twin
+        assert twin is not None
+
+        def is_taken() -> bool:
+            twin.measurement.read_messages()
+            counts = twin.session.sample_counts
+            return counts.taken + sum(counts.refused.values()) >= self._sent
+
+        self._ros.spin_until(is_taken, 'receipt of all samples')
+
+    def throw(
+        self, samples: Iterable[Sample], *, behind_ns: int = 0, step_ns: int = 10 * MILLISECOND
+    ) -> None:
+        """Send samples as the clock advances in steps, stamped by a clock that is behind."""
+        waiting, twin = list(samples), self._twin
+        assert twin is not None
+        while waiting:
+            until = twin.clock.time + step_ns
+            count = sum(sample.stamp_ns <= until for sample in waiting)
+            for sample in waiting[:count]:
+                self.send(sample._replace(stamp_ns=sample.stamp_ns - behind_ns))
+            del waiting[:count]
+            self.wait()
+            twin.clock.time = until
+            twin.ticker.run_due()
+
+
 @pytest.fixture(scope='session', autouse=True)
 def _kernels() -> None:
     """Compile all kernels before the tests, so that no node compiles during a test."""
@@ -326,38 +385,38 @@ def domain_id() -> Iterator[int]:
     raise RuntimeError('all 101 ROS domains are in use by other test processes')
 
 
-@pytest.fixture
-def ros(domain_id: int) -> Iterator[Ros]:
-    """Yield the nodes of a test and destroy them at its end."""
+def _make_ros(domain_id: int) -> Iterator[Ros]:
+    """Yield nodes and destroy them at the end."""
     ros = Ros(domain_id)
     yield ros
     ros.close()
 
 
-@pytest.fixture
-def start_twin(ros: Ros) -> Callable[..., DrivenTwin]:
-    """Return a function that starts a twin with ROS arguments."""
-    return lambda *ros_args: ros.node(DrivenTwin, ros_args=ros_args)
+ros = pytest.fixture(_make_ros, name='ros')
+module_ros = pytest.fixture(_make_ros, name='module_ros', scope='module')
 
 
 @pytest.fixture
-def twin(start_twin: Any) -> DrivenTwin:
+def given_clock() -> Callable[..., GivenClock]:
+    """Return the class of clocks set by the test."""
+    return GivenClock
+
+
+@pytest.fixture
+def twin(ros: Ros) -> DrivenTwin:
     """Start a twin that throws only on request."""
-    twin: DrivenTwin = start_twin('-p', 'throw.period:=0.0')
-    return twin
+    return ros.start_twin('-p', 'throw.period:=0.0')
 
 
 @pytest.fixture
-def listen_to(ros: Ros) -> Callable[[Node], Listener]:
-    """Make a listener of a twin, which may be in another process."""
-    return lambda twin=None: ros.node(
-        Listener, ros, twin.get_fully_qualified_name() if twin is not None else '/twin'
-    )
+def listener(ros: Ros, twin: DrivenTwin) -> Listener:
+    return ros.listen_to(twin)
 
 
 @pytest.fixture
-def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
-    return listen_to(twin)  # type: ignore[no-any-return]
+def sensors_of(ros: Ros) -> Callable[..., Sensors]:
+    """Return a function that makes the sensors of a twin, or of none that takes the samples."""
+    return lambda twin=None: ros.node(Sensors, ros, twin)
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ import contextlib
 from functools import partial
 from pathlib import Path
 import sys
-from test.nodes.conftest import SECOND
 from typing import Any
 
 import bags
@@ -23,7 +22,7 @@ from soft_throw_ros.nodes.conversions import msg_to_time
 from soft_throw_ros.nodes.player import Player
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from soft_throw_ros.storage.bag_reader import BagReader
-from soft_throw_ros.storage.message import Channel, Message
+from soft_throw_ros.storage.message import Channel, Message, SECOND
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 

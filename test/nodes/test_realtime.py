@@ -7,7 +7,6 @@ from __future__ import annotations
 import itertools
 import math
 import queue
-from test.nodes.conftest import GivenClock, MILLISECOND, SECOND
 import threading
 import time
 from typing import Any
@@ -15,7 +14,10 @@ from typing import Any
 import pytest
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, SystemClock, Ticker
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.tick_schedule import TickSchedule
+
+MILLISECOND = SECOND // 1000
 
 
 def may_go_first() -> bool:
@@ -59,8 +61,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Bench:
-    return Bench(GivenClock(now=0, max_catch_up=SECOND // 10))
+def bench(given_clock: Any) -> Bench:
+    return Bench(given_clock(now=0, max_catch_up=SECOND // 10))
 
 
 def test_ticks_follow_the_clock_from_its_start(bench) -> None:

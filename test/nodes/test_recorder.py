@@ -70,10 +70,10 @@ def say(ros: Any, recorder: Recorder, publisher: Any, contents: list[str]) -> No
 
 
 def test_bag_is_named_by_the_time_and_never_overwritten(
-    ros, recorder, talker, listen_to, tmp_path
+    ros, recorder, talker, tmp_path
 ) -> None:
     node = recorder()
-    listener = listen_to(node)
+    listener = ros.listen_to(node)
     publisher = talker.create_publisher(String, '/talk', 100)
     for number in range(3):
         say(ros, node, publisher, [str(number)])
@@ -85,9 +85,9 @@ def test_bag_is_named_by_the_time_and_never_overwritten(
     assert [texts(path) for path in bags] == [['0'], ['1'], ['2'], []]
 
 
-def test_recorder_waits_for_its_start_and_reports_it(recorder, listen_to, tmp_path) -> None:
+def test_recorder_waits_for_its_start_and_reports_it(ros, recorder, tmp_path) -> None:
     node = recorder(start='false', name='bag')
-    listener = listen_to(node)
+    listener = ros.listen_to(node)
     listener.listen(RECORDER_TOPICS.status)  # latched
     assert node.recording is None
     assert not list(tmp_path.iterdir())
@@ -106,10 +106,10 @@ def test_recorder_waits_for_its_start_and_reports_it(recorder, listen_to, tmp_pa
 
 
 def test_losses_are_in_diagnostics_and_bag(
-    ros, recorder, talker, listen_to, monkeypatch
+    ros, recorder, talker, monkeypatch
 ) -> None:
     node = recorder(name='bag')
-    listener = listen_to(node)
+    listener = ros.listen_to(node)
     listener.listen(RECORDER_TOPICS.diagnostics)
 
     def status(task: str, done: Callable[[Any], bool]) -> Any:
@@ -148,11 +148,11 @@ sys.stdin.read()
 
 @pytest.mark.parametrize('count', ['0', '1'])
 def test_process_that_is_present_and_sends_nothing_is_reported_once(
-    ros, recorder, start, listen_to, monkeypatch, count
+    ros, recorder, start, monkeypatch, count
 ) -> None:
     monkeypatch.setattr(recording, 'SILENCE_LIMIT', 1)
     node = recorder(name='bag')
-    listener = listen_to(node)
+    listener = ros.listen_to(node)
     log = listener.log()
     listener.listen(RECORDER_TOPICS.diagnostics)
     process = start(sys.executable, '-c', QUIET, count, stdin=subprocess.PIPE)
@@ -225,9 +225,9 @@ def test_recorder_records_the_twin_in_its_own_namespace(ros, recorder, tmp_path)
         assert bag.ros_distro in ('jazzy', 'kilted')
 
 
-def test_deleted_bag_is_a_failure(ros, recorder, talker, listen_to, tmp_path) -> None:
+def test_deleted_bag_is_a_failure(ros, recorder, talker, tmp_path) -> None:
     node = recorder(name='bag')
-    listener = listen_to(node)
+    listener = ros.listen_to(node)
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a'])
     ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 1, 'the message in the bag')
     shutil.rmtree(tmp_path / 'bag')
@@ -251,10 +251,10 @@ LATCHED = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     ('first', 'second'), [(LATCHED, QoSProfile(depth=9)), (LATCHED, BEST_EFFORT), (9, BEST_EFFORT)]
 )
 def test_later_publisher_of_another_quality_of_service_is_reported_as_missing(
-    ros, recorder, talker, listen_to, first, second
+    ros, recorder, talker, first, second
 ) -> None:
     node = recorder()
-    listener = listen_to(node)
+    listener = ros.listen_to(node)
     log = listener.log()
     publisher = talker.create_publisher(String, '/talk', first)
     say(ros, node, publisher, ['a'])

@@ -5,18 +5,19 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 import re
-from test.nodes.conftest import DrivenTwin, Listener, MILLISECOND, Ros, SECOND
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration import rig_of, rig_values, TWIN
 from soft_throw_ros.configuration.interface import (
     ENERGIES,
@@ -27,7 +28,6 @@ from soft_throw_ros.configuration.interface import (
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.result_keys import RESULT_KEYS
 from soft_throw_ros.configuration.twin_config import TwinConfig
-from soft_throw_ros.core.batch import usable_processors
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
@@ -38,14 +38,19 @@ from soft_throw_ros.nodes.conversions import (
     time_to_msg,
     values_to_rig,
 )
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.recommendations import recommend_for
-from soft_throw_ros.nodes.topics import load_type
+from soft_throw_ros.nodes.topics import create_service
 from soft_throw_ros.nodes.twin import PHASES, Twin
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Phase
+from soft_throw_ros.twin.session import Session
+from std_srvs.srv import Trigger
 
 PUBLISHED = [topic for topic in TWIN_TOPICS if not topic.is_input]
 NAME = '/thrown/twin'
+MILLISECOND = SECOND // 1000
 README = Path(__file__).parents[2] / 'README.md'
 
 
@@ -55,15 +60,12 @@ README = Path(__file__).parents[2] / 'README.md'
 class Thrown:
     """A twin that has thrown once, and a listener with all its messages since the start."""
 
-    def __init__(self, ros: Ros) -> None:
+    def __init__(self, ros: Any) -> None:
         self.ros = ros
         # Its own namespace keeps it, for the whole module, apart from the other twins
-        self.twin = ros.node(
-            DrivenTwin, ros_args=('-r', '__ns:=/thrown', '-p', 'throw.period:=0.0')
-        )
-        self.listener = ros.node(Listener, ros, NAME)
+        self.twin = ros.start_twin('-r', '__ns:=/thrown', '-p', 'throw.period:=0.0')
+        self.listener = ros.listen_to(self.twin)
         self.listener.listen(*PUBLISHED)
-        self.log = self.listener.log()
         self.parameters = ros.parameters(self.twin)
         request = {'uncertainty__wave_speed': 0.6, 'uncertainty__mass': 0.0}
         assert self.parameters.set_atomically(throw__max_events=1, **request) == ''
@@ -78,10 +80,8 @@ class Thrown:
 
 
 @pytest.fixture(scope='module')
-def thrown(domain_id: int):
-    ros = Ros(domain_id)
-    yield Thrown(ros)
-    ros.close()
+def thrown(module_ros: Any) -> Thrown:
+    return Thrown(module_ros)
 
 
 def test_joint_states_are_published_once_per_tick_with_its_stamp(thrown) -> None:
@@ -130,17 +130,12 @@ def test_results_of_both_stages_have_uncertainties(thrown) -> None:
     release, final = thrown.twin.results
     assert (release.stage, final.stage, final.ended_by) == ('release', 'final', 'max_events')
     assert (statuses[0].name, statuses[0].hardware_id) == (f'{NAME}: throw', NAME)
+    names = {key.name for key in RESULT_KEYS} | set(rig_values(Rig()))
+    assert all(msg_to_values(status).keys() <= names for status in statuses)
     values = msg_to_values(statuses[1])
     expected = prediction_uncertainty(Rig(), Uncertainties(wave_speed=0.6, mass=0.0))
     assert {name: values[f'uncertainty.{name}'] for name in expected.values()} == expected.values()
     assert expected.energy_transfer.low < values['energy_transfer'] < expected.energy_transfer.high
-
-
-def test_keys_of_a_result_are_those_of_the_table(thrown) -> None:
-    names = {key.name for key in RESULT_KEYS}
-    rig = set(rig_values(Rig()))
-    for message in thrown.heard(TWIN_TOPICS.throw_result):
-        assert msg_to_values(message.status[0]).keys() - rig <= names
 
 
 def test_a_result_has_the_time_of_its_event_as_stamp(thrown) -> None:
@@ -191,7 +186,7 @@ def points_of(cloud: Any) -> Any:
 
 
 def test_latched_topics_reach_late_subscribers(thrown) -> None:
-    late = thrown.ros.node(Listener, thrown.ros, NAME)
+    late = thrown.ros.listen_to(thrown.twin)
     late.listen(*(topic for topic in PUBLISHED if topic.is_latched))
     assert [message.data for message in late.hear(TWIN_TOPICS.phase)] == ['rest']
     result = msg_to_throw_result(late.hear(TWIN_TOPICS.throw_result)[0].status[0])
@@ -214,7 +209,7 @@ def test_latched_topics_reach_late_subscribers(thrown) -> None:
 
 def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
     words = ('-p', 'throw.period:=0.25', '-p', 'throw.max_events:=1', '-p', 'rate.state:=200.0')
-    twin = ros.node(DrivenTwin, ros_args=words)
+    twin = ros.start_twin(*words)
 
     def lines(level: str, milliseconds: int = 1020) -> list[str]:
         twin.go(milliseconds)
@@ -278,36 +273,6 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
     heard = [message.position[0] for message in listener.hear(TWIN_TOPICS.phase_change, 6)]
     names = ['rest', 'contact', 'flight', 'returning', 'rest', 'contact']
     assert heard == [float(PHASES.index(Phase(name))) for name in names]
-
-
-def test_refused_request_changes_nothing(ros, twin, listener) -> None:
-    client = ros.parameters(twin)
-    too_slow = {'layer__thickness': 0.1, 'layer__wave_speed': 1.0, 'engine__frequency': 1000.0}
-    for values, words in (
-        (too_slow, 'steps per crossing'), ({'layer__library': 'no.yaml'}, 'no.yaml: No such file')
-    ):
-        assert words in client.set_atomically(**values)
-        assert twin.parameters.settings == {**TWIN.defaults(), 'throw.period': 0.0}
-        assert twin.session.pending == {}
-    steps = len(twin.outputs)
-    listener.trigger(TWIN_SERVICES.throw)
-    twin.go(50)
-    assert len(twin.outputs) == steps + 50  # it runs on
-
-
-# rclpy of Kilted logs by a function that it has deprecated
-@pytest.mark.filterwarnings('ignore:Deprecated in favor of:DeprecationWarning')
-def test_incompatible_subscription_is_reported(ros, twin, listener) -> None:
-    log = listener.log()
-    topic = TWIN_TOPICS.joint_states.at(twin.get_fully_qualified_name())
-    late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    silent = SubscriptionEventCallbacks(use_default_callbacks=False)
-    kind = load_type(topic.type)
-    listener.create_subscription(kind, topic.name, print, late, event_callbacks=silent)
-    ros.spin_until(lambda: any('incompatible QoS' in line for line in log), 'the warning')
-    (line,) = (line for line in log if 'incompatible QoS' in line)
-    assert 'joint_states' in line
-    assert 'DURABILITY' in line
 
 
 def test_storm_of_changes_is_logged_in_few_lines(ros, twin, capfd) -> None:
@@ -394,15 +359,6 @@ def test_applied_changes_set_the_recommended_library_layer() -> None:
     assert library().layers[name].items() <= settings.items()
 
 
-def test_recommendation_leaves_a_processor_to_the_ticks(monkeypatch) -> None:
-    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 1, 2})
-    counts = []
-    config = TwinConfig.from_settings(TWIN.defaults())
-    recommend_for(config, cancelled=lambda: counts.append(usable_processors()))
-    assert set(counts) == {2}
-    assert usable_processors() == 3
-
-
 def test_designed_motion_can_be_commanded(
     ros, twin, listener, monkeypatch, tmp_path
 ) -> None:
@@ -446,9 +402,9 @@ def test_aim_is_applied_as_an_amplitude_and_refused_beyond_a_limit(ros, twin, li
 # clock
 
 
-def test_steps_follow_the_clock_topic_and_a_standstill_is_reported(ros, listen_to) -> None:
+def test_steps_follow_the_clock_topic_and_a_standstill_is_reported(ros) -> None:
     twin = ros.node(Twin, ros_args=('-p', 'use_sim_time:=true', '-p', 'throw.period:=0.2'))
-    listener = listen_to(twin)
+    listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.joint_states, TWIN_TOPICS.diagnostics)
     clock = listener.create_publisher(ClockMessage, '/clock', 10)
     ros.spin_until(lambda: clock.get_subscription_count() > 0, '/clock')
@@ -485,3 +441,110 @@ def test_use_sim_time_may_be_changed(ros, twin, listener) -> None:
         )
         twin.ticker.run_due()
     assert len(twin.outputs) == 11 + 4
+
+
+# faults
+
+
+def test_two_twins_of_one_name_are_reported_by_both_until_one_ends(ros, capfd) -> None:
+    twins = [ros.start_twin() for _ in range(2)]
+    listener = ros.listen_to(twins[0])
+    listener.listen(TWIN_TOPICS.diagnostics)
+    log = ''
+
+    def is_logged(text: str, count: int) -> bool:
+        nonlocal log
+        log += capfd.readouterr().err
+        return log.count(text) == count
+
+    ros.spin_until(
+        lambda: is_logged('another node is named /twin', 2), 'the warnings of both twins'
+    )
+    status = listener.status(
+        TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['duplicate_nodes'] == 1
+    )
+    assert status.level == DiagnosticStatus.WARN
+    assert '/twin' in status.message
+    ros.remove(twins[1])
+    ros.spin_until(lambda: is_logged('no other node has this name', 1), 'the end of the warning')
+
+
+def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
+    listener.listen(TWIN_TOPICS.joint_states)
+    twin.clock.time += 10_000 * SECOND  # so that it can be set back
+    twin.clock.epoch += 1
+    twin.session.request_throw()
+    twin.go(50)
+    twin.clock.time -= 3600 * SECOND
+    twin.clock.epoch += 1
+    twin.ticker.run_due()
+    twin.clock.time += 3600 * SECOND  # and forth
+    twin.clock.epoch += 1
+    twin.go(50)
+    twin.session.close()
+    assert twin.ticker.counts['clock_jumps'] == 3
+    assert twin.ticker.counts['ticks_skipped'] == 0
+    assert [outputs.step for outputs in twin.outputs] == list(range(len(twin.outputs)))
+    count = len(twin.outputs) - 1  # the first was before anybody listened
+    stamps = [m.header.stamp.sec for m in listener.hear(TWIN_TOPICS.joint_states, count)]
+    assert max(map(abs, stamps)) - min(map(abs, stamps)) >= 3599
+    entries = [journal.decode(line) for line in twin.lines]
+    session = Session.from_entry(entries[0])
+    again = [outputs for entry in entries[1:] for outputs in session.follow(entry)]
+    ours = [outputs.state for outputs in twin.outputs]
+    assert [outputs.state for outputs in again] == ours[: len(again)]
+    assert len(again) >= len(ours) - 1
+
+
+def test_participant_that_is_lost_and_comes_back_is_heard_again(ros) -> None:
+    twin = ros.start_twin('-p', 'engine.motion:=measured')
+
+    def measure(others: Any) -> None:
+        sensors = others.node(Node, 'sensors')
+        sender = sensors.create_publisher(JointState, '/twin/measured_joint_states', 10)
+        others.spin_until(lambda: sender.get_subscription_count() > 0, 'the twin')
+        before = twin.session.sample_counts.taken
+        twin.go(10)
+        message = JointState(name=['plate'], position=[0.0], velocity=[math.inf])
+        message.header.stamp = time_to_msg(twin.clock.time)
+
+        def is_taken() -> bool:
+            sender.publish(message)  # the twin may not know of the sender yet
+            twin.measurement.read_messages()
+            return bool(twin.session.sample_counts.taken > before)
+
+        ros.spin_until(is_taken, 'the sample')
+
+    for _ in range(2):
+        others = type(ros)(ros.domain_id)  # a participant of its own
+        measure(others)
+        others.close()
+    assert twin.session.sample_counts.taken == 2
+
+
+class AnyNode(RunnableNode):
+    """A node with a defective service."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__('any', **kwargs)
+        create_service(self, TWIN_SERVICES.throw, lambda: str(1 // 0))
+
+
+def test_service_with_a_defect_answers_and_a_value_without_type_is_refused(ros, capfd) -> None:
+    ros.node(AnyNode)
+    node = ros.node(Node, 'asking')
+
+    def call(kind: Any, name: str, *parameters: Parameter) -> Any:
+        request = kind.Request(parameters=parameters) if parameters else kind.Request()
+        return ros.call(node.create_client(kind, f'/any/{name}'), request)
+
+    no_type = Parameter(name='use_sim_time', value=ParameterValue(type=250))
+    good = Parameter(name='use_sim_time', value=ParameterValue(type=1, bool_value=False))
+    (result,) = call(SetParameters, 'set_parameters', good, no_type, good).results
+    assert result.successful
+    assert '250' in capfd.readouterr().err
+    name = 'set_parameters_atomically'
+    assert not call(SetParametersAtomically, name, good, no_type).result.successful
+    response = call(Trigger, 'throw')
+    assert not response.success
+    assert 'division' in response.message

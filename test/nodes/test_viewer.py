@@ -10,7 +10,6 @@ from pathlib import Path
 import signal
 import socket
 import sys
-from test.nodes.conftest import PROCESS_TIMEOUT
 from typing import Any
 
 import pytest
@@ -34,7 +33,7 @@ from soft_throw_ros.recording.rerun_view import is_drawn  # noqa: E402
 
 pytestmark = pytest.mark.timeout(180)
 
-ACKNOWLEDGED = Duration(seconds=PROCESS_TIMEOUT)
+ACKNOWLEDGED = Duration(seconds=110.0)
 """Longest wait until the viewer has acknowledged all messages."""
 
 
