@@ -19,11 +19,13 @@ from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
 from soft_throw_ros.nodes.calibrator import Calibrator
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions
+from soft_throw_ros.nodes.motion_gain import describe_gain, MeasuredThrow
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.service_calls import set_parameters
 from soft_throw_ros.nodes.topics import create_subscription
@@ -31,6 +33,7 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
 
 MILLISECOND = SECOND // 1000
+
 
 def listen(ros: Any, topic: Topic) -> list[DiagnosticStatus]:
     """Return a list that receives all statuses on a topic."""
@@ -166,3 +169,19 @@ def test_measurements_whose_stamps_stand_still_are_forgotten(
         return 0.0
 
     ros.spin_until(lambda: oldest_height() > 0.0, 'room for later measurements')
+
+
+@pytest.mark.parametrize(
+    ('speeds', 'error', 'expected'),
+    [
+        ([1.5, 1.5, 1.5, 1.5], 4e-3, 2e-3),  # the scatter within the throws
+        ([1.49, 1.51], 1e-4, 1e-2),  # the scatter among them: sqrt(2) 0.01 / sqrt(2)
+        ([1.5], 0.0, 1e-3),  # the common error alone
+    ],
+)
+def test_error_of_the_gain_has_the_larger_scatter_and_the_common_error(speeds, error, expected):
+    throws = [MeasuredThrow(Estimate(speed, error), 1e-3, 0.75) for speed in speeds]
+    _, values = describe_gain(throws, throws)
+    value, total = map(float, values['engine.ejection_speed'].split(' +- '))
+    assert value == pytest.approx(1.5, abs=1e-3)
+    assert total == pytest.approx(np.hypot(expected if error else 0.0, 1e-3), rel=0.06)

@@ -153,21 +153,6 @@ def test_file_has_every_message_that_came_before_the_end(ros, show, twin, tmp_pa
     assert RrdFile(path).rows['/twin/position'] == 500
 
 
-@pytest.mark.parametrize(
-    ('rules', 'words'),
-    [
-        (['sink:=file'], 'file is empty'),
-        (['sink:=file', 'file:=/nowhere/a.rrd'], '/nowhere'),
-        (['sink:=printer'], "'printer'"),
-    ],
-)
-def test_sink_that_cannot_be_opened_is_refused_in_one_line(ros, rules, words) -> None:
-    ros_args = tuple(word for rule in rules for word in ('-p', rule))
-    with pytest.raises(ParameterError, match=words) as raised:
-        ros.node(Viewer, ros_args=ros_args, arguments=('--ros-args', *ros_args))
-    assert '\n' not in str(raised.value)
-
-
 def test_without_rerun_the_node_names_the_command_that_installs_it(ros, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, 'rerun', None)
     for name in [name for name in sys.modules if name.startswith('soft_throw_ros.recording.')]:
