@@ -21,7 +21,6 @@ from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_T
 from soft_throw_ros.nodes import recording
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
-from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.storage.bag_reader import BagReader
 from std_msgs.msg import String
@@ -39,8 +38,8 @@ def read(path: Path) -> dict[str, list[Any]]:
     return messages
 
 
-def texts(path: Path, topic: str = '/talk') -> list[str]:
-    return [message.data for message in read(path).get(topic, [])]
+def texts(path: Path) -> list[str]:
+    return [message.data for message in read(path).get('/talk', [])]
 
 
 @pytest.fixture
@@ -111,17 +110,18 @@ def test_losses_are_in_diagnostics_and_bag(
     listener = ros.listen_to(node)
     listener.listen(RECORDER_TOPICS.diagnostics)
 
-    def status(task: str, done: Callable[[Any], bool]) -> Any:
-        return listener.status(
-            RECORDER_TOPICS.diagnostics, task, lambda item: done(msg_to_values(item))
+    def values(task: str, level: bytes, name: str, value: int) -> dict[str, Any]:
+        status = listener.status(
+            RECORDER_TOPICS.diagnostics, task, lambda s: msg_to_values(s)[name] == value
         )
+        assert status.level == level
+        return msg_to_values(status)
 
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
-    assert status('losses', lambda values: values['lost'] == 0).level == DiagnosticStatus.OK
-    assert msg_to_values(status('bag', lambda values: values['messages'] == 3))['topics'] == 1
+    values('losses', DiagnosticStatus.OK, 'lost', 0)
+    assert values('bag', DiagnosticStatus.OK, 'messages', 3)['topics'] == 1
     monkeypatch.setattr(node.recording, 'losses', lambda: {'/talk': 2})
-    lost = status('losses', lambda values: values == {'lost': 2, '/talk': 2})
-    assert lost.level == DiagnosticStatus.WARN
+    assert values('losses', DiagnosticStatus.WARN, 'lost', 2)['/talk'] == 2
     path = node.recording.bag
     node.close()
     with BagReader(path) as bag:
@@ -167,50 +167,20 @@ def test_process_that_is_present_and_sends_nothing_is_reported_once(
     node.close()
 
 
-def test_parameters_of_the_next_recording_may_be_changed(ros, recorder, talker, tmp_path) -> None:
-    node = recorder(name='first')
+def test_next_recording_has_the_changed_parameters_in_the_namespace(
+    ros, recorder, talker, tmp_path
+) -> None:
+    node = recorder('-r', '__ns:=/rig1', name='first')
     client = ros.parameters(node)
-    assert client.set(name='second', compression='none', topics=['/other']) == [''] * 3
+    assert client.set(name='second', compression='none', topics=['twin']) == [''] * 3
     assert node.recording.bag == tmp_path / 'first'
     node.end()
     node.begin()
-    say(ros, node, talker.create_publisher(String, '/other', 100), ['a'])
+    talker.create_publisher(String, '/rig2/twin/phase', 100)
+    say(ros, node, talker.create_publisher(String, '/rig1/twin/phase', 100), ['a'])
     node.close()
-    assert list(read(tmp_path / 'second')) == ['/other']
-
-
-def test_recorder_records_the_twin_in_its_own_namespace(ros, recorder, tmp_path) -> None:
-    namespace, words = '/rig1', ('-r', '__ns:=/rig1')
-    node = recorder(*words, name='bag', topics='[twin, /rosout]')
-    twin = ros.node(Twin, ros_args=(*words, '-p', 'throw.period:=0.2'))
-    other = ros.node(Twin, ros_args=('-r', '__ns:=/rig2'))
-    name = f'{namespace}/twin'
-    states = next(item for item in twin.publishers if item.topic_name == f'{name}/joint_states')
-    ros.spin_until(lambda: states.get_subscription_count() > 0, 'the subscription')
-    twin.ticker.start()
-    ros.spin_until(lambda: twin.session.throws >= 3, 'three throws')
-    twin.ticker.stop(5.0)
-    received = {}
-
-    def has_all() -> bool:
-        received.update({tap.channel.topic: tap.received for tap in node.recording.subscriptions})
-        states, results = (
-            received.get(f'{name}/{one}') for one in ('joint_states', 'throw_result')
-        )
-        return states == twin.session.step and results >= 2
-
-    ros.spin_until(has_all, 'all joint states and two results')
-    node.close()
-    recorded = read(tmp_path / 'bag')
-    assert not any(topic.startswith(other.get_namespace()) for topic in recorded)
-    stamps = [
-        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        for message in recorded[f'{name}/joint_states']
-    ]
-    assert len(stamps) == twin.session.step
-    assert stamps == sorted(stamps)
-    assert len(recorded[f'{name}/layer/joint_states'][0].name) == 64
-    with Reader(tmp_path / 'bag') as bag:
+    assert list(read(tmp_path / 'second')) == ['/rig1/twin/phase']
+    with Reader(tmp_path / 'second') as bag:
         assert bag.ros_distro in ('jazzy', 'kilted')
 
 
@@ -275,11 +245,8 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     subscriptions = node.recording.subscriptions
     close = subscriptions.close
 
-    def is_saved() -> bool:
-        return len(saved(tmp_path / 'bag')) == 3
-
     def close_late() -> None:
-        ros.spin_until(is_saved, 'the messages in the bag')
+        ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 3, 'the messages in the bag')
         close()
 
     monkeypatch.setattr(subscriptions, 'close', close_late)
