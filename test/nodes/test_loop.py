@@ -8,7 +8,7 @@ from dataclasses import replace
 import statistics
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
 from rclpy.serialization import deserialize_message
 from soft_throw_ros.configuration import rig_of
@@ -56,12 +56,14 @@ def loop(start_node: Any, record: Any, tmp_path: Any, monkeypatch: Any) -> Any:
 def test_loop_finds_the_rig_improves_layer_and_motion_and_records_all(loop, tmp_path) -> None:
     recorder, calibrator, _, rig = loop
     assert ' 0 lost, in ' in recorder.lines[-1]
-    results, statuses = [], []
+    results, statuses, models = [], [], []
     with BagReader(tmp_path / 'bag') as bag:
         for message in bag.messages(['/twin/throw_result', '/diagnostics']):
             for status in deserialize_message(message.data, DiagnosticArray).status:
                 if status.name == '/twin: throw':
                     results.append(msg_to_throw_result(status))
+                elif status.name == '/twin: model':
+                    models.append(status.level)
                 elif status.name == '/calibrator: identification':
                     values = {item.key: item.value.split()[0] for item in status.values}
                     statuses.append((status.message, values))
@@ -92,6 +94,8 @@ def test_loop_finds_the_rig_improves_layer_and_motion_and_records_all(loop, tmp_
     ]
     speed = statistics.mean(item.first.ejection_speed for item in after)
     assert speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
+    assert DiagnosticStatus.WARN in models
+    assert DiagnosticStatus.OK in models
     errors = [item.comparison.position_rms for item in after]
     assert statistics.median(errors) <= after[0].comparison.threshold
     best = recommend(true, vary='thickness')

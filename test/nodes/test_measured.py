@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from rigs import aged, measured_throw
+from rigs import measured_throw
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
@@ -159,17 +159,6 @@ def test_tick_refuses_at_most_one_message_that_is_too_large(ros, twin, sensors) 
 
     ros.spin_until(is_taken, 'the messages')
     assert counts.refused == {'too large': 5}
-
-
-def test_aged_layer_warns_in_diagnostics(twin, sensors, listener) -> None:
-    listener.listen(TWIN_TOPICS.diagnostics)
-    sensors.throw(measured_throw(aged(Rig(), 0.93), begin_ns=twin.clock.time))
-    twin.session.reset()
-    twin.go(2)
-    final = next(result for result in twin.results if result.stage == 'final')
-    status = listener.status(TWIN_TOPICS.diagnostics, 'model', lambda s: len(s.values) > 0)
-    assert status.level == DiagnosticStatus.WARN
-    assert msg_to_values(status)['position_rms'] == final.comparison.position_rms
 
 
 def test_without_measurement_nothing_is_reported_about_it(ros, sensors_of) -> None:
