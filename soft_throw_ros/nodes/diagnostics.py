@@ -19,11 +19,8 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import known_values, ThrowResult
 from soft_throw_ros.twin.session import Session
 
-MAX_LATE_SHARE = 0.01
-"""Fraction of late ticks above which the status is a warning [-]."""
-
-MAX_COMPUTE_SHARE = 0.5
-"""Fraction of the time spent in ticks above which the status is a warning [-]."""
+_MAX_LATE_SHARE = 0.01  # fraction of late ticks above which the status is a warning [-]
+_MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
 
 class Diagnostics:
@@ -41,8 +38,6 @@ class Diagnostics:
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
         self._measured: Counter[str] = Counter()
-        self._max_lateness = 0  # since the last line of the log [ns]
-        self._logged_skips = 0
 
     def statuses(
         self, result: ThrowResult | None, *, duplicate_nodes: int = 0
@@ -74,24 +69,16 @@ class Diagnostics:
             statuses += [self._measurements(), self._model()]
         return statuses
 
-    def take_lateness(self) -> str:
-        """Return the lateness and the skips of ticks since the last call, for a log."""
-        lateness, self._max_lateness = self._max_lateness, 0
-        skipped = self._ticker.counts['ticks_skipped']
-        skips, self._logged_skips = skipped - self._logged_skips, skipped
-        return f'ticks at most {1e3 * lateness / SECOND:.1f} ms late, {skips} skipped'
-
     def _timing_and_load(self) -> list[DiagnosticStatus]:
         """Return the statuses of the lateness and of the processor time of the ticks."""
         session, ticker, now = self._session, self._ticker, time.monotonic()
         times = ticker.take_times()
         lateness, compute = [late for late, _ in times], [duration for _, duration in times]
-        self._max_lateness = max([self._max_lateness, *lateness])
         passed, self._time = now - self._time, now
         ticks = ticker.counts.copy()
         new, self._ticks = ticks - self._ticks, ticks
         late, skipped = new['ticks_late'], new['ticks_skipped']
-        is_bad = skipped > 0 or late > MAX_LATE_SHARE * len(lateness)
+        is_bad = skipped > 0 or late > _MAX_LATE_SHARE * len(lateness)
         text = f'{late} ticks late, {skipped} skipped'
         if not new['ticks']:
             is_bad, text = True, f'no tick since the last status: {ticker.stall_reason()}'
@@ -104,7 +91,7 @@ class Diagnostics:
             'rate': session.rate,
         }
         timing = {**_percentiles('lateness', lateness), **ticks, 'scheduler': ticker.scheduler}
-        is_loaded = share > MAX_COMPUTE_SHARE
+        is_loaded = share > _MAX_COMPUTE_SHARE
         return [
             self._status('timing', text, timing, warn=is_bad),
             self._status('load', f'{100.0 * share:.1f} % of the time', load, warn=is_loaded),

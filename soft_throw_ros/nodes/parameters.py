@@ -15,8 +15,7 @@ from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
-LOG_PERIOD = 0.5
-"""Time between two logs of changes [s]: short for a user, and long for a slider."""
+_LOG_PERIOD = 0.5  # time between two logs of changes, long for a slider [s]
 
 
 class NodeParameters:
@@ -26,8 +25,7 @@ class NodeParameters:
     `settings` are all present values; they are replaced at every change, so that any thread may
     read them, and `on_changed` is then called with the changes. `check` is called with complete
     settings before they are accepted, and with its result for the present ones, `checked`, which
-    is None at first; it refuses by ValueError. `describe` returns the end of a log line, which is
-    when the change of a name takes effect. `arguments` are the command line, for the names of
+    is None at first; it refuses by ValueError. `arguments` are the command line, for the names of
     files in ParameterError, which is raised in one line if a value or a name is refused.
 
     rclpy checks names, types and ranges before it calls the on-set callbacks, and the reasons that
@@ -41,7 +39,6 @@ class NodeParameters:
         table: Table,
         on_changed: Callable[[Settings], None] = lambda _changes: None,
         *,
-        describe: Callable[[str], str] = lambda _name: '',
         check: Callable[[Settings, Any], Any] = lambda _settings, _checked: None,
         arguments: Sequence[str] = (),
     ) -> None:
@@ -49,10 +46,9 @@ class NodeParameters:
         self._table = table
         self._on_changed = on_changed
         self._check = check
-        self._describe = describe
         self._results: dict[str, Value] = {}  # the present ones
         self._lines: dict[str, str] = {}  # of the log that wait, by parameter
-        node.create_steady_timer(LOG_PERIOD, self._log_changes)
+        node.create_steady_timer(_LOG_PERIOD, self._log_changes)
         node.add_cleanup(self._log_changes)
         overrides = parameter_overrides(node)
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
@@ -128,8 +124,7 @@ class NodeParameters:
             self.checked = self._candidate
             self._on_changed(changes)
             self._lines |= {
-                name: f'{name} is now {shown(value)}{self._describe(name)}'
-                for name, value in changes.items()
+                name: f'{name} is now {shown(value)}' for name, value in changes.items()
             }
 
     def _log_changes(self) -> None:

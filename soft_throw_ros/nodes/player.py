@@ -25,11 +25,8 @@ from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, Sc
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import BagError, Channel, Message, SECOND
 
-DISCOVERY_TIME = 0.5
-"""Time for the discovery of existing subscriptions before the first message. [s]"""
-
-DRAIN_TIMEOUT = 0.5
-"""Longest wait for acknowledgements of the last message. [s]"""
+_DISCOVERY_TIME = 0.5  # time for the discovery of subscriptions before the first message [s]
+_DRAIN_TIMEOUT = 0.5  # longest wait for acknowledgements of the last message [s]
 
 _PUBLISHER_ERRORS = (
     ImportError, NameValidationException, ValueError, TypeError, KeyError, OverflowError,
@@ -91,11 +88,11 @@ class Player(RunnableNode):
         create_service(self, REPLAY_SERVICES.resume, lambda: self._switch(resume, 'playing'))
 
     def start(self) -> None:
-        """Start playing after `DISCOVERY_TIME`."""
+        """Start playing after `_DISCOVERY_TIME`."""
         for channel, reason in self.skipped.items():
             count = self._reader.counts[channel]
             self.get_logger().warning(f'{channel.topic} is skipped, {count} messages: {reason}')
-        begin = time.monotonic_ns() + round(DISCOVERY_TIME * SECOND)
+        begin = time.monotonic_ns() + round(_DISCOVERY_TIME * SECOND)
         if self._clock_period:
             self._clock_due = begin
         if not self._is_paused_first:
@@ -171,8 +168,8 @@ class Player(RunnableNode):
         return min(math.inf if deadline is None else deadline, self._clock_due)
 
     def _wait_for_acknowledgement(self) -> None:
-        """Wait until subscribers have acknowledged all messages, at most `DRAIN_TIMEOUT`."""
-        end = time.monotonic_ns() + round(DRAIN_TIMEOUT * SECOND)
+        """Wait until subscribers have acknowledged all messages, at most `_DRAIN_TIMEOUT`."""
+        end = time.monotonic_ns() + round(_DRAIN_TIMEOUT * SECOND)
         for publisher in self._outlets.values():
             is_done = False
             while not is_done and not self._is_stopping and time.monotonic_ns() < end:

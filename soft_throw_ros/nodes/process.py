@@ -40,8 +40,7 @@ EXIT_TIME = 0.6
 STOP_TIMEOUT = 0.3
 """Longest wait for one thread to end [s]."""
 
-REFUSAL_LOG_PERIOD = 1.0
-"""Shortest time between two log lines about requests that raise exceptions [s]."""
+_REFUSAL_LOG_PERIOD = 1.0  # shortest time between two log lines about exceptions [s]
 
 _MORE = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
 
@@ -84,7 +83,7 @@ class RunnableNode(Node):
                 reason = str(error)
                 if not isinstance(error, (RequestRejected, ParameterError)):
                     reason = f'{srv_name}: a request is refused: {error}'
-                    self.get_logger().error(reason, throttle_duration_sec=REFUSAL_LOG_PERIOD)
+                    self.get_logger().error(reason, throttle_duration_sec=_REFUSAL_LOG_PERIOD)
                 if isinstance(response, Trigger.Response):
                     response.message = reason
                 return response

@@ -28,11 +28,8 @@ from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, Sc
 from soft_throw_ros.storage.bag_metadata import dump_yaml
 from soft_throw_ros.storage.message import Channel, Message
 
-DEPTH = 10_000
-"""Largest number of waiting messages of a topic: one second of the fastest sensor."""
-
-_UNKNOWN = 2**64 - 1
-"""Sequence number of messages for which the middleware knows no number."""
+_DEPTH = 10_000  # most waiting messages of a topic: a second of the fastest sensor [-]
+_UNKNOWN = 2**64 - 1  # sequence number of messages whose number the middleware does not know
 
 
 class _NotExecuted(ReentrantCallbackGroup):
@@ -85,11 +82,11 @@ class RawSubscription:
         return self._counter.lost
 
     def drain(self, max_size: float = math.inf) -> list[Message]:
-        """Return the next messages: at most `DEPTH`, and none beyond a total size [bytes]."""
+        """Return the next messages: at most `_DEPTH`, and none beyond a total size [bytes]."""
         messages: list[Message] = []
         size = 0
         waiting = rclpy_internals.take_messages(self._subscription, self._type)
-        for data, info in islice(waiting, DEPTH):  # a publisher may be faster than the loop
+        for data, info in islice(waiting, _DEPTH):  # a publisher may be faster than the loop
             number = info['publication_sequence_number']
             number = None if number == _UNKNOWN else number
             gid = info.get('publisher_gid')  # None before Kilted
@@ -250,7 +247,7 @@ def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
     """Return the strictest request that is compatible with the offers of all publishers."""
     profiles = [publisher.qos_profile for publisher in publishers]
     return make_profile(
-        DEPTH,
+        _DEPTH,
         is_reliable=all(item.reliability is ReliabilityPolicy.RELIABLE for item in profiles),
         is_latched=all(item.durability is DurabilityPolicy.TRANSIENT_LOCAL for item in profiles),
     )

@@ -20,17 +20,13 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
-SPIN = 60_000
-"""Time of polling before a deadline [ns]: about as long as a sleep overruns."""
-
-POLL = 0.1
-"""Longest wait of a thread before it checks the request to stop [s]."""
+_SPIN = 60_000  # polling before a deadline, about as long as a sleep overruns [ns]
+_POLL = 0.1  # longest wait of a thread before it checks the request to stop [s]
 
 PRIORITY = 10
 """Real-time priority (SCHED_FIFO) of the tick thread [-]."""
 
-FIFO_RETRY_DELAY = 1.0
-"""Time after a stall until the tick thread returns to real-time priority [s]."""
+_FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [s]
 
 
 class SystemClock:
@@ -63,10 +59,10 @@ class SystemClock:
     def wait_until(self, deadline: int) -> None:
         """Sleep until a deadline or earlier; poll at the end, because a sleep ends late."""
         target = deadline - self._offset
-        pause = target - SPIN - time.monotonic_ns()
+        pause = target - _SPIN - time.monotonic_ns()
         if pause > 0:
-            time.sleep(min(pause / SECOND, POLL))
-        while 0 < target - time.monotonic_ns() <= SPIN:
+            time.sleep(min(pause / SECOND, _POLL))
+        while 0 < target - time.monotonic_ns() <= _SPIN:
             pass
 
 
@@ -98,7 +94,7 @@ class NodeClock:
     def wait_until(self, deadline: int) -> None:
         """Wait until the clock advances."""
         if self.now() < deadline:
-            self._moved.wait(POLL)
+            self._moved.wait(_POLL)
         self._moved.clear()
 
     def close(self) -> None:
@@ -132,7 +128,7 @@ class Ticker:
     The thread uses real-time priority as long as this keeps it on time. While it waits for
     Python's global lock, it polls the lock, and may keep the thread that holds the lock from its
     processor. Many nodes on few cores would then do nothing but poll. After a stall the thread
-    therefore runs with normal priority for `FIFO_RETRY_DELAY`.
+    therefore runs with normal priority for `_FIFO_RETRY_DELAY`.
     """
 
     def __init__(
@@ -219,7 +215,7 @@ class Ticker:
         while not self._is_stopping.is_set():
             due = self.run_due()
             if best == 'fifo':
-                may_retry = time.monotonic() > self._stalled + FIFO_RETRY_DELAY
+                may_retry = time.monotonic() > self._stalled + _FIFO_RETRY_DELAY
                 if may_retry != (self.scheduler == 'fifo'):
                     self.scheduler = set_priority(PRIORITY if may_retry else 0)
             self._clock().wait_until(due)

@@ -19,11 +19,8 @@ from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 
-SWITCH_INTERVAL = 3e-5
-"""Shortest wait of a due tick for another Python thread; shorter ones wake too often. [s]"""
-
-SWITCH_FRACTION = 0.03
-"""The same as a fraction of the tick period, to save processor time at low rates. [-]"""
+_SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
+_SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
 
 
 class RealTimeNode(RunnableNode):
@@ -106,7 +103,7 @@ class RealTimeNode(RunnableNode):
         return time.monotonic() - self._started
 
     def _set_switch_interval(self) -> None:
-        sys.setswitchinterval(max(SWITCH_INTERVAL, SWITCH_FRACTION / self.session.rate))
+        sys.setswitchinterval(max(_SWITCH_INTERVAL, _SWITCH_FRACTION / self.session.rate))
 
     def _current_clock(self) -> Clock:
         return self._node_clock if self._node_clock.is_active else self._system_clock

@@ -19,8 +19,7 @@ from soft_throw_ros.nodes.recording import bag_path, Recording
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.twin.session import RequestRejected
 
-DISCOVERY_TIME = 0.2
-"""Time between two searches for new topics. [s]"""
+_DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
 
 
 class Recorder(RunnableNode):
@@ -33,19 +32,13 @@ class Recorder(RunnableNode):
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
         self._logged: set[str] = set()  # problems of the recording
-        when = ', when recording is started again'
-        self.parameters = NodeParameters(
-            self,
-            RECORDER,
-            describe=lambda _name: when if self.recording is not None else '',
-            arguments=arguments,
-        )
+        self.parameters = NodeParameters(self, RECORDER, arguments=arguments)
         if self.parameters.settings['start']:
             _check(self.parameters.settings)
         self._outgoing = Publishers(self, RECORDER_TOPICS)
         create_service(self, RECORDER_SERVICES.start, self._on_start)
         create_service(self, RECORDER_SERVICES.stop, self._on_stop)
-        self.create_steady_timer(DISCOVERY_TIME, self._on_discovery)
+        self.create_steady_timer(_DISCOVERY_TIME, self._on_discovery)
         self.create_steady_timer(1.0, self._on_second)
 
     def start(self) -> None:

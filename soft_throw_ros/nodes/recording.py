@@ -24,8 +24,7 @@ from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.writer_thread import WriterThread
 
-DRAIN_TIME = 0.01
-"""Time between two calls that take the received messages. [s]"""
+_DRAIN_TIME = 0.01  # time between two calls that take the received messages [s]
 
 PUBLISHER_TIMEOUT = 2.0
 """Time after which wanted topics without a publisher are reported. [s]"""
@@ -34,7 +33,6 @@ SILENCE_LIMIT = 5
 """Time without messages after which topics are reported although they have publishers. [s]"""
 
 _PARTICIPANT = slice(12)  # part of the identifier of a publisher that names its process, in DDS
-
 _MAX_NAMES = 2  # in a sentence
 
 
@@ -162,7 +160,7 @@ class Recording:
         """Record messages until `stop` is called, and then once more."""
         is_last = False
         while not is_last:
-            is_last = self._is_stopping.wait(DRAIN_TIME)
+            is_last = self._is_stopping.wait(_DRAIN_TIME)
             self.writer.put(self.subscriptions.drain())
 
     def _note(self, name: str, values: Mapping[str, object]) -> None:

@@ -19,13 +19,10 @@ from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError
 
-CLOCK_RATE = 40.0
-"""Default rate of `/clock`. [Hz]"""
+_CLOCK_RATE = 40.0  # default rate of `/clock` [Hz]
+_MAX_RATE = 1e6  # largest playback speed: a day in 0.1 s [-]
 
-MAX_RATE = 1e6
-"""Largest playback speed: a day in 0.1 s. [-]"""
-
-_rate = number_type(f'positive and at most {MAX_RATE:g}', lambda rate: 0.0 < rate <= MAX_RATE)
+_rate = number_type(f'positive and at most {_MAX_RATE:g}', lambda rate: 0.0 < rate <= _MAX_RATE)
 
 _USAGE = 'replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG'
 
@@ -71,14 +68,14 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
     parser.add_argument(
         '--rate', metavar='R', type=_rate,
-        help=f'playback speed relative to the recording, at most {MAX_RATE:g} (default 1)',
+        help=f'playback speed relative to the recording, at most {_MAX_RATE:g} (default 1)',
     )
     parser.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
     parser.add_argument('--loop', action='store_true', help='restart after the end')
     parser.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
     parser.add_argument(
-        '--clock', metavar='HZ', nargs='?', type=positive, const=CLOCK_RATE,
-        help=f'publish the time of the bag on /clock (default {CLOCK_RATE:g} Hz) '
+        '--clock', metavar='HZ', nargs='?', type=positive, const=_CLOCK_RATE,
+        help=f'publish the time of the bag on /clock (default {_CLOCK_RATE:g} Hz) '
         'instead of a recorded /clock',
     )
     parser.add_argument(

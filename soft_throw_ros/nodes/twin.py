@@ -50,11 +50,8 @@ _RigUncertainty: TypeAlias = tuple[Rig | None, dict[str, float]]  # of the throw
 PHASES = tuple(Phase)
 """Phases, each at the index that `~/phase_change` publishes."""
 
-LINE_INTERVAL_NS = 9_900_000_000
-"""Time between two log lines about throws, ten at the default period, except warnings. [ns]"""
-
-RECOMMENDATION_INTERVAL = 0.3
-"""Shortest time between two searches for a better layer, to limit their processor load [s]."""
+_LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
+_RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
 
 
 class Twin(RealTimeNode):
@@ -72,17 +69,11 @@ class Twin(RealTimeNode):
         self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
         self._uncertainty: _RigUncertainty = None, {}
-        self._last_line_ns = -LINE_INTERVAL_NS
-        self._logged_throws = 0
+        self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
         self._duplicate_nodes = 0
         self.parameters = NodeParameters(
-            self,
-            TWIN,
-            self._on_changed,
-            describe=self._describe_change,
-            check=self.prepare,
-            arguments=arguments,
+            self, TWIN, self._on_changed, check=self.prepare, arguments=arguments
         )
         self._joints = joint_names(self.parameters.settings)
         self._serialize_command()
@@ -105,7 +96,7 @@ class Twin(RealTimeNode):
             self._on_uncertainty,
             on_failure=self._on_failed_search,
             log=self.get_logger().error,
-            interval=RECOMMENDATION_INTERVAL,
+            interval=_RECOMMENDATION_INTERVAL,
         )
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.checked.config)
@@ -227,15 +218,15 @@ class Twin(RealTimeNode):
         return ''
 
     def _log_throw(self, result: ThrowResult, due: int) -> None:
-        """Log a throw; one in ten seconds at level INFO, with a summary since the last such."""
+        """Log a throw; one in ten seconds at level INFO, with a summary since the start."""
         text = throw_text(result)
-        if due - self._last_line_ns < LINE_INTERVAL_NS:
+        if due - self._last_line_ns < _LINE_INTERVAL_NS:
             self.get_logger().debug(text)
             return
         if result.throw > 1:
-            throws = count_of(result.throw - self._logged_throws, 'throw')
-            text += f'; {throws}, {self._diagnostics.take_lateness()}'
-        self._last_line_ns, self._logged_throws = due, result.throw
+            skipped = self.ticker.counts['ticks_skipped']
+            text += f'; {result.throw} throws, {skipped} ticks skipped since the start'
+        self._last_line_ns = due
         self.get_logger().info(text)
 
     def describe_start(self) -> str:
@@ -292,10 +283,6 @@ class Twin(RealTimeNode):
         motion = config.rig.engine.motion
         if config.command_lead is not None and motion is not None:
             encode_command(0, motion, self._joints[0], frame_of(self))
-
-    def _describe_change(self, name: str) -> str:
-        """Return when a change takes effect, as the end of a log line."""
-        return ', from the next throw or ~/reset on' if name in self.session.pending else ''
 
     def _on_throw(self) -> str:
         number = self.session.request_throw()

@@ -27,11 +27,8 @@ from soft_throw_ros.recording import rerun_viewer
 DRAIN_PERIOD = 0.1
 """Time between two updates of the drawing; shorter ones cost more of a core. [s]"""
 
-FLUSH_TIME = 0.7
-"""Longest wait for viewers and disk at the end. [s]"""
-
-DISCOVERY_PERIOD = 0.2
-"""Time between two searches for new topics. [s]"""
+_FLUSH_TIME = 0.7  # longest wait for viewers and disk at the end [s]
+_DISCOVERY_PERIOD = 0.2  # time between two searches for new topics [s]
 
 
 class Viewer(RunnableNode):
@@ -39,12 +36,7 @@ class Viewer(RunnableNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('viewer', **kwargs)
-        self.parameters = NodeParameters(
-            self,
-            VIEWER,
-            describe=lambda _name: ', when the viewer is started again',
-            arguments=arguments,
-        )
+        self.parameters = NodeParameters(self, VIEWER, arguments=arguments)
         settings = self.parameters.settings
         if settings['sink'] == 'file' and not settings['file']:
             raise ParameterError("sink is 'file' and file is empty; name a file such as live.rrd")
@@ -67,7 +59,7 @@ class Viewer(RunnableNode):
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
         self._scene = Scene(self._stream, is_live=True)
-        self.create_steady_timer(DISCOVERY_PERIOD, self.raw_subscriptions.discover)
+        self.create_steady_timer(_DISCOVERY_PERIOD, self.raw_subscriptions.discover)
         self.create_steady_timer(DRAIN_PERIOD, self._drain)
         self.create_steady_timer(1.0, self._report)
 
@@ -81,7 +73,7 @@ class Viewer(RunnableNode):
         self._drain()
         self.raw_subscriptions.close()
         with contextlib.suppress(OSError):
-            rerun_viewer.finish(self._stream, '', FLUSH_TIME)
+            rerun_viewer.finish(self._stream, '', _FLUSH_TIME)
         self.get_logger().info(
             f'{self.raw_subscriptions.received} messages, {self.raw_subscriptions.lost} not shown'
         )
