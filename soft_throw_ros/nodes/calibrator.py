@@ -15,10 +15,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+import math
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from soft_throw_ros.configuration.interface import (
@@ -32,7 +34,8 @@ from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
 from soft_throw_ros.identification.fit_warnings import fit_warnings
-from soft_throw_ros.identification.flight import motion_delay
+from soft_throw_ros.identification.flight import flight_speed, motion_delay
+from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks
 from soft_throw_ros.nodes.conversions import (
@@ -42,7 +45,6 @@ from soft_throw_ros.nodes.conversions import (
     msg_to_values,
 )
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
-from soft_throw_ros.nodes.motion_gain import describe_gain, MeasuredThrow
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.service_calls import call, get_parameters, set_parameters
@@ -58,6 +60,7 @@ _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
 _AFTER = 6.5  # length of the track from the start of the throw on [plate periods]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
+_RELEASE_TIME_ERROR = 1e-4  # standard error of a release, by delays of the sensors [s]
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
 # The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
 # linear layer.
@@ -65,6 +68,14 @@ _KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'pr
 _DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 _OF_COMMAND = ('engine.motion', 'engine.motion_file', 'recommendation.vary')
+
+
+class MeasuredThrow(NamedTuple):
+    """A throw whose projectile was measured in flight."""
+
+    speed: Estimate  # at the release, with the error by the scatter of the heights [m/s]
+    common_error: float  # of the speeds of all such throws [m/s]
+    peak_plate_speed: float  # [m/s]
 
 
 class Calibrator(RunnableNode):
@@ -210,7 +221,8 @@ class Calibrator(RunnableNode):
         end_ns = release_ns + round(1e9 * duration)
         tracks = self._measured.between(release_ns, end_ns, name=f'throw {result.throw}')
         assert tracks.projectile is not None
-        return MeasuredThrow.from_track(result, tracks.projectile)
+        speed = flight_speed(tracks.projectile, gravity=gravity)
+        return MeasuredThrow(speed, gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)
 
     def _submit(self, task: Callable[[], None], reason: str) -> None:
         self.get_logger().info(reason)
@@ -294,6 +306,39 @@ class Calibrator(RunnableNode):
             if self._closing.wait(_PAUSE):
                 break
         raise RequestRejected(f'{self._apply.srv_name}: {response.message}')
+
+
+def describe_gain(
+    by_engine: Sequence[MeasuredThrow], commanded: Sequence[MeasuredThrow]
+) -> tuple[str, dict[str, str]]:
+    """Return the gain of the commanded motion as a sentence, and its values."""
+    values = _means('engine', by_engine) | _means('commanded', commanded)
+    message = (
+        f'measured gain by the commanded motion: ejection speed '
+        f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
+        f'energy transfer {values["engine.energy_transfer"]} -> '
+        f'{values["commanded.energy_transfer"]}'
+    )
+    return message, values
+
+
+def _means(prefix: str, throws: Sequence[MeasuredThrow]) -> dict[str, str]:
+    """Return mean results, with the larger scatter, among or within throws, and common errors."""
+    speeds, errors = np.transpose([throw.speed for throw in throws])
+    plate_speed = float(np.mean([throw.peak_plate_speed for throw in throws]))
+    speed = float(speeds.mean())
+    scatter = math.sqrt(float(np.mean(errors**2)))
+    if speeds.size > 1:
+        scatter = max(scatter, float(speeds.std(ddof=1)))
+    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].common_error)
+    energy_transfer = (speed / plate_speed) ** 2
+    return {
+        f'{prefix}.ejection_speed': str(Estimate(speed, error)),
+        f'{prefix}.energy_transfer': str(
+            Estimate(energy_transfer, 2.0 * energy_transfer * error / speed)
+        ),
+        f'{prefix}.throws': str(speeds.size),
+    }
 
 
 main = partial(run, 'calibrator', Calibrator)

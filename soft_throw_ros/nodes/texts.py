@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from soft_throw_ros.core.smoothing import FEWEST
 from soft_throw_ros.twin.plate_estimator import PER_CROSSING, PER_PERIOD, SampledSpan
 from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
@@ -30,7 +32,11 @@ def count_of(number: int, noun: str) -> str:
 def throw_text(result: ThrowResult) -> str:
     """Return the release of a throw with warnings, or the reason why the throw is invalid."""
     if not result.is_valid:
-        return _invalid_text(result)
+        text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
+        if result.ended_by == 'noise':
+            text = 'the plate samples are noisy: increase measured.smoothing_window or the rate'
+        causes = [f'throw {result.throw} is invalid: {text}', *_causes(result.disturbances, 0)]
+        return '; '.join(causes)
     if result.first is None:
         return f'throw {result.throw}: the projectile was not released'
     event = 'release predicted' if result.stage == 'predicted' else 'released'
@@ -60,7 +66,7 @@ def comparison_text(result: ThrowResult) -> str:
     rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
     if comparison.is_within_threshold:
         return f'the projectile followed the model within {rms:.3g} um rms'
-    causes = _causes_text(result.disturbances, comparison.samples)
+    causes = ', '.join(_causes(result.disturbances, comparison.samples))
     return (
         f'the projectile deviated from the model by {rms:.3g} um rms, more than '
         f'measured.residual_threshold {threshold:.3g} um: '
@@ -75,30 +81,17 @@ def lead_text(result: ThrowResult) -> str:
     return f'prediction available {abs(lead):.2f} ms {side} release'
 
 
-def _invalid_text(result: ThrowResult) -> str:
-    """Return why the plate could not be followed."""
-    text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
-    if result.ended_by == 'noise':
-        text = 'the plate samples are too noisy: increase measured.smoothing_window or the rate'
-    causes = _causes_text(result.disturbances, 0)
-    return f'throw {result.throw} is invalid: {text}' + (f'; {causes}' if causes else '')
-
-
-def _causes_text(disturbances: Disturbances | None, samples: int) -> str:
-    """Return the disturbances of a throw with a number of samples, if any."""
+def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:
+    """Yield the disturbances of a throw with a number of samples, if any."""
     if disturbances is None:
-        return ''
-    causes = []
+        return
     if disturbances.samples_missing > MOST_LEFT_OUT * samples:
-        causes.append(
+        yield (
             f'{disturbances.samples_missing} samples are missing or came too late (see '
             'measurement in /diagnostics)'
         )
     if disturbances.time_skipped > 0.0:
-        causes.append(
-            f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'
-        )
-    return ', '.join(causes)
+        yield f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'
 
 
 def sensor_text(fault: SensorFault) -> str:

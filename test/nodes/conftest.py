@@ -70,6 +70,9 @@ Fast DDS prints such a message when two processes open their transports at the s
 process cannot lock a port of shared memory ("open_and_lock_file failed") and takes the next port.
 """
 
+_FUTEX = '202'  # number of the system call on x86-64
+_WAITING = {0, 9}  # its operations that wait, FUTEX_WAIT and FUTEX_WAIT_BITSET
+
 COLOURS = re.compile(r'\x1b\[[0-9;]*m')
 
 MILLISECOND = SECOND // 1000
@@ -525,3 +528,42 @@ def record(start_node: Callable[..., Process], tmp_path: Path) -> Callable[..., 
         return recorder
 
     return record
+
+
+def stop_waiting(pid: int) -> None:
+    """
+    Send SIGSTOP at a time at which all threads of a process wait in a system call.
+
+    A process that is stopped or killed while it takes a message from shared memory keeps the lock
+    of its queue: Fast DDS then blocks all senders for up to ten seconds, and drops their messages
+    (docs/record.md). A test of anything else must not meet this case by chance.
+    """
+    deadline = time.monotonic() + TIMEOUT
+    while True:
+        os.kill(pid, signal.SIGSTOP)
+        tasks = list(Path(f'/proc/{pid}/task').iterdir())
+        while not all(_is_stopped(task) for task in tasks):
+            time.sleep(1e-4)
+        if all(_is_waiting(task) for task in tasks):
+            return
+        assert time.monotonic() < deadline, f'process {pid} never waits'
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(1e-3)
+
+
+def _is_stopped(task: Path) -> bool:
+    return (task / 'stat').read_text().rpartition(') ')[2].startswith('T')
+
+
+def _is_waiting(task: Path) -> bool:
+    """Return whether a stopped thread is in a system call that waits."""
+    call, *arguments = (task / 'syscall').read_text().split()
+    if call == _FUTEX:
+        return int(arguments[1], 16) & 0x7F in _WAITING
+    return call != '-1'
+
+
+@pytest.fixture
+def stop() -> Callable[[int], None]:
+    """Return a function that stops a process while it holds no lock."""
+    return stop_waiting

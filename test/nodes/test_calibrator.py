@@ -23,9 +23,8 @@ from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
-from soft_throw_ros.nodes.calibrator import Calibrator
+from soft_throw_ros.nodes.calibrator import Calibrator, describe_gain, MeasuredThrow
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions
-from soft_throw_ros.nodes.motion_gain import describe_gain, MeasuredThrow
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.service_calls import set_parameters
 from soft_throw_ros.nodes.topics import create_subscription

@@ -18,7 +18,6 @@ from rclpy.node import Node
 from soft_throw_ros.nodes.replay import main
 from soft_throw_ros.storage.message import Message
 from std_srvs.srv import Trigger
-from stopping import stop
 from twin_messages import TwinMessages
 
 pytestmark = pytest.mark.timeout(300)
@@ -215,7 +214,7 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_stopped_subscriber_does_not_delay_the_end(start, ros, texts) -> None:
+def test_stopped_subscriber_does_not_delay_the_end(start, stop, ros, texts) -> None:
     subscriber = start(sys.executable, '-c', SUBSCRIBER)
     subscriber.wait_for('ready')
     by_itself = start(*COMMAND, str(texts), '--rate', '0.3')  # so slow that it is found
