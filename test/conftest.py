@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+import re
 import signal
 
 import hypothesis
@@ -34,6 +35,14 @@ def floating_point_errors_raise() -> Iterator[None]:
     """Raise on floating-point errors except underflow, which decaying values cause."""
     with np.errstate(divide='raise', over='raise', invalid='raise'):
         yield
+
+
+@pytest.fixture(scope='session')
+def result_keys() -> set[str]:
+    """Return the keys of a result that docs/results.md describes."""
+    page = (Path(__file__).parents[1] / 'docs/results.md').read_text('utf-8')
+    rows = (line.split('|')[1] for line in page.splitlines() if line.startswith('| `'))
+    return set(re.findall(r'`([\w.]+)`', ' '.join(rows)))
 
 
 @pytest.fixture

@@ -14,11 +14,9 @@ from soft_throw_ros.configuration.interface import (
     resolve,
     TWIN_TOPICS,
 )
-from soft_throw_ros.configuration.result_keys import RESULT_KEYS
 import yaml
 
 CONFIG = Path(__file__).parents[1] / 'config'
-KEYS = {key.name for key in RESULT_KEYS}
 TOPICS = {resolve(topic.name, '/twin'): topic for topic in TWIN_TOPICS}
 
 
@@ -33,7 +31,7 @@ def plotjuggler_curves():
     return [curve.get('name') for curve in root.iter('curve')]
 
 
-def test_foxglove_plots_topics_of_the_twin():
+def test_foxglove_plots_topics_of_the_twin(result_keys):
     for path in foxglove_paths():
         name, rest = re.fullmatch(r'([\w/]+)\.(.*)', path).groups()
         topic = TOPICS[name]
@@ -44,10 +42,10 @@ def test_foxglove_plots_topics_of_the_twin():
         else:
             assert topic.type == ARRAY
             (key,) = re.fullmatch(r'status\[0\]\.values\[:\]{key=="(\w+)"}\.value', rest).groups()
-            assert key in KEYS
+            assert key in result_keys
 
 
-def test_plotjuggler_plots_topics_of_the_twin():
+def test_plotjuggler_plots_topics_of_the_twin(result_keys):
     for curve in plotjuggler_curves():
         name = max((name for name in TOPICS if curve.startswith(f'{name}/')), key=len)
         topic, rest = TOPICS[name], curve.removeprefix(f'{name}/')
@@ -58,7 +56,7 @@ def test_plotjuggler_plots_topics_of_the_twin():
         else:  # hardware_id, name and key
             assert topic.type == ARRAY
             (key,) = re.fullmatch(r'/twin//twin: (?:throw|recommendation)/(\w+)', rest).groups()
-            assert key in KEYS
+            assert key in result_keys
 
 
 @pytest.mark.parametrize(

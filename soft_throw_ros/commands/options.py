@@ -52,7 +52,7 @@ MEASURED_PARAMETERS = (
 _MOTION = replace(
     TWIN.by_name['engine.motion'],
     meaning='Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), or '
-    'a recorded motion from a file (CSV of time and height, or a bag)',
+    'a recorded motion from a file (CSV of time and height)',
     choices=(),
     kind="'underdamped', 'harmonic' or the path of a file",
 )

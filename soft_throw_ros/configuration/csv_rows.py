@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import csv
 import math
 import re
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -27,20 +26,12 @@ _MICRO = str.maketrans({'\N{MICRO SIGN}': 'u', '\N{GREEK SMALL LETTER MU}': 'u'}
 class Column(NamedTuple):
     """Labels, units and range of a column of numbers."""
 
-    labels: tuple[str, ...]
-    """Accepted labels, in small letters."""
-    units: Mapping[str, float]
-    """SI values of the accepted units."""
-    default_unit: str
-    """Unit of a column whose label has none."""
-    largest: float = math.inf
-    """Largest absolute value. [SI]"""
-    may_have_gaps: bool = False
-    """Whether a value may be missing: the cell is empty or nan, and the value NaN."""
-    hints: Mapping[str, str] = MappingProxyType({})
-    """Remedies for labels with other units, by unit."""
-    needs_label: bool = False
-    """Whether a file without labels never has this column."""
+    labels: tuple[str, ...]  # accepted ones, in small letters
+    units: Mapping[str, float]  # SI values of the accepted units
+    default_unit: str  # of a column whose label has none
+    largest: float = math.inf  # absolute value [SI]
+    may_have_gaps: bool = False  # whether a cell may be empty or nan, and the value NaN
+    needs_label: bool = False  # whether a file without labels never has this column
 
 
 def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
@@ -90,19 +81,12 @@ def read_columns(
     lines: Iterable[str], name: str, columns: Mapping[str, Column]
 ) -> dict[str, Floats]:
     """
-    Read columns of numbers in SI units; raise ValueError with the number of the line.
+    Read columns of numbers in SI units from lines of text, see `read_rows`.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        Lines of text, see `read_rows`. A first line may label the columns, with an optional unit
-        in brackets; other columns are skipped then. Without labels, the columns are in the order
-        of `columns`.
-    name : str
-        Name of the text in errors.
-    columns : mapping of str to Column
-        The first one is the time, which increases. The first two are required.
-
+    A first line may label the columns, with an optional unit in brackets; columns with other
+    labels are skipped. Otherwise they are in the order of `columns`, of which the first one is the
+    time, which increases, and the first two are required. ValueError has the `name` of the text
+    and the number of the line.
     """
     try:
         rows = list(read_rows(lines))
@@ -116,11 +100,9 @@ def read_columns(
         del rows[0]
         sources = _find_columns(head, columns, f'{name}:{first}')
     else:
-        bare = [item for item in columns.items() if not item[1].needs_label]
-        sources = {
-            key: (n, column.units[column.default_unit])
-            for n, (key, column) in enumerate(bare[: len(head)])
-        }
+        bare = [key for key, column in columns.items() if not column.needs_label]
+        units = [columns[key].units[columns[key].default_unit] for key in bare]
+        sources = dict(zip(bare, zip(range(len(head)), units, strict=False), strict=False))
     if not rows:
         raise ValueError(f'{name}:{first}: names columns, but no line with numbers follows')
     if second not in sources:
@@ -133,23 +115,17 @@ def read_columns(
         if len(cells) == len(head) + 1 and not cells[-1]:
             del cells[-1]  # the line ends with a separator
         if len(cells) != len(head):
-            hint = '; the same sign must separate the values of all lines' * (len(cells) == 1)
             raise ValueError(
-                f'{where}: must have {len(head)} values as line {first} has, '
-                f'got {len(cells)}{hint}'
+                f'{where}: must have {len(head)} values as line {first} has, got {len(cells)}'
             )
         table.append([
             _number(cells[index], unit, f'{where}: {key}', columns[key])
             for key, (index, unit) in sources.items()
         ])
-    result = dict(zip(sources, np.array(table).T, strict=True))
-    times = result[time]
-    if (back := np.flatnonzero(np.diff(times) < MIN_STEP)).size:
-        n = int(back[0]) + 1
-        raise ValueError(
-            f'{name}:{rows[n][0]}: {time} must increase, got {times[n]:g} after {times[n - 1]:g}'
-        )
-    return result
+        if len(table) > 1 and not table[-1][0] - table[-2][0] >= MIN_STEP:
+            before, now = table[-2][0], table[-1][0]
+            raise ValueError(f'{where}: {time} must increase, got {now:g} after {before:g}')
+    return dict(zip(sources, np.array(table).T, strict=True))
 
 
 def _number(text: str, unit: float, subject: str, column: Column) -> float:
@@ -168,23 +144,22 @@ def _number(text: str, unit: float, subject: str, column: Column) -> float:
 def _find_columns(
     cells: Sequence[str], columns: Mapping[str, Column], where: str
 ) -> dict[str, tuple[int, float]]:
-    """Return index and SI value of the unit of each column that has a label."""
+    """Return index and SI value of the unit of each column that has a label, the time first."""
+    labels = [parse_label(cell) for cell in cells]
     sources: dict[str, tuple[int, float]] = {}
-    for index, cell in enumerate(cells):
-        label, unit_name = parse_label(cell)
-        for key, column in columns.items():
-            if label not in column.labels:
-                continue
-            unit = column.units.get(unit_name or column.default_unit)
-            if unit is None:
-                rule = 'must be in' if len(column.units) > 1 else 'is read in'
+    for key, column in columns.items():
+        found = [index for index, (label, _) in enumerate(labels) if label in column.labels]
+        if len(found) > 1:
+            again = quote(cells[found[1]])
+            raise ValueError(f'{where}: {key} must be there once, got {again} too')
+        for index in found:
+            unit = labels[index][1] or column.default_unit
+            if unit not in column.units:
                 raise ValueError(
-                    f'{where}: {key} {rule} {" or ".join(column.units)}, got {quote(cell)}'
-                    f'{column.hints.get(unit_name, "")}'
+                    f'{where}: {key} must be in {" or ".join(column.units)}, '
+                    f'got {quote(cells[index])}'
                 )
-            if key in sources:
-                raise ValueError(f'{where}: {key} must be there once, got {quote(cell)} too')
-            sources[key] = index, unit
+            sources[key] = index, column.units[unit]
     for key in list(columns)[:2]:
         if key not in sources:
             raise ValueError(

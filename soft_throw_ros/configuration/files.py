@@ -24,26 +24,19 @@ from soft_throw_ros.configuration.yaml_file import read_yaml
 import yaml
 
 _KEY = 'ros__parameters'
+_NOTE = '    # '
+_FOREIGN = re.compile(r'use_sim_time|start_type_description_service|qos_overrides\..*')
 
 
 class Source(NamedTuple):
     """The source of a value: a file, or an argument."""
 
-    node: str
-    """Pattern of node names."""
+    node: str  # pattern of node names
     name: str
-    where: str
-    """`FILE` or `-p NAME:=VALUE`."""
-    order: int = 0
-    """Number of the file or of the row of arguments; later ones win."""
-    value: Any = None
-    """The value in a file; None for an argument, which ROS parses."""
+    where: str  # `FILE` or `-p NAME:=VALUE`
+    order: int = 0  # of the file or of the row of arguments; later ones win
+    value: Any = None  # in a file; None for an argument, which ROS parses
     in_file: bool = True
-
-    @property
-    def is_for_all(self) -> bool:
-        """Whether the value stands in a section for several nodes, such as `/**`."""
-        return self.in_file and self.node.endswith('*')
 
 
 def read(
@@ -70,9 +63,7 @@ def read(
     return start(values, sources, table)
 
 
-def start(
-    values: Settings, sources: dict[str, Source], table: Table = TWIN
-) -> dict[str, Value]:
+def start(values: Settings, sources: dict[str, Source], table: Table = TWIN) -> dict[str, Value]:
     """
     Return the settings at the start from the values of files and arguments.
 
@@ -81,24 +72,21 @@ def start(
     a file that is present already is no change, so that one line of a complete file can be edited.
 
     """
-    requests: dict[int, dict[str, Value]] = {}
-    sources = {name: Source('', name, '') for name in values} | sources
-    for name, value in values.items():
-        source = sources[name]
-        entry = table.by_name.get(name)
-        # `ros2 param dump` writes results to files
-        is_ignored = source.is_for_all if entry is None else source.in_file and entry.is_result
-        if not is_ignored:
-            requests.setdefault(source.order, {})[name] = value
     settings = table.defaults()
+    sources = {name: sources.get(name, Source('', name, '')) for name in values}
     try:
-        for _, request in sorted(requests.items()):
-            new = {
-                name: value
-                for name, value in request.items()
-                if not sources[name].in_file or table.check_value(name, value) != settings[name]
-            }
-            settings.update(table.change(settings, new))
+        for order in sorted({source.order for source in sources.values()}):
+            request: dict[str, Value] = {}
+            for name, source in sources.items():
+                entry = table.by_name.get(name)
+                is_of_another = entry is None and source.node.endswith('*')
+                # `ros2 param dump` writes results to files
+                is_ignored = source.in_file and (is_of_another or (entry and entry.is_result))
+                if source.order == order and not is_ignored:
+                    value = table.check_value(name, values[name])
+                    if not source.in_file or value != settings[name]:
+                        request[name] = value
+            settings.update(table.change(settings, request))
     except ParameterError as error:
         where = next((sources[name].where for name in error.names if name in sources), '')
         raise ParameterError(where + ': ' * bool(where) + str(error), *error.names) from None
@@ -107,9 +95,7 @@ def start(
 
 def is_foreign(name: str) -> bool:
     """Return whether a parameter is one that rclpy declares on every node."""
-    return name in ('use_sim_time', 'start_type_description_service') or name.startswith(
-        'qos_overrides.'
-    )
+    return _FOREIGN.fullmatch(name) is not None
 
 
 def read_arguments(arguments: Sequence[str]) -> list[Source]:
@@ -138,8 +124,8 @@ def select(sources: Iterable[Source], node: str) -> dict[str, Source]:
 @lru_cache
 def _matches(pattern: str, node: str) -> bool:
     """Return whether a pattern of ROS matches the full name of a node."""
-    tokens = {'': '', '*': r'/\w+', '**': r'(/\w+)*'}
-    regex = ''.join(tokens.get(word, f'/{re.escape(word)}') for word in pattern.split('/'))
+    regex = re.escape('/' + pattern.lstrip('/'))
+    regex = regex.replace(r'/\*\*', r'(/\w+)*').replace(r'/\*', r'/\w+')
     return re.fullmatch(regex, node) is not None
 
 
@@ -157,20 +143,12 @@ def render(
     """
     lines = [f'# {line}'.rstrip() for line in title.splitlines()]
     lines += [f'/**/{table.node}:', f'  {_KEY}:']
-    group = ''
     for entry in table.entries:
         if entry.name in settings:
-            head, _, tail = entry.name.rpartition('.')
-            if head and head != group:
-                lines.append(f'    {head}:')
-            group = head
-            indent = ' ' * (6 if head else 4)
-            comment = f'# {entry.meaning.replace("`", "")}. Must be {entry.rule}.'
-            lines += textwrap.wrap(
-                comment, 99, initial_indent=indent, subsequent_indent=f'{indent}# '
-            )
-            text = f'{tail}: {_text(settings[entry.name])}'
-            lines.append(indent + (f'# {text}  # assumed' if entry.name in assumed else text))
+            comment = f'{entry.meaning.replace("`", "")}. Must be {entry.rule}.'
+            lines += textwrap.wrap(comment, 99, initial_indent=_NOTE, subsequent_indent=_NOTE)
+            text = f'{entry.name}: {_text(settings[entry.name])}'
+            lines.append(f'{_NOTE}{text}  # assumed' if entry.name in assumed else f'    {text}')
     return '\n'.join(lines) + '\n'
 
 
@@ -191,32 +169,24 @@ def _text(value: Value) -> str:
 
 def read_file(path: str | Path, order: int = 0) -> list[Source]:
     """Return the values of a file in their order; errors are those of `read_yaml`."""
-    return [
-        Source(node, name, str(path), order, value)
-        for node, section in _sections(read_yaml(path), path)
-        for name, value in _leaves(section)
-    ]
+    sources = []
+    for keys, value in _leaves(read_yaml(path)):
+        if _KEY in keys[:-1]:
+            cut = keys.index(_KEY)
+            node, name = '/'.join(keys[:cut]), '.'.join(keys[cut + 1:])
+            sources.append(Source(node, name, str(path), order, value))
+        elif value is not None:
+            place = f'{quote(value)} as {quote(keys[-1])}'
+            raise ParameterError(f'{path}: must be NODE: {_KEY}: NAME: VALUE, got {place}')
+    return sources
 
 
-def _sections(
-    tree: dict[Any, Any], path: str | Path, node: str = ''
-) -> Iterator[tuple[str, dict[Any, Any]]]:
-    """Yield the pattern of nodes and the parameters of each section of a file."""
-    for key, value in tree.items():
-        if value is not None and not isinstance(value, dict):
-            raise ParameterError(
-                f'{path}: must be NODE: {_KEY}: NAME: VALUE, got {quote(value)} as {quote(key)}'
-            )
-        if key == _KEY:
-            yield node, value or {}
-        else:
-            yield from _sections(value or {}, path, f'{node}/{key}' if node else str(key))
-
-
-def _leaves(tree: dict[Any, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
-    """Yield the full name and the value of each parameter."""
+def _leaves(
+    tree: dict[Any, Any], keys: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield the keys of each value, from the outermost on, and the value."""
     for key, value in tree.items():
         if isinstance(value, dict):
-            yield from _leaves(value, f'{prefix}{key}.')
+            yield from _leaves(value, (*keys, str(key)))
         else:
-            yield f'{prefix}{key}', value
+            yield (*keys, str(key)), value

@@ -10,7 +10,7 @@ does not need ROS; `nodes.topics` creates publishers and subscriptions from the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -61,38 +61,21 @@ def resolve(name: str, node: str) -> str:
 class Topic:
     """A topic."""
 
-    name: str
-    """`~` stands for the node; a name without leading slash is relative to its namespace."""
-    type: str  # noqa: A003
-    """Type of the messages, such as `std_msgs/msg/String`."""
-    meaning: str
-    """Description without full stop."""
-    depth: int = 1
-    """Number of messages kept for slow subscribers, and for late ones if the topic is latched."""
-    is_reliable: bool = True
-    """Whether lost messages are sent again."""
-    is_latched: bool = False
-    """Whether late subscribers receive the last `depth` messages (transient local)."""
-    joints: tuple[str, ...] = ()
-    """Joints of a JointState; an input may lack the last ones."""
-    quantities: tuple[str, ...] = ('position', 'velocity', 'effort')
-    """Filled arrays of a JointState."""
-    axes: tuple[str, ...] = ()
-    """Fields of the points of a cloud."""
-    is_input: bool = False
-    """Whether the node subscribes to the topic; otherwise it publishes."""
+    name: str  # `~` stands for the node; without leading slash, relative to its namespace
+    type: str  # noqa: A003  of the messages, such as `std_msgs/msg/String`
+    meaning: str  # without full stop
+    depth: int = 1  # messages kept for slow subscribers, and for late ones if it is latched
+    is_reliable: bool = True  # whether lost messages are sent again
+    is_latched: bool = False  # whether late subscribers receive them (transient local)
+    joints: tuple[str, ...] = ()  # of a JointState; an input may lack the last ones
+    quantities: tuple[str, ...] = ('position', 'velocity', 'effort')  # of a JointState, filled
+    axes: tuple[str, ...] = ()  # fields of the points of a cloud
+    is_input: bool = False  # whether the node subscribes; otherwise it publishes
 
     @property
     def relative_name(self) -> str:
         """Name relative to the node; an absolute name is unchanged."""
         return self.name.removeprefix('~/')
-
-    def fits(self, name: str) -> bool:
-        """Return whether a full name can be this topic of some node."""
-        if not self.name.startswith('~'):
-            return name == self.name
-        ending = resolve(self.name, '')
-        return name.endswith(ending) and name != ending
 
     def at(self, node: str) -> Topic:
         """Return the same topic of a node with the given name."""
@@ -265,23 +248,17 @@ TWIN_SERVICES = TwinServices()
 RECORDER_SERVICES = RecorderServices()
 REPLAY_SERVICES = ReplayServices()
 
-
-class Interface(NamedTuple):
-    """Topics and services of a node."""
-
-    topics: Iterable[Topic]
-    services: Iterable[Service] = ()
-
-
-INTERFACES = {
-    'twin': Interface(TWIN_TOPICS, TWIN_SERVICES),
-    'recorder': Interface(RECORDER_TOPICS, RECORDER_SERVICES),
-    'viewer': Interface(VIEWER_TOPICS),
-    'replay': Interface(REPLAY_TOPICS, REPLAY_SERVICES),
-    'rig': Interface(RIG_TOPICS),
-    'calibrator': Interface(CALIBRATOR_TOPICS),
+INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
+    'twin': (TWIN_TOPICS, TWIN_SERVICES),
+    'recorder': (RECORDER_TOPICS, RECORDER_SERVICES),
+    'viewer': (VIEWER_TOPICS, ()),
+    'replay': (REPLAY_TOPICS, REPLAY_SERVICES),
+    'rig': (RIG_TOPICS, ()),
+    'calibrator': (CALIBRATOR_TOPICS, ()),
 }
-"""The interfaces of all nodes, by their usual names."""
+"""Topics and services of all nodes, by their usual names."""
+
+_FINDABLE = sorted((*TWIN_TOPICS, *RECORDER_TOPICS), key=lambda topic: -len(topic.name))
 
 
 class NodeTopic(NamedTuple):
@@ -306,11 +283,8 @@ def find_topic(name: str, type_name: str) -> NodeTopic | None:
     >>> find_topic('/camera/image', 'sensor_msgs/msg/Image')
 
     """
-    matches = [topic for topic in _FINDABLE if topic.type == type_name and topic.fits(name)]
-    if not matches:
-        return None
-    topic = max(matches, key=lambda topic: len(topic.name))
-    return NodeTopic(name.removesuffix(resolve(topic.name, '')), topic)
-
-
-_FINDABLE = (*TWIN_TOPICS, *RECORDER_TOPICS)
+    for topic in _FINDABLE:
+        node = name.removesuffix(resolve(topic.name, ''))
+        if topic.type == type_name and node != name and bool(node) is topic.name.startswith('~'):
+            return NodeTopic(node, topic)
+    return None

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Motions of a plate from files: times and heights as CSV, or a bag that holds them.
+Motions of a plate from CSV files of times and heights, which may be noisy.
 
 A file is read once in a process, so that one name means one motion. A journal contains the motions
 of its files, see `encode`, and a repetition of the run takes them from there.
@@ -11,21 +11,18 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 import math
 from pathlib import Path
 from typing import Any, TypeAlias
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.configuration.csv_rows import Column, read_columns
-from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS
-from soft_throw_ros.configuration.recorded_motion import MAX_END_SPEED, motion_from_record
 from soft_throw_ros.configuration.table import ParameterError, quote
-from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.storage.message import BagError, SECOND
-from soft_throw_ros.storage.regular_file import open_regular_file, read_regular_file
+from soft_throw_ros.core.plate import require_samples, SampledMotion
+from soft_throw_ros.storage.regular_file import read_regular_file
 
 Floats = NDArray[np.float64]
 
@@ -42,13 +39,6 @@ _COLUMNS = {
     'acceleration': Column(('acceleration',), {'m/s2': 1.0}, 'm/s2', needs_label=True),
 }
 _STATES = ('height', 'velocity', 'acceleration')
-_JOINT = JOINTS[0]
-_BAGS = ('.mcap', '.zstd')
-_STILL = 0.05
-"""Duration of the rest that ends a throw in a bag. [s]"""
-
-_AT_REST = 0.02
-"""Range of a plate that is still, over its whole range. [-]"""
 
 _BYTES = 1 << 26
 """Size of an unpacked motion of a journal, eight times the largest CSV file in numbers. [byte]"""
@@ -56,8 +46,20 @@ _BYTES = 1 << 26
 _MAX_BYTES = 1 << 24
 """Size of a CSV file [byte]: 100 s at 2.5 kHz."""
 
-_MAX_BAG_BYTES = 1 << 28
-"""Size of a file of a bag [byte]: minutes of a measured rig."""
+MIN_SAMPLES = 8
+"""Fewest heights of a record, and fewest after the start. [-]"""
+
+MAX_END_SPEED = 0.25
+"""Largest speed of a plate at the end of a record, over its peak speed. [-]"""
+
+_MOTION_SIGMAS = 6.0
+"""Standard deviations of the noise, from which on a plate moves. [-]"""
+
+_MAX_RISE = 2.0
+"""Largest time from the start to half of the largest height; a plate has at least 1 Hz. [s]"""
+
+_CERTAIN_MOTION = 0.3
+"""Height over the largest one, at which a plate has certainly started. [-]"""
 
 MotionSource: TypeAlias = Callable[[str], SampledMotion]
 """Returns the motion of a plate by the path of its file."""
@@ -65,19 +67,146 @@ MotionSource: TypeAlias = Callable[[str], SampledMotion]
 
 def read(path: str | Path) -> SampledMotion:
     """
-    Read the motion of a plate from a file, see `recorded_motion.motion_from_record`.
+    Read the motion of a plate from a CSV of times and heights, see `_COLUMNS` for its labels.
 
-    The file is a CSV of times and heights, see `_COLUMNS` for its labels; with the columns
-    `velocity` and `acceleration`, the motion is exact. Or it is a bag, as a folder or an `.mcap`
-    file: the joint `plate` of its JointState messages, preferably measured ones, in the first
-    throw. ParameterError has file and line.
+    With the columns `velocity` and `acceleration` the motion is exact; otherwise
+    `motion_from_record` smooths the heights. ParameterError has file and line.
+
     """
     name = str(path)
     try:
-        changed = Path(name).stat().st_mtime_ns
-        return _read(name, changed)
+        return _read(name, Path(name).stat().st_mtime_ns)
     except OSError as error:
         raise ParameterError(f'{name}: {error.strerror}', PARAMETER) from None
+
+
+@lru_cache(maxsize=64)
+def _read(name: str, _changed_ns: int) -> SampledMotion:
+    """Read a file that has changed at a time [ns]."""
+    try:
+        text = read_regular_file(name, max_bytes=_MAX_BYTES).decode('utf-8-sig')
+        columns = read_columns(text.splitlines(), name, _COLUMNS)
+    except UnicodeDecodeError:
+        raise ParameterError(f'{name}: is no UTF-8 text', PARAMETER) from None
+    except ValueError as error:
+        raise ParameterError(str(error), PARAMETER) from None
+    times = columns['time']
+    try:
+        if not set(_STATES) <= set(columns):
+            return motion_from_record(times, columns['height'])
+        states = np.stack([columns[key] for key in _STATES], axis=1)
+        _require_rest(states)
+        states[:, 0] -= states[0, 0]
+        return SampledMotion(times - times[0], states)
+    except ValueError as error:
+        raise ParameterError(f'{name}: {error}', PARAMETER) from None
+
+
+def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
+    """
+    Fit a motion to a record of a plate that starts from rest, at time 0, and comes to rest.
+
+    Before the start the plate may rest for any time [s], [m].
+
+    Notes
+    -----
+    Fits SciPy's smoothing spline, whose smoothness is chosen by generalised cross-validation [1]_
+    and needs to know neither the noise nor the motion. It would also round off the start, where
+    the acceleration jumps; so it is fitted to the samples since the start and to their mirror
+    image before it, which together are smooth, and begins at rest by symmetry.
+
+    References
+    ----------
+    .. [1] P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numer. Math. 31
+       (1979).
+
+    """
+    times, heights = require_samples(times, heights, 'heights')
+    if times.size < MIN_SAMPLES:
+        raise ValueError(f'heights must be at least {MIN_SAMPLES}, got {times.size}')
+    from scipy.interpolate import make_smoothing_spline
+
+    start, rest_height = _find_start(times, heights)
+    distance = np.abs(heights - rest_height)
+    risen = float(times[np.argmax(distance >= 0.5 * distance.max())]) - start
+    if risen > _MAX_RISE:
+        raise ValueError(
+            f'the plate must rise within {_MAX_RISE:g} s, got {risen:.3g} s; name a time in '
+            'another unit by a first line, as in t [ms],z [m]'
+        )
+    since = times - start
+    moving = since > 1e-3 * float(np.median(np.diff(times)))
+    if (after := int(moving.sum())) < MIN_SAMPLES:
+        raise ValueError(f'heights after the start must be at least {MIN_SAMPLES}, got {after}')
+    since, rise = since[moving], heights[moving] - rest_height
+    unit = float(np.median(np.diff(since)))  # the spline takes neither small nor large numbers
+    both = np.concatenate([-since[::-1], [0.0], since]) / unit
+    spline = make_smoothing_spline(both, np.concatenate([rise[::-1], [0.0], rise]))
+    knots = np.append(0.0, since)
+    states = np.stack([spline(knots / unit, nu=n) / unit**n for n in range(3)], axis=1)
+    states[:, 0] -= states[0, 0]
+    states[0, 1] = 0.0
+    last = abs(float(states[-1, 1]))
+    if last > MAX_END_SPEED * np.abs(states[:, 1]).max():
+        raise ValueError(
+            f'the plate must come to rest, got {last:g} m/s at the last sample; record longer'
+        )
+    return SampledMotion(knots, states)
+
+
+def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
+    """Return the time at which a recorded plate starts to move, and its height before that."""
+    # of white noise, from sixth differences
+    noise = float(np.median(np.abs(np.diff(heights, 6)))) / (0.6745 * math.sqrt(924.0))
+    moved = np.abs(heights - np.median(heights[:3]))
+    threshold = max(_MOTION_SIGMAS * noise, 1e-6 * np.ptp(heights))
+    if not moved.max() > 2.0 * threshold:
+        raise ValueError(
+            f'the plate must move, got heights from {heights.min():g} to {heights.max():g} m '
+            f'with a noise of {noise:g} m'
+        )
+    # The last time that it was seen at rest before it was first far away
+    far = int((moved > max(_CERTAIN_MOTION * moved.max(), threshold)).argmax())
+    at_rest = np.flatnonzero(moved[:far] <= threshold)
+    first = int(at_rest[-1]) + 1 if at_rest.size else 0
+    if first < 2:
+        return float(times[0]), float(heights[0])
+    rest_height = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
+    t, z = times[: far + 1], heights[: far + 1] - rest_height
+
+    def criterion(start: float, terms: int) -> float:
+        """Weigh the misfit of a polynomial from rest against its terms, twice as much as BIC."""
+        s = np.maximum(t - start, 0.0) / (t[-1] - t[0])
+        basis = s[:, None] ** np.arange(2.0, 2.0 + terms)
+        coefficients = np.linalg.lstsq(basis, z, rcond=None)[0]
+        if coefficients[0] * z[-1] <= 0.0:  # a start the other way explains nothing
+            coefficients[:] = 0.0
+        misfit = np.sum((z - basis @ coefficients) ** 2) + (1e-12 * z[-1]) ** 2
+        return float(t.size * np.log(misfit) + 2.0 * terms * np.log(t.size))
+
+    earliest = float(times[max(2 * first - far - 2, 0)])
+    starts = [
+        (terms, _lowest(partial(criterion, terms=terms), earliest, float(times[first])))
+        for terms in (2, 3, 4)
+    ]
+    return min(starts, key=lambda item: criterion(item[1], item[0]))[1], rest_height
+
+
+def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
+    """Return the time of the minimum of a function, by a grid and then by Brent's method."""
+    from scipy.optimize import minimize_scalar
+
+    trials = np.linspace(low, high, 41)
+    best = int(np.argmin([function(trial) for trial in trials]))
+    bounds = (trials[max(best - 1, 0)], trials[min(best + 1, 40)])
+    options = {'xatol': 1e-6 * (high - low)}
+    return float(minimize_scalar(function, bounds=bounds, method='bounded', options=options).x)
+
+
+def _require_rest(states: Floats) -> None:
+    start, end = states[[0, -1], 1].tolist()
+    if start != 0.0 or abs(end) > MAX_END_SPEED * np.abs(states[:, 1]).max():
+        raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
 
 
 @lru_cache(maxsize=4)  # each change of the rig asks again
@@ -115,80 +244,3 @@ def trajectory_points(motion: SampledMotion) -> list[dict[str, Any]]:
             'time_from_start': {'sec': seconds, 'nanosec': nanoseconds},
         })
     return points
-
-
-@lru_cache(maxsize=64)
-def _read(name: str, _changed: int) -> SampledMotion:
-    """Read a file that has changed at a time [ns]."""
-    path = Path(name)
-    if path.is_dir() or path.suffix in _BAGS:
-        times, heights = _first_throw(*_read_bag(path))
-        return _motion(name, times, heights[:, None])
-    try:
-        lines = read_regular_file(path, max_bytes=_MAX_BYTES).decode('utf-8-sig').splitlines()
-        columns = read_columns(lines, name, _COLUMNS)
-    except UnicodeDecodeError:
-        raise ParameterError(f'{name}: is no UTF-8 text', PARAMETER) from None
-    except ValueError as error:
-        raise ParameterError(str(error), PARAMETER) from None
-    states = _STATES if set(_STATES) <= set(columns) else _STATES[:1]
-    return _motion(name, columns['time'], np.stack([columns[key] for key in states], axis=1))
-
-
-def _motion(name: str, times: Floats, states: Floats) -> SampledMotion:
-    """Make a motion of heights, or of heights with velocities and accelerations."""
-    try:
-        if states.shape[1] == 1:
-            return motion_from_record(times, states[:, 0])
-        _require_rest(states)
-        states[:, 0] -= states[0, 0]
-        return SampledMotion(times - times[0], states)
-    except ValueError as error:
-        raise ParameterError(f'{name}: {error}', PARAMETER) from None
-
-
-def _require_rest(states: Floats) -> None:
-    start, end = states[[0, -1], 1].tolist()
-    if start != 0.0 or abs(end) > MAX_END_SPEED * np.abs(states[:, 1]).max():
-        raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
-
-
-def _read_bag(path: Path) -> tuple[Floats, Floats]:
-    """Return times and heights of the plate from the best topic of a bag."""
-    from soft_throw_ros.storage.bag_reader import BagReader
-    from soft_throw_ros.storage.recorded_positions import read_positions
-
-    for file in path.glob('*.mcap') if path.is_dir() else [path]:
-        open_regular_file(file, max_bytes=_MAX_BAG_BYTES).close()
-    try:
-        with BagReader(path) as reader:
-            topics = {channel.topic for channel in reader.channels if channel.type == JOINT_STATE}
-            recorded = read_positions(reader, topics, [_JOINT])
-    except BagError as error:
-        raise ParameterError(str(error), PARAMETER) from None
-    series = {
-        topic: [(stamp, height) for stamp, (height,) in item.rows.items() if math.isfinite(height)]
-        for topic, item in recorded.items()
-    }
-    best = max(series, key=lambda topic: ('measured' in topic, len(series[topic])), default='')
-    if not series.get(best):
-        names = ', '.join(sorted(set().union(*(item.names for item in recorded.values()))))
-        raise ParameterError(
-            f'{path}: no JointState has a joint {_JOINT!r}, got {names or "none"}', PARAMETER
-        )
-    stamps, heights = map(np.array, zip(*sorted(series[best]), strict=True))
-    scale = recorded[best].time_scale
-    return scale * (stamps // SECOND + 1e-9 * (stamps % SECOND)), heights
-
-
-def _first_throw(t: Floats, z: Floats) -> tuple[Floats, Floats]:
-    """Return the part of a record until the plate is at rest after the first throw."""
-    small = _AT_REST * np.ptp(z)
-    started = int((np.abs(z - np.median(z[:8])) > 10.0 * small).argmax())
-    end = t.size
-    for first in range(started, t.size):
-        stop = int(np.searchsorted(t, t[first] + _STILL))
-        if stop < t.size and np.ptp(z[first:stop]) < small:
-            end = stop
-            break
-    return t[:end], z[:end]

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 from soft_throw_ros.configuration import files
@@ -21,53 +22,35 @@ _SLICES_PER_LAYER = 14.0
 
 def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = '') -> str:
     """
-    Return a URDF with the sizes of the twin that a parameter file describes.
+    Return a URDF of the default rig with the sizes of a twin, by a file and the node's full name.
 
-    Parameters
-    ----------
-    urdf : str
-        Model of the default rig.
-    path : path_like
-        The file; parameters that it lacks have their defaults, as in ROS.
-    node : str
-        Full name of the twin.
-    frame_prefix : str
-        Precedes the names of links, but not of joints. RViz looks for the frames of `/tf` by the
-        names of links, so that rigs in several namespaces need different ones.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read or has a refused value; the message has its name.
-
+    Parameters that the file lacks have their defaults, as in ROS. `frame_prefix` precedes the
+    names of links, but not of joints: RViz looks for the frames of `/tf` by the names of links.
     """
     settings: Settings = files.read(path, node=node, is_required=False)
     diameter = settings['layer.diameter']
     slice_thickness = settings['layer.thickness'] / _SLICES_PER_LAYER
+    sizes = {
+        'plate': (_PLATE_OVER_LAYER * diameter, None),
+        'projectile': (diameter, settings['projectile.length']),
+        **dict.fromkeys(LAYER_JOINTS, (diameter, slice_thickness)),
+    }
+    names = dict(zip(JOINTS, joint_names(settings), strict=True))
     robot = ET.fromstring(urdf)  # noqa: S314 the file of this package
     for link in robot.iter('link'):
-        name = link.attrib['name']
-        if name == 'plate':
-            _resize(link, diameter=_PLATE_OVER_LAYER * diameter)
-        elif name == 'projectile':
-            _resize(link, diameter=diameter, length=settings['projectile.length'])
-        elif name in LAYER_JOINTS:
-            _resize(link, diameter=diameter, length=slice_thickness)
-        link.set('name', frame_prefix + name)
-    names = dict(zip(JOINTS, joint_names(settings), strict=True))
+        if link.attrib['name'] in sizes:
+            _resize(link, *sizes[link.attrib['name']])
     for joint in robot.iter('joint'):
         joint.set('name', names.get(joint.attrib['name'], joint.attrib['name']))
-    for tag in ('parent', 'child'):
-        for end in robot.iter(tag):
-            end.set('link', frame_prefix + end.attrib['link'])
+    for tag, key in (('link', 'name'), ('parent', 'link'), ('child', 'link')):
+        for element in robot.iter(tag):
+            element.set(key, frame_prefix + element.attrib[key])
     return ET.tostring(robot, encoding='unicode')
 
 
-def _resize(link: ET.Element, *, diameter: float, length: float | None = None) -> None:
+def _resize(link: Any, diameter: float, length: float | None) -> None:
     """Set the size of the cylinder of a link, and scale its distance from the origin likewise."""
     cylinder, origin = link.find('.//cylinder'), link.find('.//origin')
-    if cylinder is None or origin is None:
-        raise ValueError(f'link {link.attrib["name"]} of the URDF has no cylinder or no origin')
     cylinder.set('radius', repr(0.5 * diameter))
     if length is not None:
         x, y, z = map(float, origin.attrib['xyz'].split())

@@ -16,30 +16,25 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-import difflib
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
 import math
 import re
+import reprlib
 from typing import Any, TypeAlias
 
 Scalar: TypeAlias = bool | float | int | str
 Value: TypeAlias = Scalar | tuple[str, ...] | tuple[float, ...]
+Settings: TypeAlias = Mapping[str, Any]
 
 NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
 """Names of nodes, topics and namespaces in ROS."""
 
-Settings: TypeAlias = Mapping[str, Any]
-
 MAX_TEXT = 16_384
 """Length of a text [characters]: a path has at most 4096, a stack fewer than this."""
 
-MAX_NAME = 255
-"""Length of a parameter's name [characters], several times the longest one."""
-
-MAX_QUOTE = 80
-"""Length of a value that a refusal quotes [characters]: a line of a terminal."""
+_QUOTED = reprlib.Repr()
+_QUOTED.maxstring = _QUOTED.maxother = 80  # a line of a terminal [characters]
 
 
 class ParameterError(ValueError):
@@ -65,29 +60,19 @@ class ParameterError(ValueError):
 class Entry:
     """One row of the table."""
 
-    name: str
-    """Full name; the part before the first dot is its group."""
-    default: Value
-    """Determines the type of the parameter; its first item determines the type of a tuple."""
-    meaning: str
-    """One sentence, without full stop."""
-    unit: str = ''
-    """SI unit, empty for a number without unit."""
+    name: str  # full; the part before the first dot is its group
+    default: Value  # it, or its first item, determines the type
+    meaning: str  # one sentence, without full stop
+    unit: str = ''  # SI unit, empty for a number without unit
     low: float = -math.inf
     high: float = math.inf
-    or_zero: bool = False
-    """Whether 0 is allowed besides the numbers from `low` to `high`."""
-    choices: tuple[str, ...] = ()
-    """The allowed texts; if empty, every text that matches the regular expression `pattern`."""
+    or_zero: bool = False  # whether 0 is allowed besides the numbers from `low` to `high`
+    choices: tuple[str, ...] = ()  # the allowed texts; if empty, those that match `pattern`
     pattern: str = '.*'
-    kind: str = 'a text'
-    """Description of a valid text, in words."""
-    max_length: int = 1000
-    """Largest number of items of a list."""
-    is_fixed: bool = False
-    """Whether the node reads the parameter at its start only."""
-    examples: tuple[str, ...] = ()
-    """Some of the allowed texts, for the description of the parameter."""
+    kind: str = 'a text'  # description of a valid text, in words
+    max_length: int = 1000  # largest number of items of a list
+    is_fixed: bool = False  # whether the node reads the parameter at its start only
+    examples: tuple[str, ...] = ()  # some of the allowed texts, for the description
 
     @property
     def group(self) -> str:
@@ -112,44 +97,39 @@ class Entry:
     @property
     def rule(self) -> str:
         """Return the rule for values, to stand after 'must be'."""
+        is_list = isinstance(self.default, tuple)
+        item = self.default[0] if isinstance(self.default, tuple) else self.default
         if self.is_result:
             return 'set by the twin'
         if self.choices:
             return f'{"one of " * (len(self.choices) > 1)}{", ".join(map(repr, self.choices))}'
-        if isinstance(self.default, bool):
+        if isinstance(item, bool):
             return 'true or false'
-        if isinstance(self.default, str):
-            return self.kind
-        if isinstance(self.default, tuple) and isinstance(self.default[0], str):
-            return f'a list, each {self.kind}'
-        kind = 'a whole number' if isinstance(self.default, int) else 'a number'
-        if isinstance(self.default, tuple):
+        if isinstance(item, str):
+            return f'a list, each {self.kind}' if is_list else self.kind
+        kind = 'a whole number' if isinstance(item, int) else 'a number'
+        if is_list:
             kind = f'a list of at most {self.max_length} numbers'
-        unit = f' {self.unit}' if self.unit else ''
-        zero = ', or 0' if self.or_zero else ''
+        unit, zero = f' {self.unit}' * bool(self.unit), ', or 0' * self.or_zero
         return f'{kind} from {self.low:g} to {self.high:g}{unit}{zero}'
 
     def convert(self, value: object) -> Value | None:
         """
         Return `value` in the parameter's own type, or None if the rule does not allow it.
 
-        An integer is converted to float, and a text to a number, because tools that read YAML 1.1
-        parse `5e-06` as a text.
-
+        A text becomes a number, because tools that read YAML 1.1 parse `5e-06` as a text.
         """
-        if isinstance(self.default, tuple):
-            if not isinstance(value, (array, list, tuple)):
-                return None
-            if not 0 < len(value) <= self.max_length:
-                return None
-            items = [self._convert_item(item, self.default[0]) for item in value]
-            return None if None in items else tuple(items)  # type: ignore[return-value]
-        return self._convert_item(value, self.default)
+        if not isinstance(self.default, tuple):
+            return self._convert_item(value, self.default)
+        if not isinstance(value, (array, list, tuple)) or not 0 < len(value) <= self.max_length:
+            return None
+        items = [self._convert_item(item, self.default[0]) for item in value]
+        return None if None in items else tuple(items)  # type: ignore[return-value]
 
     def _convert_item(self, value: object, default: float | str) -> float | str | None:
         """Convert a value, or one of a list, to the type of `default`."""
-        if isinstance(default, bool):
-            return value if isinstance(value, bool) else None
+        if isinstance(default, bool) or isinstance(value, bool):
+            return value if isinstance(value, bool) and isinstance(default, bool) else None
         if isinstance(value, str) and (len(value) > MAX_TEXT or '\0' in value):
             return None
         if isinstance(default, str):
@@ -158,12 +138,19 @@ class Entry:
             return value if not self.choices or value in self.choices else None
         if isinstance(value, str):
             value = number_of(value)
-        numbers = int if isinstance(default, int) else (int, float)
-        if isinstance(value, bool) or not isinstance(value, numbers):
+        if not isinstance(value, int if isinstance(default, int) else (int, float)):
             return None
-        if self.low <= value <= self.high or (self.or_zero and value == 0):
-            return type(default)(value)
-        return None
+        is_allowed = self.low <= value <= self.high or (self.or_zero and value == 0)
+        return type(default)(value) if is_allowed else None
+
+    def check(self, value: object) -> Value:
+        """Return `value` as `convert` does; raise ParameterError if the rule does not allow it."""
+        converted = None if self.is_result else self.convert(value)
+        if converted is None:
+            is_long = isinstance(value, str) and len(value) > MAX_TEXT
+            rule = f'at most {MAX_TEXT} characters long' if is_long else self.rule
+            raise ParameterError(f'{self.name} must be {rule}, got {quote(value)}', self.name)
+        return converted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,10 +158,7 @@ class Table:
     """The parameters of a node."""
 
     node: str
-    entries: tuple[Entry, ...]
-    """The parameters in the order of the documentation."""
-    hints: Mapping[str, str] = field(default_factory=dict)
-    """Advice on names that are no parameters but might be expected."""
+    entries: tuple[Entry, ...]  # in the order of the documentation
     imply: Callable[[Settings, str, Any], Settings] = lambda _settings, _name, _value: {}
     """
     Returns the changes that the change of one value implies, or raises ParameterError; the
@@ -201,28 +185,14 @@ class Table:
         Raises
         ------
         ParameterError
-            If there is no such parameter, it is a result, or the value is of another type, not
-            finite, out of range or not among the choices.
+            If there is no such parameter, or its rule does not allow the value.
 
         """
-        entry = self.by_name.get(name)
-        if entry is None:
-            names = self.by_name if len(name) <= MAX_NAME else ()
-            close = difflib.get_close_matches(name, names, n=1)
-            advice = self.hints.get(name) or (f'did you mean {close[0]}?' if close else '')
-            raise ParameterError(
-                f'no parameter is named {quote(name)}' + (advice and f'; {advice}'), name
-            )
-        if entry.is_result:
-            raise ParameterError(
-                f'{name} is a result; call ~/apply_recommendation (got {quote(value)})', name
-            )
-        converted = entry.convert(value)
-        if converted is None:
-            is_long = isinstance(value, str) and len(value) > MAX_TEXT
-            rule = f'at most {MAX_TEXT} characters long' if is_long else entry.rule
-            raise ParameterError(f'{name} must be {rule}, got {quote(value)}', name)
-        return converted
+        if name in self.by_name:
+            return self.by_name[name].check(value)
+        raise ParameterError(
+            f'no parameter of the {self.node} is named {quote(name)}', name
+        )
 
     def change(self, settings: Settings, request: Settings) -> dict[str, Value]:
         """
@@ -286,22 +256,14 @@ def value_text(value: Value) -> str:
 
 def quote(value: object) -> str:
     """
-    Quote a value in a refusal; of a long one the beginning, and how long it is.
+    Quote a value in a refusal, shortened to some 80 characters.
 
     Examples
     --------
     >>> quote('8e-3 gelatin')
     "'8e-3 gelatin'"
-    >>> len(quote([0.01] * 1_000_000)) < 110
-    True
+    >>> quote([0.01] * 1_000_000)
+    '[0.01, 0.01, 0.01, 0.01, 0.01, 0.01, ...]'
 
     """
-    if isinstance(value, (array, list, tuple)):
-        text, unit = f'[{", ".join(map(quote, islice(value, MAX_QUOTE // 2)))}]', 'items'
-        size = len(value)
-    else:
-        text, unit = repr(value[:MAX_QUOTE] if isinstance(value, str) else value), 'characters'
-        size = len(value) if isinstance(value, str) else len(text)
-    if len(text) <= MAX_QUOTE and size <= MAX_QUOTE:
-        return text
-    return f'{text[:MAX_QUOTE]}... ({size} {unit})'
+    return _QUOTED.repr(list(value) if isinstance(value, (array, tuple)) else value)

@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
-import difflib
 import math
 from typing import Any
 
@@ -22,7 +21,6 @@ from soft_throw_ros.configuration.layers import (
     write_stack,
 )
 from soft_throw_ros.configuration.table import (
-    MAX_NAME,
     ParameterError,
     quote,
     row,
@@ -51,54 +49,6 @@ _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 """Targets of an aim, of which one is 0."""
 
 
-def _bounds(name: str) -> dict[str, Any]:
-    unit, low, high = BOUNDS[name]
-    return {'unit': unit, 'low': low, 'high': high}
-
-
-def _values_of(kind: type, settings: Settings) -> dict[str, Any]:
-    """Return the arguments of a part of the rig, but for a motion of the plate and sheets."""
-    return {name.partition('.')[2]: settings[name] for name in _names_of(kind)}
-
-
-def _names_of(kind: type) -> list[str]:
-    """Return the names of the parameters of a part of the rig."""
-    group = kind.__name__.lower()
-    names = (item.name for item in fields(kind))
-    return [f'{group}.{name}' for name in names if name not in ('motion', 'parts')]
-
-
-def _engine(settings: Settings, _motion_of: motions.MotionSource) -> Engine:
-    return Engine(**_values_of(Engine, settings))
-
-
-def _harmonic_engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
-    return replace(_engine(settings, motion_of), damping_ratio=0.0)
-
-
-def _engine_of_file(settings: Settings, motion_of: motions.MotionSource) -> Engine:
-    path = settings[motions.PARAMETER]
-    if not path:
-        raise ParameterError(
-            f"engine.motion 'file' needs {motions.PARAMETER} (--motion-file), got ''",
-            motions.PARAMETER,
-        )
-    return replace(_engine(settings, motion_of), motion=motion_of(path))
-
-
-def _measured_engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
-    make = _engine_of_file if settings[motions.PARAMETER] else _engine
-    return make(settings, motion_of)
-
-
-MOTIONS: Mapping[str, Callable[[Settings, motions.MotionSource], Engine]] = {
-    'underdamped': _engine,
-    'harmonic': _harmonic_engine,
-    'file': _engine_of_file,
-    'measured': _measured_engine,
-}
-"""Motions of the plate, each with the function that makes the engine of complete settings."""
-
 JOINT_ROWS = tuple(
     row(f'joint_names.{body}', body, f'Name of the {body} in all messages with joints',
         kind='a text of at least one character', pattern='.+', is_fixed=True)
@@ -107,27 +57,16 @@ JOINT_ROWS = tuple(
 """Rows of the names of the joints."""
 
 
-def joint_names(settings: Settings) -> tuple[str, str]:
-    """Return the names of plate and projectile; raise ParameterError if they are the same."""
-    plate, projectile = (settings[entry.name] for entry in JOINT_ROWS)
-    if plate == projectile:
-        raise ParameterError(
-            f'joint_names.projectile must differ from joint_names.plate, got {quote(plate)}',
-            'joint_names.projectile',
-        )
-    return plate, projectile
-
-
 _ENTRIES = (
     row('engine.motion_file', '',
-        'File of a motion of the plate, CSV of time and height or a bag; frequency and amplitude '
+        'File of a motion of the plate, CSV of time and height; frequency and amplitude '
         'are then units, and the loss tangent is that at the frequency. A measured plate is '
         'expected to follow it',
         kind='the path of a file, or empty'),
     row('engine.motion', 'underdamped',
         'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), the '
         'motion in `engine.motion_file`, or the measured motion in `~/measured_joint_states`',
-        choices=tuple(MOTIONS)),
+        choices=('underdamped', 'harmonic', 'file', 'measured')),
     row('engine.command', False,
         'Publish the motion of `engine.motion_file` before each throw, for a controller that '
         'moves the plate; the motion begins and ends at rest at the same height, and `time_scale` '
@@ -161,15 +100,15 @@ _ENTRIES = (
         'change',
         kind='a name in the library, or `custom`', examples=tuple(_INSTALLED.layers)),
     row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
-        **_bounds('thickness')),
+        **BOUNDS['thickness']),
     row('layer.wave_speed', _RIG.layer.wave_speed,
-        'Wave speed c_s; the modulus is density times its square', **_bounds('wave_speed')),
+        'Wave speed c_s; the modulus is density times its square', **BOUNDS['wave_speed']),
     row('layer.density', _RIG.layer.density, 'Density rho_s of the layer',
-        **_bounds('density')),
-    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer', **_bounds('diameter')),
+        **BOUNDS['density']),
+    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer', **BOUNDS['diameter']),
     row('layer.loss_tangent', _RIG.layer.loss_tangent,
         "Internal loss of the layer, as its loss tangent at the plate's frequency",
-        **_bounds('loss_tangent')),
+        **BOUNDS['loss_tangent']),
     row('layer.stack', '',
         'Sheets of the layer from the plate up, separated by commas: each is thickness, wave '
         'speed, density and optionally loss tangent, or thickness and material, which is stored '
@@ -230,13 +169,13 @@ _ENTRIES = (
         'How far it may go, from the lowest to the highest position; 0 is as far as now',
         unit='m', low=1e-5, high=1.0, or_zero=True),
     row('recommendation.thickness_min', 1e-3, 'Thinnest layer to consider',
-        **_bounds('thickness')),
+        **BOUNDS['thickness']),
     row('recommendation.thickness_max', 50e-3, 'Thickest layer to consider',
-        **_bounds('thickness')),
+        **BOUNDS['thickness']),
     row('recommendation.wave_speed_min', 1.0, 'Slowest wave to consider',
-        **_bounds('wave_speed')),
+        **BOUNDS['wave_speed']),
     row('recommendation.wave_speed_max', 50.0, 'Fastest wave to consider',
-        **_bounds('wave_speed')),
+        **BOUNDS['wave_speed']),
     row('recommendation.max_strain', 0.0, 'Largest strain to allow; 0 does not limit it',
         low=1e-3, high=10.0, or_zero=True),
     row('recommendation.max_acceleration', 0.0,
@@ -274,12 +213,6 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
     A named layer and a stack have values of their own; another value of the layer makes it
     `custom`, and ends a stack. A file of a motion, which is read, moves the plate. Damping ends a
     harmonic motion. One target replaces the other.
-
-    Raises
-    ------
-    ParameterError
-        If a file cannot be read, a layer is unknown, or a sheet is wrong.
-
     """
     after = {**settings, name: value}
     if name == 'layer.name':
@@ -294,7 +227,7 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
             return {'engine.motion': 'file'}
         return {'engine.motion': 'underdamped'} if settings['engine.motion'] == 'file' else {}
     if name == 'engine.motion' and value == 'file':
-        _engine_of_file(after, motions.read)
+        _engine(after, motions.read)
     if name == 'layer.library' and value:
         library(value)  # refuses one that cannot be read
     if name in _TARGETS and value:
@@ -313,12 +246,8 @@ def _named_layer(settings: Settings) -> Settings:
     """Return the values of the layer that the settings name."""
     name, layers = settings['layer.name'], library(settings['layer.library']).layers
     if name not in layers:
-        names = layers if len(name) <= MAX_NAME else ()
-        close = difflib.get_close_matches(name, names, n=1)
-        advice = f'did you mean {close[0]}?' if close else f'there are {", ".join(layers)}'
         raise ParameterError(
-            f'layer.name must be a name in the library, or {CUSTOM!r}, got {quote(name)}; '
-            f'{advice}',
+            f'layer.name must be one of {", ".join(layers)} or {CUSTOM!r}, got {quote(name)}',
             'layer.name',
         )
     return layers[name]
@@ -327,29 +256,30 @@ def _named_layer(settings: Settings) -> Settings:
 def _custom_layer(settings: Settings) -> Settings:
     """Imply that a layer is `custom` if a value is not that of the layer in the library."""
     name = settings.get('layer.name', CUSTOM)
-    if name == CUSTOM:
-        return {}
     try:
-        values = library(settings['layer.library']).layers[name]
+        values = {} if name == CUSTOM else library(settings['layer.library']).layers[name]
     except (KeyError, ParameterError):  # the library has changed, or cannot be read any more
         return {'layer.name': CUSTOM}
     is_same = all(settings[key] == value for key, value in values.items())
     return {} if is_same else {'layer.name': CUSTOM}
 
 
-TWIN = Table(
-    node='twin',
-    entries=_ENTRIES,
-    hints={
-        'layer.youngs_modulus': 'the modulus is density times wave speed squared: '
-        'set layer.wave_speed'
-    },
-    imply=imply,
-)
+TWIN = Table(node='twin', entries=_ENTRIES, imply=imply)
 """The parameters of the twin."""
 
 RIG_PARAMETERS = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig)
 """Parameters that describe a rig, and require a new one when they change."""
+
+
+def joint_names(settings: Settings) -> tuple[str, str]:
+    """Return the names of plate and projectile; raise ParameterError if they are the same."""
+    plate, projectile = (settings[entry.name] for entry in JOINT_ROWS)
+    if plate == projectile:
+        raise ParameterError(
+            f'joint_names.projectile must differ from joint_names.plate, got {quote(plate)}',
+            'joint_names.projectile',
+        )
+    return plate, projectile
 
 
 def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -> Rig:
@@ -374,16 +304,39 @@ def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -
     True
 
     """
-    layer = Layer(**_values_of(Layer, settings))
-    if settings['layer.stack']:
-        shared = {name: getattr(layer, name) for name in ('diameter', 'stress_strain_law', 'loss')}
-        layer = replace(Layer.of_sheets(_sheets(settings)), **shared)
     return Rig(
-        engine=MOTIONS[settings['engine.motion']](settings, motion_of),
-        layer=layer,
+        engine=_engine(settings, motion_of),
+        layer=layer_of(settings),
         projectile=Projectile(**_values_of(Projectile, settings)),
         gravity=settings['gravity'],
     )
+
+
+def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
+    """Make the engine; a measured plate is expected to follow the file, if there is one."""
+    engine = Engine(**_values_of(Engine, settings))
+    kind, path = settings['engine.motion'], settings.get(motions.PARAMETER)
+    if kind == 'harmonic':
+        return replace(engine, damping_ratio=0.0)
+    if kind == 'underdamped' or (kind == 'measured' and not path):
+        return engine
+    if not path:
+        raise ParameterError(
+            f"engine.motion 'file' needs {motions.PARAMETER} (--motion-file), got ''",
+            motions.PARAMETER,
+        )
+    return replace(engine, motion=motion_of(path))
+
+
+def layer_of(settings: Settings) -> Layer:
+    """Make the layer that complete settings describe."""
+    layer = Layer(**_values_of(Layer, settings))
+    if not settings['layer.stack']:
+        return layer
+    # journals of 0.2 may name installed materials
+    sheets = read_stack(str(settings['layer.stack']), lambda: _INSTALLED.materials)
+    shared = {name: getattr(layer, name) for name in ('diameter', 'stress_strain_law', 'loss')}
+    return replace(Layer.of_sheets(sheets), **shared)
 
 
 def rig_values(rig: Rig) -> dict[str, Scalar]:
@@ -398,16 +351,19 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 
     """
     values = {
-        name: getattr(component, name.partition('.')[2])
-        for kind, component in (
-            (Engine, rig.engine), (Layer, rig.layer), (Projectile, rig.projectile)
-        )
-        for name in _names_of(kind)
+        name: getattr(part, name.partition('.')[2])
+        for part in (rig.engine, rig.layer, rig.projectile) for name in _names_of(type(part))
     }
     stack = write_stack(rig.layer.parts) if rig.layer.parts else ''
     return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
 
 
-def _sheets(settings: Settings) -> list[Layer]:
-    """Return the sheets of a stack; journals of 0.2 may name installed materials."""
-    return read_stack(str(settings['layer.stack']), lambda: _INSTALLED.materials)
+def _values_of(kind: type, settings: Settings) -> dict[str, Any]:
+    """Return the arguments of a part of the rig, but for a motion of the plate and sheets."""
+    return {name.partition('.')[2]: settings[name] for name in _names_of(kind)}
+
+
+def _names_of(kind: type) -> list[str]:
+    """Return the names of the parameters of a part of the rig."""
+    names = (item.name for item in fields(kind))
+    return [f'{kind.__name__.lower()}.{name}' for name in names if name not in ('motion', 'parts')]

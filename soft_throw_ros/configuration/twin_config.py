@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameters of the twin as one typed value, constructed once from the settings.
+The configuration of the twin: complete settings, and the rig that they describe.
 
-The table, the journal and ROS use dotted names; computations read these fields.
+A parameter is stated in the table alone; computations read it from `settings`, or derived values
+from the properties here.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 import math
+from typing import cast, TypeVar
 
 import numpy as np
 from soft_throw_ros.configuration import motions
@@ -20,6 +22,8 @@ from soft_throw_ros.core.plate import motion_of as motion_of_engine
 from soft_throw_ros.core.plate import PlateMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.message import SECOND
+
+T = TypeVar('T')
 
 _START_SPEED = 0.1
 """Speed at which a measured plate has started a throw, over the peak speed by `engine.*`. [-]"""
@@ -39,7 +43,6 @@ class MeasurementConfig:
     latency_ns: int  # time to wait for samples out of order [ns]
     position_noise: float  # standard deviation of the heights of the plate [m]
     stamp_error: float  # standard deviation of the stamps [s]
-    start_speed: float  # upward speed at which a throw has begun [m/s]
     residual_threshold: float  # rms of the projectile beyond which the model is wrong [m]
     plate: Underdamped  # motion of the engine
     motion: PlateMotion  # expected in a throw: that of the engine, or a commanded one
@@ -50,6 +53,11 @@ class MeasurementConfig:
     def smoothing_window(self) -> float:
         """Length of the smoothing window [s]."""
         return self.smoothing_window_ns / SECOND
+
+    @cached_property
+    def start_speed(self) -> float:
+        """Upward speed at which a throw has begun [m/s]."""
+        return _START_SPEED * self.plate.peak_velocity
 
     @cached_property
     def rise_time(self) -> float:
@@ -63,22 +71,23 @@ class MeasurementConfig:
         return float(np.sign(self.motion.velocity(self.rise_time)))
 
 
+def _value(name: str, _type: type[T]) -> T:
+    """Return a property with the value of a parameter, for type checkers the value itself."""
+    return cast('T', property(lambda config: config.settings[name]))
+
+
 @dataclass(frozen=True, kw_only=True)
 class TwinConfig:
     """The configuration of the twin; requests for recommendations are in `design.requests`."""
 
-    settings: Settings  # complete, the source of all other fields
+    settings: Settings  # complete
     rig: Rig
-    motion: str  # kind of the plate's motion: a name of `configuration.twin.MOTIONS`
-    measurement: MeasurementConfig  # for a measured plate
-    state_rate: float  # steps per second of the clock [Hz]
-    field_rate: float  # rows of the field per second of the clock [Hz]
-    time_scale: float  # time of the rig over that of the clock, 1 with a measured plate [-]
-    # time from the command of a motion to its start; None if the plate is not commanded [s]
-    command_lead: float | None
-    throw_period: float  # from one start to the next; 0 to throw only on request [s]
-    max_events: int  # contacts after which a throw is over [-]
-    max_strain: float  # where the linear range of the layer ends [-]
+
+    motion = _value('engine.motion', str)
+    state_rate = _value('rate.state', float)
+    field_rate = _value('rate.field', float)
+    throw_period = _value('throw.period', float)
+    max_events = _value('throw.max_events', int)
 
     @property
     def is_measured(self) -> bool:
@@ -90,67 +99,51 @@ class TwinConfig:
         """Path of the file with the motion of the plate; empty for other motions."""
         return str(self.settings[motions.PARAMETER]) if self.rig.engine.motion else ''
 
+    @property
+    def time_scale(self) -> float:
+        """Time of the rig over that of the clock, 1 with a measured plate [-]."""
+        return 1.0 if self.is_measured else float(self.settings['time_scale'])
+
+    @property
+    def command_lead(self) -> float | None:
+        """Time from the command of a motion to its start; None without commands [s]."""
+        lead = self.settings['engine.command_lead']
+        if not self.settings['engine.command']:
+            return None
+        return float(min(lead, 0.25 * self.throw_period) if self.throw_period else lead)
+
+    @property
+    def max_strain(self) -> float:
+        """Strain where the linear range of the layer ends [-]."""
+        return self.rig.layer.linear_range
+
+    @cached_property
+    def measurement(self) -> MeasurementConfig:
+        """Configuration of a measured plate."""
+        return MeasurementConfig(
+            smoothing_window_ns=round(self.settings['measured.smoothing_window'] * SECOND),
+            latency_ns=round(self.settings['measured.latency'] * SECOND),
+            position_noise=self.settings['measured.position_noise'],
+            stamp_error=self.settings['measured.stamp_error'],
+            residual_threshold=self.settings['measured.residual_threshold'],
+            plate=Underdamped.of(self.rig.engine),
+            motion=motion_of_engine(self.rig.engine),
+            frequency_error=self.settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
+            damping_error=self.settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
+        )
+
     @classmethod
     def from_settings(
-        cls,
-        settings: Settings,
-        motion_of: motions.MotionSource = motions.read,
-        *,
-        rig: Rig | None = None,
+        cls, settings: Settings, motion_of: motions.MotionSource = motions.read
     ) -> TwinConfig:
-        """
-        Make the configuration that complete settings describe.
-
-        Arguments and errors are those of `rig_of`, and the rig of the settings if it exists
-        already.
-
-        Examples
-        --------
-        >>> from soft_throw_ros.configuration.twin import TWIN
-        >>> TwinConfig.from_settings(TWIN.defaults()).rig == Rig()
-        True
-
-        """
-        rig = rig_of(settings, motion_of) if rig is None else rig
-        motion = settings['engine.motion']
-        plate = Underdamped.of(rig.engine)
-        period, lead = settings['throw.period'], settings['engine.command_lead']
-        if period:
-            lead = min(lead, 0.25 * period)
-        return cls(
-            settings=settings,
-            rig=rig,
-            motion=motion,
-            measurement=MeasurementConfig(
-                smoothing_window_ns=round(settings['measured.smoothing_window'] * SECOND),
-                latency_ns=round(settings['measured.latency'] * SECOND),
-                position_noise=settings['measured.position_noise'],
-                stamp_error=settings['measured.stamp_error'],
-                start_speed=_START_SPEED * plate.peak_velocity,
-                residual_threshold=settings['measured.residual_threshold'],
-                plate=plate,
-                motion=motion_of_engine(rig.engine),
-                frequency_error=settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
-                damping_error=settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
-            ),
-            state_rate=settings['rate.state'],
-            field_rate=settings['rate.field'],
-            time_scale=1.0 if motion == 'measured' else settings['time_scale'],
-            command_lead=lead if settings['engine.command'] else None,
-            throw_period=period,
-            max_events=settings['throw.max_events'],
-            max_strain=rig.layer.linear_range,
-        )
+        """Make the configuration that complete settings describe, see `rig_of`."""
+        return cls(settings=settings, rig=rig_of(settings, motion_of))
 
     def change(
         self, values: Settings, motion_of: motions.MotionSource = motions.read
     ) -> TwinConfig:
-        """
-        Return the configuration after changes, with all that they imply.
-
-        The rig is built again only if its parameters change.
-
-        """
+        """Return the configuration after changes; a rig whose parameters stay is kept."""
         settings = {**self.settings, **values}
-        is_same_rig = all(settings[name] == self.settings[name] for name in RIG_PARAMETERS)
-        return self.from_settings(settings, motion_of, rig=self.rig if is_same_rig else None)
+        if all(settings[name] == self.settings[name] for name in RIG_PARAMETERS):
+            return TwinConfig(settings=settings, rig=self.rig)
+        return self.from_settings(settings, motion_of)

@@ -150,7 +150,7 @@ class SampledMotion:
     """
     A motion given by states of the plate, which quintics join: at rest before and after them.
 
-    `from_positions` makes it of samples, `configuration.recorded_motion` of a noisy record.
+    `from_positions` makes it of samples, `configuration.motions` of a noisy record.
 
     Parameters
     ----------

@@ -188,7 +188,8 @@ def _release_weights(config: TwinConfig) -> ReleaseWeights:
 
     By superposition they are the answers of the projectile to a small jump of the velocity.
     """
-    nominal, rig = stepper_of(dataclasses.replace(config, motion='underdamped')), config.rig
+    rig = config.rig
+    nominal = make_stepper(rig, is_measured=False, field_points=FIELD_POINTS)
     _ejection_time(nominal)
     release = nominal.events()[0] if nominal.event_count else None
     end = 0.5 / rig.engine.frequency if release is None else release.time

@@ -1,17 +1,14 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Motions of a plate from files."""
+"""Motions of a plate from files and from noisy records of its height."""
 
-from bags import BEGIN, channel
-from bags import write as write_bag
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import motions, ParameterError, rig_of, TWIN
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.storage.cdr import JointStateEncoder
-from soft_throw_ros.storage.message import Message
+from soft_throw_ros.core.throws import throw_many
 
 PLATE = Underdamped.of(Rig().engine)
 TIMES = np.arange(0.0, 0.1, 2e-4)
@@ -60,6 +57,8 @@ def test_written_motion_is_read_back_exactly(write):
     [
         ('', ': is empty'),
         ('0,0\n1,1\n', ':.* at least 4'),
+        ('0,0\n1,0\n2,0\n3,1\n', ': heights must be at least 8, got 4'),
+        ('\n'.join(f'{5 * n}e-3,{int(n > 15)}' for n in range(20)), 'after the start must be at'),
         ('0,0\n1e-3,nan\n', r":2: height .* got 'nan'"),
         ('t,z [furlong]\n0,0\n', r':1: height must be in m or .*furlong'),
         ('\n'.join(f'{n},0' for n in range(20)), ': the plate must move, got heights from 0 to 0'),
@@ -97,29 +96,53 @@ def test_encoded_motion_is_decoded_bit_by_bit(write):
             motions.decode(text)
 
 
-def test_bag_holds_the_motion_of_its_first_throw(tmp_path):
-    """The plate is put back after the throw, and thrown again."""
-    encoder = JointStateEncoder('rig', ('plate', 'projectile'))
-    topic = channel('/twin/measured_joint_states', 'sensor_msgs/msg/JointState')
-    times = np.arange(0.0, 2.0, 2e-4)
-    heights = np.where(times < 1.0, PLATE.position(times - 0.1), PLATE.position(times - 1.1))
-    messages = []
-    for time, height in zip(times, heights.tolist(), strict=True):
-        stamp = BEGIN + round(1e9 * time)
-        data = encoder.encode(stamp, (height, 0.02, 0.0, 0.0, 0.0, 0.0))
-        messages.append(Message(topic, data, stamp, stamp))
-    folder = write_bag(tmp_path / 'bag', messages)
-    motion = motions.read(folder)
-    assert motion.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-3)
-    assert motion.end_time < 0.9
+@pytest.mark.parametrize('start', [0.0, 0.02, 0.02003, 0.0201, 0.02017])
+def test_record_agrees_with_the_motion_that_it_samples(start):
+    """At 5 kHz, wherever between two samples it starts; the height at rest does not matter."""
+    times = np.arange(0.0, 0.12, 2e-4)
+    motion = motions.motion_from_record(times, PLATE.position(times - start) + 3e-3)
+    assert motion.start_time == 0.0
+    inside = np.linspace(0.0, 0.095, 4001)
+    misfit = motion.velocity(inside) - PLATE.velocity(inside)
+    assert np.abs(misfit).max() < 1e-3 * PLATE.peak_velocity
+    assert np.sqrt(np.mean(misfit**2)) < 1e-4 * PLATE.peak_velocity
+    np.testing.assert_allclose(motion.position(inside), PLATE.position(inside), atol=1e-6)
 
 
-def test_bag_without_an_end_is_refused_with_the_remedy(tmp_path):
-    topic = channel('/twin/measured_joint_states', 'sensor_msgs/msg/JointState')
-    data = JointStateEncoder('rig', ('plate',), series=1).encode(BEGIN, (0.0,))
-    folder = write_bag(tmp_path / 'bag', [Message(topic, data, BEGIN, BEGIN)])
-    (path,) = folder.glob('*.mcap')
-    path.write_bytes(path.read_bytes()[:-20])
-    for name in (folder, path):
-        with pytest.raises(ParameterError, match=r'bag_0\.mcap: .*soft-throw recover'):
-            motions.read(name)
+def test_record_converges_with_the_promised_order():
+    errors, counts = [], (97, 145, 193)
+    inside = np.linspace(0.0, 0.03, 2001)
+    for count in counts:
+        times = np.linspace(0.0, 0.05, count)
+        motion = motions.motion_from_record(times, PLATE.position(times))
+        errors.append(np.sqrt(np.mean((motion.position(inside) - PLATE.position(inside)) ** 2)))
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > 3.65
+
+
+@pytest.mark.parametrize(
+    ('rate', 'noise', 'error'),
+    [
+        (5e3, 1e-8, 1e-3), (5e3, 1e-7, 1e-3), (5e3, 5e-6, 4e-3), (2e3, 5e-6, 0.02),
+        (1e3, 5e-6, 0.02), (5e3, 5e-5, 0.05),
+    ],
+)
+def test_record_throws_as_the_plate_that_it_samples(rate, noise, error):
+    """A wrong acceleration at the start would throw the projectile off at once."""
+    random = np.random.default_rng(6)
+    expected = throw_many(Rig()).ejection_speed
+    times = np.arange(0.0, 0.15, 1.0 / rate)
+    speeds = []
+    for _ in range(12):
+        heights = PLATE.position(times - 0.02 - random.uniform(0.0, 1.0 / rate))
+        heights += noise * random.standard_normal(times.size)
+        motion = motions.motion_from_record(times, heights)
+        speeds.append(throw_many(Rig(engine=Engine(motion=motion))).ejection_speed)
+    assert speeds == pytest.approx(np.full(12, expected), rel=error)
+
+
+def test_record_takes_times_that_are_not_even():
+    random = np.random.default_rng(3)
+    times = np.arange(0.0, 0.12, 2e-4) + 5e-5 * random.uniform(size=600)
+    motion = motions.motion_from_record(times, PLATE.position(times - 0.03))
+    inside = np.linspace(0.0, 0.08, 2001)
+    np.testing.assert_allclose(motion.velocity(inside), PLATE.velocity(inside), atol=1e-3)

@@ -26,7 +26,7 @@ def test_defaults_obey_their_own_rules() -> None:
 
 
 @given(number=st.sampled_from(NUMBERS), share=st.floats(0.0, 1.0))
-def test_every_number_in_the_range_is_accepted_as_number_and_text(
+def test_every_number_in_the_range_and_none_beyond_it_is_accepted(
     number: Any, share: float
 ) -> None:
     table, entry = number
@@ -34,15 +34,11 @@ def test_every_number_in_the_range_is_accepted_as_number_and_text(
     value = int(value) if isinstance(entry.default, int) else value
     assert table.check_value(entry.name, value) == value
     assert table.check_value(entry.name, repr(value)) == value
-
-
-def test_numbers_beyond_either_end_are_refused_with_the_value() -> None:
-    for table, entry in NUMBERS:
-        step = 1 if isinstance(entry.default, int) else 1e-6 * (entry.high or 1.0)
-        for value in (entry.low - step, entry.high + step):
-            if not (entry.or_zero and value == 0):
-                with pytest.raises(ParameterError, match=re.escape(repr(value))):
-                    table.check_value(entry.name, value)
+    beyond = 1 if isinstance(entry.default, int) else 1e-6 * (entry.high or 1.0)
+    for value in (entry.low - beyond, entry.high + beyond):
+        if not (entry.or_zero and value == 0):
+            with pytest.raises(ParameterError, match=re.escape(repr(value))):
+                table.check_value(entry.name, value)
 
 
 @pytest.mark.parametrize(
@@ -55,25 +51,23 @@ def test_numbers_beyond_either_end_are_refused_with_the_value() -> None:
         ('engine.command', 2.0, ['true or false', '2.0']),
         ('recommendation.masses', ['heavy'], ['heavy']),
         ('layer.thickness', '1_0', ["'1_0'"]),
-        ('layer.thicknes', 0.01, ['did you mean layer.thickness?']),
-        ('thickness', 0.01, ['did you mean layer.thickness?']),
-        ('layer.youngs_modulus', 6e4, ['set layer.wave_speed']),
+        ('layer.thicknes', 0.01, ['no parameter of the twin is named']),
         ('layer.loss', 'magic', ["'constant'", "'magic'"]),
         ('throw.period', 0.01, ['or 0', '0.01']),
         ('throw.max_events', 2.0, ['whole number', '2.0']),
         ('recommendation.masses', [0.01] * 17, ['at most 16 numbers', '0.01']),
         ('recommendation.masses', [], ['[]']),
-        ('recommendation.masses', [0.01] * 5000, ['at most 16 numbers', '5000 items']),
-        ('layer.stack', 'x' * 20_000, ['at most 16384 characters', '20000 characters']),
-        ('x' * 20_000, 1.0, ['no parameter is named', '20000 characters']),
-        ('recommended.thickness', 0.01, ['~/apply_recommendation', '0.01']),
+        ('recommendation.masses', [0.01] * 5000, ['at most 16 numbers', '...']),
+        ('layer.stack', 'x' * 20_000, ['at most 16384 characters', '...']),
+        ('x' * 20_000, 1.0, ['no parameter of the twin is named', '...']),
+        ('recommended.thickness', 0.01, ['set by the twin', '0.01']),
     ],
 )
 def test_refusal_names_the_allowed_values(name, value, words) -> None:
     with pytest.raises(ParameterError) as refused:
         TWIN.check_value(name, value)
     assert refused.value.names == (name,)
-    assert name[:40] in str(refused.value)
+    assert name[:30] in str(refused.value)
     assert all(word in str(refused.value) for word in words), str(refused.value)
     assert len(str(refused.value)) < 500
 

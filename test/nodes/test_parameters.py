@@ -103,7 +103,7 @@ def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
     assert client.get('layer.thickness') == 0.0168
     assert client.describe('layer.thickness').type == ParameterType.PARAMETER_DOUBLE
     for request, reason in (
-        ({'layer__thicknes': 0.01}, 'did you mean layer.thickness?'),
+        ({'layer__thicknes': 0.01}, "no parameter of the twin is named 'layer.thicknes'"),
         ({'gravity': 1.0, 'layer__thickness': -1.0}, '-1.0'),
         ({'use_sim_time': True, 'layer__thickness': -1.0}, '-1.0'),
         ({'joint_names__plate': 'carriage'}, "read-only, set at the start; got 'carriage'"),
@@ -117,17 +117,17 @@ def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
 
 
 @pytest.mark.parametrize(
-    ('name', 'value', 'end'),
+    ('name', 'value'),
     [
-        ('layer__stack', '8e-3 gelatin,' * 80_000, '(1040000 characters)'),
-        ('x' * 100_000, 1.0, '(100000 characters)'),
-        ('gravity', [0.001] * 1_000_000, '(1000000 items)'),
+        ('layer__stack', '8e-3 gelatin,' * 80_000),
+        ('x' * 100_000, 1.0),
+        ('gravity', [0.001] * 1_000_000),
     ],
 )
-def test_refusal_of_a_huge_value_is_short(twin, client, name, value, end) -> None:
+def test_refusal_of_a_huge_value_is_short(twin, client, name, value) -> None:
     reason = client.set_atomically(**{name: value})
+    assert '...' in reason
     assert len(reason) < 300
-    assert reason.endswith(end)
     assert unchanged(twin)
 
 

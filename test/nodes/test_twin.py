@@ -26,7 +26,6 @@ from soft_throw_ros.configuration.interface import (
     TWIN_TOPICS,
 )
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.result_keys import RESULT_KEYS
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.recommendation import recommend
@@ -116,14 +115,16 @@ def test_topics_follow_the_table_and_headers_name_the_frame(thrown) -> None:
             assert not hasattr(message, 'header') or message.header.frame_id == f'thrown/{FRAME}'
 
 
-def test_results_of_both_stages_have_uncertainties_and_the_stamps_of_their_events(thrown) -> None:
+def test_results_of_both_stages_have_uncertainties_and_the_stamps_of_their_events(
+    thrown, result_keys
+) -> None:
     messages = thrown.heard(TWIN_TOPICS.throw_result)
     statuses = [message.status[0] for message in messages]
     assert [msg_to_throw_result(status) for status in statuses] == thrown.twin.results
     release, final = thrown.twin.results
     assert (release.stage, final.stage, final.ended_by) == ('release', 'final', 'max_events')
     assert (statuses[0].name, statuses[0].hardware_id) == (f'{NAME}: throw', NAME)
-    names = {key.name for key in RESULT_KEYS} | set(rig_values(Rig()))
+    names = result_keys | set(rig_values(Rig()))
     assert all(msg_to_values(status).keys() <= names for status in statuses)
     values = msg_to_values(statuses[1])
     expected = prediction_uncertainty(Rig(), Uncertainties(wave_speed=0.6, mass=0.0))

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of
@@ -28,7 +26,8 @@ def test_throw_agrees_with_a_simulation(request_) -> None:
     values = complete_settings(**request_)
     prepared = prepare(values)
     exact = simulate(rig_of(values))
-    throw, config = ScheduledThrow(prepared, number=1), replace(prepared.config, max_events=2)
+    config = prepared.config.change({'throw.max_events': 2})
+    throw = ScheduledThrow(prepared, number=1)
     release, tick = None, 0
     while not throw.ended_by:
         tick += 1
