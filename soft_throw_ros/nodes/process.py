@@ -120,11 +120,7 @@ class RunnableNode(Node):
 
 
 def run(
-    name: str,
-    make: Callable[..., RunnableNode],
-    args: Sequence[str] | None = None,
-    *,
-    usage: str = '',
+    name: str, make: Callable[..., RunnableNode], args: Sequence[str] | None = None
 ) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP, or until it comes to an end by itself.
@@ -132,7 +128,7 @@ def run(
     `make` creates the node from the keyword `arguments`. The exit code is 0 after a signal, 2 if
     an argument or a parameter is refused, otherwise that of the node.
     """
-    usage = usage or f'{name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
+    usage = f'{name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
         title = (sys.modules[make.__module__].__doc__ or '').strip().partition('\n')[0]

@@ -24,8 +24,6 @@ _MAX_RATE = 1e6  # largest playback speed: a day in 0.1 s [-]
 
 _rate = number_type(f'positive and at most {_MAX_RATE:g}', lambda rate: 0.0 < rate <= _MAX_RATE)
 
-_USAGE = 'replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG'
-
 
 def main(args: list[str] | None = None) -> int:
     """
@@ -62,7 +60,7 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
     parser = CommandParser(
         prog='replay',
         description=__doc__,
-        usage=_USAGE,
+        usage='replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG',
         argument_default=argparse.SUPPRESS,
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
@@ -102,12 +100,8 @@ def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) 
     except ModuleNotFoundError as error:
         print(f'replay: playing needs ROS 2, and --check does not: {error}', file=sys.stderr)
         return 1
-    return run(
-        'replay',
-        lambda arguments: Player(reader, **options),  # noqa: ARG005  the node has no parameters
-        arguments,
-        usage=_USAGE,
-    )
+    # The node has no parameters
+    return run('replay', lambda arguments: Player(reader, **options), arguments)  # noqa: ARG005
 
 
 def _check(reader: BagReader) -> int:

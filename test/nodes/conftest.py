@@ -193,22 +193,19 @@ class Parameters:
 
     def set(self, **values: Any) -> list[str]:  # noqa: A003
         """Set parameters one by one (`a__b` is a.b); return the reasons, '' for accepted ones."""
-        response = self._ros.result(self._client.set_parameters(_parameters(values)))
-        return [_reason(result) for result in response.results]
+        return self._request(self._client.set_parameters, values)
 
     def set_atomically(self, **values: Any) -> str:
         """Set parameters atomically; return the reason, '' if accepted."""
-        future = self._client.set_parameters_atomically(_parameters(values))
-        return _reason(self._ros.result(future).result)
+        return self._request(self._client.set_parameters_atomically, values)[0]
 
-
-def _parameters(values: dict[str, Any]) -> list[Parameter]:
-    return [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
-
-
-def _reason(result: Any) -> str:
-    assert result.successful == (not result.reason)
-    return str(result.reason)
+    def _request(self, request: Any, values: dict[str, Any]) -> list[str]:
+        items = [(name.replace('__', '.'), value) for name, value in values.items()]
+        future = request([Parameter(name, value=value) for name, value in items])
+        response = self._ros.result(future)
+        results = getattr(response, 'results', None) or [response.result]
+        assert all(result.successful == (not result.reason) for result in results)
+        return [result.reason for result in results]
 
 
 class GivenClock(SystemClock):
