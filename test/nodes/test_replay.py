@@ -9,24 +9,15 @@ import re
 import signal
 import subprocess
 import sys
-from typing import Any
 
 from bags import BEGIN, channel, text, write
 import pytest
-from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 from soft_throw_ros.nodes.replay import main
 from soft_throw_ros.storage.message import Message
-from std_srvs.srv import Trigger
 from twin_messages import TwinMessages
 
 pytestmark = pytest.mark.timeout(300)
-
-
-def last_throw(lines: list[str]) -> int:
-    """Return the number of the last throw in the log of a twin."""
-    matches = (re.search(r'throw (\d+): released', line) for line in lines)
-    return max((int(match[1]) for match in matches if match), default=0)
 
 
 @pytest.fixture(scope='module')
@@ -133,62 +124,6 @@ def test_check_needs_no_ros_and_playback_names_the_missing_ros(bag) -> None:
 
 
 COMMAND = (sys.executable, '-m', 'soft_throw_ros', 'replay')
-
-
-def resume(ros: Any, replay: Any) -> None:
-    """
-    Resume a paused player that has discovered all subscriptions of this process.
-
-    The player discovers them in the order of their creation, and the middleware drops responses to
-    clients that are not discovered yet.
-    """
-    node = ros.node(Node, 'asking')
-    first = node.create_client(ListParameters, '/replay/list_parameters')
-    client = node.create_client(Trigger, '/replay/resume')
-    ros.spin_until(lambda: first.service_is_ready() and client.service_is_ready(), 'services')
-    responses = []
-
-    def is_discovered() -> bool:
-        responses.append(first.call_async(ListParameters.Request()))
-        return any(response.done() for response in responses)
-
-    ros.spin_until(is_discovered, 'a response')
-    response = client.call_async(Trigger.Request())
-    ros.spin_until(lambda: response.done() or replay.process.poll() is not None, 'the player')
-
-
-@pytest.mark.slow
-def test_recorded_and_replayed_twin_agree_with_the_journal(
-    start, start_node, record, ros, tmp_path, capsys
-) -> None:
-    def check(name: str) -> list[str]:
-        assert main(['--check', str(tmp_path / name)]) == 0
-        return list(capsys.readouterr().out.splitlines())
-
-    twin = start_node('twin', 'throw.period:=0.3')
-    twin.wait_for('ready')
-    recorder = record('first', 'topics:=[/twin]')
-    observer = ros.node(Node, 'observer')
-    ros.spin_until(lambda: observer.count_subscribers('/twin/joint_states') > 0, 'the recorder')
-    thrown = last_throw(twin.lines)
-    twin.wait_until(lambda lines: last_throw(lines) >= thrown + 5)
-    assert recorder.end(signal.SIGINT) == 0
-    assert ' 0 lost, in ' in recorder.lines[-1]
-    assert twin.end(signal.SIGINT) == 0
-    first = check('first')
-    assert not any(' 0 are the same' in line for line in first)
-
-    recorder = record('second', 'topics:=[/twin]')
-    replay = start(*COMMAND, str(tmp_path / 'first'), '--paused', '--rate', '3')
-    for topic in ('/twin/joint_states', '/twin/journal'):
-        ros.spin_until(lambda topic=topic: observer.count_subscribers(topic) > 0, topic)
-    resume(ros, replay)
-    assert replay.wait() == 0
-    assert recorder.end(signal.SIGINT) == 0
-    second = check('second')
-    assert [' 0 are different' in line for line in second] == [
-        ' 0 are different' in line for line in first
-    ]
 
 
 SUBSCRIBER = """
