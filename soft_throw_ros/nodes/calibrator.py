@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 import math
 import threading
+import traceback
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -108,12 +109,7 @@ class Calibrator(RunnableNode):
         self._commanded: list[MeasuredThrow] | None = None  # until their gain is known
         self._is_busy = False
         self._closing = threading.Event()
-        self._worker = LatestOnlyWorker(
-            self._run_task,
-            self._on_finished,
-            on_failure=lambda _task, error: self._report_failure(repr(error)),
-            log=self.get_logger().error,
-        )
+        self._worker = LatestOnlyWorker(self._run_task)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self.add_cleanup(self._closing.set)
         self.create_steady_timer(READ_PERIOD, self._read_measurements)
@@ -235,20 +231,17 @@ class Calibrator(RunnableNode):
     # Worker thread
 
     def _run_task(self, task: Callable[[], None], _cancelled: Callable[[], bool]) -> None:
+        """Run a task; log and publish the reason if it has changed nothing."""
         try:
             task()
-        except (RequestRejected, ValueError) as error:
+        except Exception as error:  # noqa: BLE001  later throws must still be used
+            if not isinstance(error, (RequestRejected, ValueError)):
+                self.get_logger().error(traceback.format_exc())
+            message = f'nothing has been changed: {str(error) or repr(error)}'
             if not self._closing.is_set():
-                self._report_failure(str(error))
-
-    def _report_failure(self, reason: str) -> None:
-        """Log and publish the reason why an identification has changed nothing."""
-        message = f'nothing has been changed: {reason}'
-        self.get_logger().warning(message)
-        self._status = self._make_status(message, warn=True)
-        self._predicted = []
-
-    def _on_finished(self, _result: None) -> None:
+                self.get_logger().warning(message)
+            self._status = self._make_status(message, warn=True)
+            self._predicted = []
         self._is_busy = False
 
     def _command_motion(self) -> None:

@@ -13,7 +13,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 import math
-from typing import Any, TypeAlias
+import traceback
+from typing import Any
 
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
@@ -45,8 +46,6 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-_RigUncertainty: TypeAlias = tuple[Rig | None, dict[str, float]]  # of the throws of a rig
-
 PHASES = tuple(Phase)
 """Phases, each at the index that `~/phase_change` publishes."""
 
@@ -68,7 +67,7 @@ class Twin(RealTimeNode):
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
-        self._uncertainty: _RigUncertainty = None, {}
+        self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
         self._duplicate_nodes = 0
@@ -91,13 +90,7 @@ class Twin(RealTimeNode):
         self._diagnostics = Diagnostics(
             session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
         )
-        self._worker = LatestOnlyWorker(
-            self._recommend,
-            self._on_uncertainty,
-            on_failure=self._on_failed_search,
-            log=self.get_logger().error,
-            interval=_RECOMMENDATION_INTERVAL,
-        )
+        self._worker = LatestOnlyWorker(self._recommend, interval=_RECOMMENDATION_INTERVAL)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.checked.config)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
@@ -141,21 +134,21 @@ class Twin(RealTimeNode):
 
     # Worker thread
 
-    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> _RigUncertainty:
-        """Publish a recommendation, and return a rig with the uncertainty of its throws."""
-        recommended = recommend_for(config, cancelled)
-        if cancelled():
-            return config.rig, {}
-        self._run_in_executor(lambda: self._publish_recommendation(recommended))
-        return config.rig, uncertainty_values(config.rig, config.settings)
+    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
+        """Publish a recommendation, and compute the uncertainty of the throws of its rig."""
 
-    def _on_uncertainty(self, found: _RigUncertainty) -> None:
-        self._uncertainty = found
+        def publish(state: RecommendationState) -> None:
+            self._run_in_executor(lambda: self._publish_recommendation(state))
 
-    def _on_failed_search(self, config: TwinConfig, error: Exception) -> _RigUncertainty:
-        state = RecommendationState(config=config, reason=f'the search has failed: {error!r}')
-        self._run_in_executor(lambda: self._publish_recommendation(state))
-        return config.rig, {}
+        try:
+            recommended = recommend_for(config, cancelled)
+            if not cancelled():
+                publish(recommended)
+                self._uncertainty = config.rig, uncertainty_values(config.rig, config.settings)
+        except Exception as error:  # noqa: BLE001  later requests must still be answered
+            reason = f'the search has failed: {error!r}'
+            self.get_logger().error(f'{reason}\n{traceback.format_exc()}')
+            publish(RecommendationState(config=config, reason=reason))
 
     # Executor thread
 

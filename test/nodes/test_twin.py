@@ -30,6 +30,7 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.nodes import twin as twin_module
 from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,
     msg_to_time,
@@ -304,6 +305,15 @@ def test_recommendation_follows_every_change_and_can_be_applied(ros, twin, liste
     assert result.first.energy_transfer == pytest.approx(
         recommendation.best.energy_transfer, rel=1e-4
     )
+
+
+def test_request_after_a_search_that_failed_is_answered(ros, twin, monkeypatch) -> None:
+    settled(ros, twin)
+    with monkeypatch.context() as patch:
+        patch.setattr(twin_module, 'recommend_for', lambda *_: 1 / 0)
+        assert ask(ros, twin, vary='thickness') is None
+    assert 'ZeroDivisionError' in twin.recommendation.describe()
+    assert ask(ros, twin, vary='wave_speed') is not None
 
 
 def test_applied_changes_set_the_recommended_library_layer() -> None:
