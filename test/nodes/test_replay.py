@@ -9,26 +9,45 @@ import re
 import signal
 import subprocess
 import sys
+from typing import Any
 
 from bags import BEGIN, channel, text, write
 import pytest
+from rclpy.duration import Duration
 from rclpy.node import Node
+from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.replay import main
+from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import Message
-from twin_messages import TwinMessages
 
 pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope='module')
-def messages() -> list[Message]:
-    """Return the messages of a twin during half a second."""
-    return TwinMessages(throw__period=0.1).go(500).messages
+def bag(module_ros: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Record a twin during half a second."""
+    folder = tmp_path_factory.mktemp('recorded')
+    rules = ('-p', f'folder:={folder}', '-p', 'name:=bag', '-p', 'topics:=[twin]')
+    recorder = module_ros.node(Recorder, ros_args=rules)
+    twin = module_ros.start_twin('-p', 'throw.period:=0.1')
+    recorder.start()
+    topics = {'/twin/joint_states', '/twin/journal', '/twin/throw_result'}
+    publishers = [item for item in twin.publishers if item.topic_name in topics]
+    module_ros.spin_until(
+        lambda: all(item.get_subscription_count() > 0 for item in publishers), 'the recorder'
+    )
+    twin.go(500)
+    twin.session.close()
+    module_ros.spin_until(lambda: not twin._jobs, 'the journal')
+    assert all(item.wait_for_all_acked(Duration(seconds=60.0)) for item in publishers)
+    recorder.close()
+    return folder / 'bag'
 
 
 @pytest.fixture(scope='module')
-def bag(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp('good') / 'bag', messages)
+def messages(bag: Path) -> list[Message]:
+    with BagReader(bag) as reader:
+        return list(reader.messages())
 
 
 @pytest.mark.parametrize(
@@ -128,7 +147,9 @@ COMMAND = (sys.executable, '-m', 'soft_throw_ros', 'replay')
 
 SUBSCRIBER = """
 import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
+from soft_throw_ros.nodes.recorder import Recorder
 from std_msgs.msg import String
 
 rclpy.init()
