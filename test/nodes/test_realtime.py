@@ -63,14 +63,6 @@ def bench(given_clock: Any) -> Bench:
     return Bench(given_clock(now=0, max_catch_up=SECOND // 10))
 
 
-def test_ticks_follow_the_clock_from_its_start(bench) -> None:
-    assert bench.at(0) == []
-    for tenth in range(100, 10_000, 3):
-        bench.at(0.1 * tenth)
-    assert bench.done == [(step, (10 + step) * MILLISECOND) for step in range(990)]
-    assert (bench.ticker.counts['ticks'], bench.ticker.counts['ticks_skipped']) == (990, 0)
-
-
 def test_late_tick_does_not_delay_others(bench) -> None:
     bench.at(100)
     assert bench.at(100.999) == []
@@ -90,16 +82,6 @@ def test_stall_is_caught_up_within_bounds_and_other_ticks_are_counted(bench) -> 
     assert burst[-1][1] == 6000
     assert bench.ticker.counts['ticks_skipped'] == 4899
     assert bench.at(6001) == [(102, 6001)]
-
-
-def test_ticker_restarts_after_a_change_of_the_clock(bench) -> None:
-    bench.at(5000)
-    bench.clock.epoch += 1
-    assert bench.at(100) == [(1, 100)]
-    assert bench.at(102)[-1] == (3, 102)
-    bench.clock.epoch += 1
-    assert bench.at(10**9) == [(4, 10**9)]
-    assert [bench.ticker.counts[name] for name in ('clock_jumps', 'ticks_skipped')] == [2, 0]
 
 
 def test_session_receives_every_change_of_the_deadlines(bench) -> None:
