@@ -54,7 +54,6 @@ setup(
         'numpy',
         'pyyaml',
         'scipy',
-        'tqdm',
     ],
     extras_require={
         'dask': ['distributed'],
@@ -91,7 +90,6 @@ setup(
             'tifffile',
             'trackpy>=0.6.4',
             'types-PyYAML',
-            'types-tqdm',
             'urdf-parser-py',
             'xarray',
         ],

@@ -54,8 +54,7 @@ def main(args: list[str] | None = None) -> int | None:
     """
     name, *arguments = (sys.argv[1:] if args is None else args) or ['--help']
     if name in {'-h', '--help'}:
-        print(_usage())
-        return 0
+        return _until_pipe_closes(_print_usage, arguments)
     if name not in EXECUTABLES:
         print(
             f'soft-throw: unknown executable {name!r}; choose from {", ".join(EXECUTABLES)}',
@@ -101,17 +100,31 @@ def _run(name: str, arguments: list[str]) -> int | None:
         for number, handler in handlers.items():
             signal.signal(number, handler)
     try:
-        exit_code: int | None = module.main(arguments)
+        return _until_pipe_closes(module.main, arguments)
     except KeyboardInterrupt:  # the executable has not installed a signal handler
         return 0 if is_node else 128 + signal.SIGINT
-    return exit_code
 
 
-def _usage() -> str:
-    """Return the usage of the command with one line per executable."""
+def _until_pipe_closes(
+    run: Callable[[list[str]], int | None], arguments: list[str]
+) -> int | None:
+    """Run a function; if its reader leaves, as of `| head`, its output ends without an error."""
+    try:
+        try:
+            return run(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
+        return 0
+
+
+def _print_usage(_arguments: list[str]) -> int:
+    """Print the usage of the command with one line per executable; return 0."""
     width = max(map(len, EXECUTABLES))
     lines = [f'  {name:{width}}  {purpose}' for name, (_, purpose) in EXECUTABLES.items()]
-    return '\n'.join(['usage: soft-throw NAME [ARGUMENTS]', '', 'executables:', *lines])
+    print('usage: soft-throw NAME [ARGUMENTS]', '', 'executables:', *lines, sep='\n')
+    return 0
 
 
 if __name__ == '__main__':

@@ -4,17 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 import contextlib
 from pathlib import Path
 import struct
+import time
 from typing import Any
 
 from mcap.exceptions import EndOfFile
-from mcap.reader import NonSeekingReader
+from mcap.reader import make_reader, NonSeekingReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from soft_throw_ros.storage.bag_metadata import dump_yaml
+from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import Channel, Message
 
 BEGIN = 1_700_000_000_000_000_000
@@ -70,3 +72,32 @@ def write(path: Path, messages: Iterable[Message], chunk: int = 1000, **kwargs: 
             if number % chunk == chunk - 1:
                 writer.flush()
     return path
+
+
+def notes(folder: Path) -> dict[str, dict[str, str]]:
+    """Return the named texts in the last file of a bag, as mcap reads them."""
+    with max(folder.glob('*.mcap')).open('rb') as file:
+        return {item.name: item.metadata for item in make_reader(file).iter_metadata()}
+
+
+PLAIN = Channel(topic='/plain', type='std_msgs/msg/String', schema='string data')
+
+
+def plain(number: int, size: int = 100) -> Message:
+    """Make a message that contains only its number, which is also its time."""
+    return Message(PLAIN, number.to_bytes(8, 'little') + bytes(size - 8), *3 * [number])
+
+
+def read(path: Path, *topics: str) -> list[tuple[str, bytes, int, int, int]]:
+    """Return such rows of the messages of a finished bag, by time, as our reader has them."""
+    with BagReader(path) as bag:
+        assert topics or sum(bag.counts.values()) == len(list(bag.messages()))
+        return [(message.channel.topic, *message[1:]) for message in bag.messages(topics or None)]
+
+
+def wait_until(done: Callable[[], bool], timeout: float = 60.0) -> None:
+    """Wait for an effect of another thread or process."""
+    deadline = time.monotonic() + timeout
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `soft-throw NAME ...`."""
 
+import re
 import subprocess
 import sys
 import types
@@ -87,3 +88,13 @@ def test_umbrella_imports_little_before_it_handles_signals():
     )
     ours = {'soft_throw_ros', 'soft_throw_ros.__main__'}
     assert set(result.stdout.split()) - {'collections.abc'} == ours
+
+
+@pytest.mark.parametrize('words', [['--help'], ['throw', '--help'], ['throw', '--verbose']])
+def test_reader_that_leaves_early_is_no_error(words):
+    command = [sys.executable, '-m', 'soft_throw_ros', *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        errors = process.stderr.read().decode()
+    assert not re.search('BrokenPipe|Traceback', errors)
+    assert process.returncode == 0

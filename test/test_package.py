@@ -44,7 +44,6 @@ ON_PYPI = {
     'numba': ('numba', 'python3-numba'),
     'numpy': ('numpy', 'python3-numpy'),
     'scipy': ('scipy', 'python3-scipy'),
-    'tqdm': ('tqdm', 'python3-tqdm'),
     'yaml': ('pyyaml', 'python3-yaml'),
 }
 OPTIONAL = {'av', 'dask', 'distributed', 'imageio', 'matplotlib', 'rerun', 'trackpy', 'xarray'}

@@ -32,7 +32,7 @@ from soft_throw_ros.recording.schemas import find_schema
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Channel, Message
 from soft_throw_ros.twin.results import Outputs, Phase
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from std_msgs.msg import String
 from twin_runs import named, Run
 
@@ -84,7 +84,7 @@ class TwinMessages(Run):
             stamp_ns = sample.stamp_ns - self.behind_ns
             data = self.encode_positions(stamp_ns, (sample.plate, sample.projectile))
             self._send('measured_joint_states', data, 0)
-        self.session.measure(samples, clock_offset_ns=self.behind_ns)
+        self.session.measure(Samples.of(samples), clock_offset_ns=self.behind_ns)
 
     def on_step(self, outputs: Outputs) -> None:
         super().on_step(outputs)

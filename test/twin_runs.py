@@ -18,7 +18,7 @@ from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.nodes.texts import sensor_text
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
@@ -50,6 +50,7 @@ class Run:
     """
 
     begin_ns = BEGIN
+    clock_offset_ns = 0
 
     def __init__(self, **request: Any) -> None:
         self.now = BEGIN  # time at which the present step is due
@@ -80,7 +81,7 @@ class Run:
         self.journal.append(line)
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        self.session.measure(samples)
+        self.session.measure(Samples.of(samples), clock_offset_ns=self.clock_offset_ns)
 
     def on_step(self, outputs: Outputs) -> None:
         self.outputs.append(outputs)

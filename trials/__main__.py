@@ -12,14 +12,18 @@ of 95 % intervals that contain the true value. The same seed gives the same tabl
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
 import json
+import multiprocessing
+import os
 from pathlib import Path
 import sys
+import threading
 
-from soft_throw_ros.commands.options import add_executor_options, open_executor
+from soft_throw_ros.commands.options import add_dask_option, open_map
 from soft_throw_ros.core.batch import usable_processors
 from trials import table
 from trials.judge import judge, Verdict
@@ -42,16 +46,26 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument(
         '--log', metavar='FILE', type=Path, help='write all verdicts to a file of JSON lines'
     )
-    add_executor_options(parser)
-    parser.set_defaults(workers=usable_processors())
+    parser.add_argument(
+        '--workers', metavar='N', type=int, default=usable_processors(),
+        help='number of worker processes without --dask (default: one per processor)',
+    )
+    add_dask_option(parser)
     arguments = parser.parse_args(args)
     if arguments.rigs < 1:
         parser.error(f'argument --rigs: must be at least 1, got {arguments.rigs}')
     rows = [row for row in ROWS if any(text in row.name for text in arguments.rows)]
     if not rows:
         parser.error(f'argument --rows: no row has any of {", ".join(arguments.rows)} in its name')
-    with open_executor(arguments) as executor:
-        verdicts = _run(rows, arguments, executor)
+    if arguments.dask or arguments.workers == 1:
+        with open_map(arguments.dask) as run_trials:
+            verdicts = _run(rows, arguments, run_trials)
+    else:
+        spawn = multiprocessing.get_context('spawn')  # threads do not survive a fork
+        with ProcessPoolExecutor(
+            arguments.workers, mp_context=spawn, initializer=_end_with_parent
+        ) as workers:
+            verdicts = _run(rows, arguments, workers.map)
     if arguments.log:
         lines = [json.dumps(asdict(verdict)) for verdict in verdicts]
         arguments.log.write_text('\n'.join(lines) + '\n', encoding='utf-8')
@@ -59,16 +73,27 @@ def main(args: list[str] | None = None) -> int:
     return 0
 
 
+def _end_with_parent() -> None:
+    """End this worker when its parent has been killed."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
 def _run(
-    rows: list[Row], arguments: argparse.Namespace, executor: Executor | None
+    rows: list[Row], arguments: argparse.Namespace, run_trials: Callable[..., Iterable[Verdict]]
 ) -> list[Verdict]:
     """Run the trials of all rows, and print each line of the table when it is complete."""
     verdicts = []
     names = [row.name for row in rows for _ in range(arguments.rigs)]
     numbers = [number for _ in rows for number in range(arguments.rigs)]
     run_trial = partial(judge, seed=arguments.seed)
-    map_trials = map if executor is None else executor.map
-    results = iter(map_trials(run_trial, names, numbers))
+    results = iter(run_trials(run_trial, names, numbers))
     print(*table.header(), sep='\n', flush=True)
     for row in rows:
         of_row = [next(results) for _ in range(arguments.rigs)]

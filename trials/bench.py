@@ -171,8 +171,11 @@ def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
     """Return the true parameters of rig and sensors, and the true first release."""
     rig, release = thrown.rig, thrown.events[0]
     peak = Underdamped.of(rig.engine).peak_velocity
+    values = values_of(rig, PARAMETERS)
+    if rig.layer.stress_strain_law != 'linear':  # it has the wave speed at rest only there
+        values['layer.rest_wave_speed'] = values.pop('layer.wave_speed')
     return {
-        **values_of(rig, PARAMETERS),
+        **values,
         'projectile.scale': faults.projectile_scale,
         'projectile.delay': faults.projectile_delay,
         'projectile.sticking': 0.0,

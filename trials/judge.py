@@ -113,8 +113,7 @@ def compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Dev
     an alternative with its own value and error. The nearer one of the two counts.
     """
     results = {name: [value] for name, value in report.get('found', {}).items()}
-    if 'layer.wave_speed' in results:  # the truth is that at rest
-        results['layer.wave_speed'] = [report['answer']['rest_wave_speed']]
+    results['layer.rest_wave_speed'] = [(report.get('answer') or {}).get('rest_wave_speed')]
     ejection = report.get('ejection') or {}
     for name in truth:
         group, _, key = name.partition('.')

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from trials.judge import Verdict
 
 _COLUMNS = {
-    'c_s': ('layer.wave_speed',),
+    'c_s': ('layer.wave_speed', 'layer.rest_wave_speed'),
     'loss': ('layer.loss_tangent',),
     'A': ('engine.amplitude',),
     'f, zeta': ('engine.frequency', 'engine.damping_ratio'),

@@ -7,9 +7,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from soft_throw_ros.commands.design_texts import motion_summary
 from soft_throw_ros.commands.options import (
     add_options,
     add_rig_options,
@@ -21,15 +21,13 @@ from soft_throw_ros.commands.output import (
     print_result,
     slow_notice,
     strain_warnings,
-    write_columns,
+    table,
     written_file,
 )
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.plate import motion_of
-from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.motion import MotionDesign, PlateLimits
-from soft_throw_ros.design.prediction import PredictedThrow
 from soft_throw_ros.design.requests import solve_request
 import yaml
 
@@ -61,35 +59,26 @@ def run(arguments: argparse.Namespace) -> int:
                 _WRITERS[path.suffix](design, unfinished)
     data = {
         'parameters': {name: settings[name] for name in RIG_PARAMETERS},
-        'motion': {**vars(design), 'summary': motion_summary(design)},
+        'motion': {**vars(design), 'summary': design.summary},
     }
     print_result(data, _lines(design), as_json=arguments.json)
     return 0
 
 
-def _cases(design: MotionDesign) -> Iterator[tuple[str, Rig, PredictedThrow]]:
-    """Yield the name, the rig and the throw of the present motion, of the best, and its worst."""
-    if design.now is not None:
-        yield 'now', design.present, design.now
-    yield 'best_motion', design.rig, design
-    if design.worst is not None:
-        yield 'worst_case', design.rig, design.worst
-
-
 def _lines(design: MotionDesign) -> Iterator[str]:
-    """Yield the summary, and a table that compares both throws."""
-    yield motion_summary(design)
-    yield ''
-    columns: dict[str, Mapping[str, float] | None] = {}
-    for name, rig, throw in _cases(design):
-        peaks = PlateLimits.of(rig.engine)
-        columns[name] = {
-            **vars(throw),
-            'plate_speed': peaks.speed,
-            'plate_acceleration': peaks.acceleration,
-            'plate_travel': peaks.travel,
-        }
-    yield from write_columns(columns)
+    """Yield the summary, and a table of the present motion, of the best, and its worst case."""
+    yield from (design.summary, '')
+    columns: dict[str, Mapping[str, Any] | None] = {}
+    for name, rig, throw in (
+        ('now', design.present, design.now),
+        ('best_motion', design.rig, design),
+        ('worst_case', design.rig, design.worst),
+    ):
+        if throw is not None:
+            peaks = vars(PlateLimits.of(rig.engine)).items()
+            plate = {f'plate_{key}': value for key, value in peaks if key != 'jerk'}
+            columns[name] = {**vars(throw), **plate}
+    yield from table(columns)
     yield from strain_warnings(design.rig.layer.linear_range, columns)
     if design.limits == PlateLimits.of(design.present.engine):
         yield (
@@ -109,33 +98,29 @@ def _write_trajectory(design: MotionDesign, path: Path) -> None:
     path.write_text(text, encoding='utf-8')
 
 
-def draw(design: MotionDesign, path: Path) -> None:
+def _draw(design: MotionDesign, path: Path) -> None:
     """Draw height and velocity of the plate in both throws into a PNG file."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.6, 4.2), layout='constrained')
-    above, below = figure.subplots(1, 2, sharex=True)
+    panels = figure.subplots(1, 2, sharex=True)
     times = np.linspace(0.0, max(design.motion.end_time, 1.2 * design.ejection_time), 1001)
-    cases = [case for case in _cases(design) if case[2] is not design.worst]
-    for (name, rig, throw), width in zip(cases, (1.2, 2.4), strict=False):
-        motion = motion_of(rig.engine)
-        label = f'{name.replace("_", " ")}: {throw.ejection_speed:.3g} m/s'
-        above.plot(1e3 * times, 1e3 * motion.position(times), label=label, lw=width)
-        below.plot(1e3 * times, motion.velocity(times), lw=width)
-    release = 1e3 * design.ejection_time
-    for panel, name in ((above, 'height of the plate (mm)'), (below, 'velocity (m/s)')):
-        panel.axvline(release, color='0.6', ls=':')
-        panel.set(xlabel='time (ms)', ylabel=name)
-        panel.spines[['top', 'right']].set_visible(False)
-    below.annotate(
-        'release', (release, 0.02), xycoords=('data', 'axes fraction'), color='0.4',
-        textcoords='offset points', xytext=(-4, 0), ha='right',
-    )
-    above.legend(frameon=False, title='motion: ejection speed', fontsize='small', loc='lower left')
-    figure.suptitle(motion_summary(design).replace('; ', '\n'), fontsize='medium')
-    figure.savefig(path, format='png', dpi=150, metadata={'Software': None})
+    for rig, throw, label in (
+        (design.present, design.now, 'now'), (design.rig, design, 'best motion')
+    ):
+        if throw is not None:
+            motion = motion_of(rig.engine)
+            title = f'{label}: {throw.ejection_speed:.3g} m/s'
+            panels[0].plot(1e3 * times, 1e3 * motion.position(times), label=title)
+            panels[1].plot(1e3 * times, motion.velocity(times))
+    for panel, name in zip(panels, ('height of the plate (mm)', 'velocity (m/s)'), strict=True):
+        panel.axvline(1e3 * design.ejection_time, color='0.6', ls=':')
+        panel.set(xlabel='time (ms), dotted: release', ylabel=name)
+    panels[0].legend(title='motion: ejection speed')
+    figure.suptitle(design.summary.replace('; ', '\n'), fontsize='medium')
+    figure.savefig(path, format='png', dpi=150)
 
 
 _WRITERS: Mapping[str, Callable[[MotionDesign, Path], None]] = {
-    '.csv': _write_csv, '.yaml': _write_trajectory, '.png': draw,
+    '.csv': _write_csv, '.yaml': _write_trajectory, '.png': _draw,
 }

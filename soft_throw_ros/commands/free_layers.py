@@ -13,12 +13,11 @@ from soft_throw_ros.commands.options import (
     MEASURED_PARAMETERS,
     new_file,
     not_negative,
-    parameter_type,
     read_settings,
     stated_parameters,
 )
 from soft_throw_ros.commands.output import CommandParser, report_io_errors, run_command
-from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG, values_of
 from soft_throw_ros.identification.ringing import fit_period, fit_wave_speed
 
@@ -81,7 +80,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _thickness(text: str) -> float:
-    try:
-        return float(parameter_type('layer.thickness')(text))  # type: ignore[arg-type]
-    except argparse.ArgumentTypeError as error:
-        raise ValueError(f'argument M FILE: {error}') from None
+    entry = TWIN.by_name['layer.thickness']
+    thickness = entry.convert(text)
+    if thickness is None:
+        raise ValueError(f'argument M FILE: {entry.name} must be {entry.rule}, got {text!r}')
+    return float(thickness)  # type: ignore[arg-type]

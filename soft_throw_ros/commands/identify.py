@@ -51,6 +51,7 @@ from soft_throw_ros.identification.tracks import ThrowTracks
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
 _NOISE = 'measured.position_noise'  # noise of all heights, if it is stated
+_STAMP_ERROR = 'measured.stamp_error'  # standard deviation of all times
 
 
 def main(args: list[str] | None = None) -> int:
@@ -99,7 +100,7 @@ def add_fit_options(parser: CommandParser) -> None:
     add(
         '--fit-file', metavar='FILE',
         help='YAML file of the fit (docs/identify.md): `free`, `fixed`, `prior`, `per_throw`, '
-        '`throws` whose parameters differ, `heights`, `reference`, and the `topic` of bags',
+        'and the `topic` of bags',
     )
 
 
@@ -133,13 +134,16 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
 
 
 def read_all(
-    arguments: argparse.Namespace, *, noise: float | None = None, topic: str | None = None
+    arguments: argparse.Namespace, *, noise: float | None = None, stamp_error: float = 0.0,
+    topic: str | None = None,
 ) -> tuple[list[ThrowTracks], list[str]]:
     """Return all throws, without false detections in a long record, and notes on defects."""
     throws: list[ThrowTracks] = []
     notes: list[str] = []
     for path in arguments.files:
-        result = read_throws(path, arguments, notes, noise=noise, topic=topic)
+        result = read_throws(
+            path, arguments, notes, noise=noise, stamp_error=stamp_error, topic=topic
+        )
         good = []
         for throw in result if len(result) > 1 else ():
             try:
@@ -158,11 +162,13 @@ def _identify(
     """Fit a rig to throws."""
     stated = stated_parameters(arguments)
     noise = float(settings[_NOISE]) if _NOISE in stated else None
-    throws, notes = read_all(arguments, noise=noise, topic=description.topic)
+    throws, notes = read_all(
+        arguments, noise=noise, stamp_error=float(settings[_STAMP_ERROR]), topic=description.topic
+    )
     has_projectile = any(throw.projectile is not None for throw in throws)
     if not has_projectile and 'layer.wave_speed' not in description.parameters:
         description = description.change({'layer.wave_speed': FIXED})
-    description = description.assume(stated, [throw.name for throw in throws])
+    description = description.assume(stated)
     result = fit_rig(throws, rig_of(settings), description, on_progress=_show_progress)
     warnings = fit_warnings(result.fit)
     if not result.is_complete:
@@ -179,7 +185,7 @@ def _identify(
         if row.name in ENGINE or (has_projectile and row.name not in description.assumed)
     ]
     found = {row.name for row in rows}
-    held = values_of(result.model.rigs[0], [name for name in relevant if name not in found])
+    held = values_of(result.model.rig, [name for name in relevant if name not in found])
     rows += held_rows(held, description.assumed)
     rows += ejection_rows(ejection) if ejection else ()
     rows += [Row.of(name, value) for name, value in result.terms().items()]
@@ -200,7 +206,7 @@ def _identify(
         sources=tuple(throw.name for throw in throws),
         rows=tuple(rows),
         head=tuple(head),
-        lines=tuple(fit_lines(result.fit)),
+        lines=tuple(fit_lines(result)),
         data={
             'answer': answer,
             'fit': fit_data(result.fit),

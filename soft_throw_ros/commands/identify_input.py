@@ -74,13 +74,13 @@ def add_track_options(parser: CommandParser) -> None:
 
 def read_throws(
     path: str, arguments: argparse.Namespace, notes: list[str], *,
-    noise: float | None = None, topic: str | None = None,
+    noise: float | None = None, stamp_error: float = 0.0, topic: str | None = None,
 ) -> list[ThrowTracks]:
     """
     Read the throws of a CSV file, or of a topic of a bag; a ValueError names file and line.
 
-    `noise` is the standard deviation of heights, if it is known. A sentence about each defect of
-    the tracks is appended to the notes.
+    `noise` is the standard deviation of heights, if it is known, and `stamp_error` that of times
+    [s]. A sentence about each defect of the tracks is appended to the notes.
     """
     if Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
         tracks = _read_bag(path, topic, notes)
@@ -88,7 +88,10 @@ def read_throws(
         tracks = _read_csv(path, JOINTS, arguments, notes)
     if 'plate' not in tracks:
         raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
-    tracks = {body: replace(track, known_noise=noise) for body, track in tracks.items()}
+    tracks = {
+        body: replace(track, known_noise=noise, stamp_error=stamp_error)
+        for body, track in tracks.items()
+    }
     plate, projectile = tracks['plate'], tracks.get('projectile')
     whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
     with report_io_errors(whole.name, TrackError):

@@ -35,9 +35,7 @@ _OTHER_UNITS = {
     'projectile.delay': 's', 'ejection.time': 's', 'ejection.speed': 'm/s',
     'ejection.peak_plate_speed': 'm/s', 'layer.rest_wave_speed': 'm/s',
 }
-_MAX_NAMES = 4  # largest number of sources listed in a parameter file
-_MAX_OUTLIERS = 4  # largest number of outliers of a track that are listed individually
-_MAX_TRACKS = 8  # largest number of tracks in the table; the worst ones come first
+_MAX_OUTLIERS = 4  # largest number of outliers of a track that are listed
 _NAME_WIDTH = 26
 _MAIN_SHARE = 0.5  # share of a variance, above which its source is named
 
@@ -80,33 +78,13 @@ class Row(NamedTuple):
 class IdentificationReport:
     """Result of an identification."""
 
-    sources: tuple[str, ...]
-    """Names of the throws or files."""
-    rows: tuple[Row, ...]
-    """All quantities, parameters of the twin first."""
-    head: tuple[str, ...] = ()
-    """Lines that come first: assumptions and the verdict."""
-    lines: tuple[str, ...] = ()
-    """Lines after the rows."""
-    data: Mapping[str, object] = field(default_factory=dict)
-    """Further content for programs, in types that JSON can represent."""
-    notes: tuple[str, ...] = ()
-    """Defects of the tracks, such as missing samples or messages."""
-    warnings: tuple[str, ...] = ()
-    """Reasons to doubt the result."""
-
-    @property
-    def found(self) -> dict[str, Estimate]:
-        """Parameters of the twin that were fitted."""
-        return {
-            row.name: Estimate(row.value, row.error)
-            for row in self.rows if row.error is not None and row.name in TWIN.by_name
-        }
-
-    @property
-    def held(self) -> dict[str, float]:
-        """Parameters of the twin that the fit held."""
-        return {row.name: row.value for row in self.rows if row.error is None}
+    sources: tuple[str, ...]  # names of the throws or files
+    rows: tuple[Row, ...]  # all quantities, parameters of the twin first
+    head: tuple[str, ...] = ()  # lines that come first: assumptions and the verdict
+    lines: tuple[str, ...] = ()  # lines after the rows
+    data: Mapping[str, object] = field(default_factory=dict)  # further content of the JSON output
+    notes: tuple[str, ...] = ()  # defects of the tracks, such as missing samples
+    warnings: tuple[str, ...] = ()  # reasons to doubt the result
 
     @property
     def assumed(self) -> list[str]:
@@ -127,8 +105,11 @@ class IdentificationReport:
         return {
             'sources': self.sources,
             'rows': [{**row._asdict(), 'unit': row.unit} for row in self.rows],
-            'found': self.found,
-            'held': self.held,
+            'found': {
+                row.name: Estimate(row.value, row.error)
+                for row in self.rows if row.error is not None and row.name in TWIN.by_name
+            },
+            'held': {row.name: row.value for row in self.rows if row.error is None},
             'assumed': self.assumed,
             **self.data,
             'notes': self.notes,
@@ -176,10 +157,8 @@ class IdentificationReport:
         }
         if any(name.startswith('layer.') for name in self.assumed):
             kept['layer.name'] = CUSTOM  # a name would state the whole layer
-        names = [Path(source).name for source in self.sources]
-        if len(names) > _MAX_NAMES:
-            names = [names[0], '...', names[-1]]
-        title = [f'Identified from {", ".join(names)}:']
+        first, last = (Path(self.sources[index]).name for index in (0, -1))
+        title = [f'Identified from {" to ".join(dict.fromkeys((first, last)))}:']
         title += [f'{row.name} {row}' for row in self.rows if row.name in TWIN.by_name]
         title += [f'Doubtful: {warning}' for warning in self.warnings]
         with written_file(path) as unfinished:
@@ -206,17 +185,14 @@ def held_rows(values: Mapping[str, float], assumed: Sequence[str]) -> Iterator[R
 
 def fit_rows(result: RigFit) -> Iterator[Row]:
     """Yield the fitted parameters, each with the main source of its error."""
-    at_rest = result.rest_wave_speed() if 'layer.wave_speed' in result.model.layout else None
     for name, estimate in result.estimates().items():
-        if name != 'layer.wave_speed' or at_rest is None:
+        if name != 'layer.wave_speed':
             yield Row.of(name, estimate, _main_source(result, name))
             continue
         amplitude = 1e3 * result.rig.engine.amplitude
         yield Row.of(name, estimate, f'at the amplitude of {amplitude:.3g} mm')
-        source = _main_source(result, name)
-        if 'layer.stiffening' in source:
-            source += '; fit a throw at half the amplitude as well'
-        yield Row.of('layer.rest_wave_speed', at_rest, source)
+        note = 'softer if the layer stiffens; identify a throw of half the amplitude alone'
+        yield Row.of('layer.rest_wave_speed', result.rest_wave_speed(), note)
 
 
 def _main_source(result: RigFit, name: str) -> str:
@@ -241,38 +217,29 @@ def ejection_rows(ejection: Ejection) -> Iterator[Row]:
             yield Row.of(f'ejection.{name}', getattr(release, name), note)
 
 
-def fit_lines(fit: Fit) -> Iterator[str]:
+def fit_lines(result: RigFit) -> Iterator[str]:
     """Yield the systematic errors, the quality of the fit of each track, and its outliers."""
+    fit = result.fit
     floors = ', '.join(f'{name} {floor}' for name, floor in FLOORS.items())
-    yield f'systematic errors, part of all errors here: {floors}'
+    yield f'systematic errors, part of all errors here, all times {result.growth:.2g}: {floors}'
     yield (
         f'chi squared {fit.chi2:.1f} for {fit.dof} degrees of freedom '
         f'({fit.reduced_chi2:.3f} each)'
     )
     yield f'{"":{_NAME_WIDTH}} {"samples":>8} {"noise":>10} {"residual":>10}'
-    shown = list(fit.residuals)
-    if len(shown) > _MAX_TRACKS:
-        shown.sort(key=lambda residual: residual.rms / residual.track.noise)
-        shown = shown[-_MAX_TRACKS:]
-    for residual in shown:
-        name, track = residual.name, residual.track
-        short = name if len(name) <= _NAME_WIDTH else f'...{name[3 - _NAME_WIDTH :]}'
+    for residual in fit.residuals:
+        track = residual.track
         yield (
-            f'{short:{_NAME_WIDTH}} {track.time.size:8} {1e6 * track.noise:7.3g} um '
+            f'{residual.name:{_NAME_WIDTH}} {track.time.size:8} {1e6 * track.noise:7.3g} um '
             f'{1e6 * residual.rms:7.3g} um'
         )
-    if len(shown) < len(fit.residuals):
-        yield f'and {len(fit.residuals) - len(shown)} tracks that are fitted better'
     for residual in fit.residuals:
-        if residual.outliers:
-            listed = [
-                f'{outlier.time:.6g} s ({1e3 * outlier.deviation:+.3g} mm)'
-                for outlier in residual.outliers[:_MAX_OUTLIERS]
-            ]
-            more = len(residual.outliers) - len(listed)
-            yield f'outliers of {residual.name}: {", ".join(listed)}' + (
-                f' and {more} more' if more else ''
-            )
+        listed = ', '.join(
+            f'{outlier.time:.6g} s ({1e3 * outlier.deviation:+.3g} mm)'
+            for outlier in residual.outliers[:_MAX_OUTLIERS]
+        )
+        if listed:
+            yield f'{len(residual.outliers)} outliers of {residual.name}: {listed}'
 
 
 def fit_data(fit: Fit) -> dict[str, object]:

@@ -5,13 +5,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from functools import partial
 import itertools
 import os
 from pathlib import Path
 import re
-import signal
 import tempfile
 from typing import TYPE_CHECKING
 
@@ -27,7 +24,7 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.recording import rerun_viewer as viewer
-from soft_throw_ros.recording.timeseries import find_throws, identify, READERS, ThrowStart
+from soft_throw_ros.recording.twin_journal import find_throws, identify, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
 
 if TYPE_CHECKING:
@@ -54,10 +51,6 @@ def main(args: list[str] | None = None) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     require('inspect', 'rerun', 'rerun', 'matplotlib')
     os.environ.setdefault('RUST_LOG', 'off')  # the command has messages of its own
-    handler = signal.getsignal(signal.SIGINT)
-    if not (arguments.save or arguments.screenshot):
-        # A call of Rerun does not return while its viewer hangs, and Python would wait for it
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         _show_bag(arguments)
     except viewer.ViewerError as error:
@@ -65,8 +58,6 @@ def _run(arguments: argparse.Namespace) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    finally:
-        signal.signal(signal.SIGINT, handler)
     return 0
 
 
@@ -113,13 +104,13 @@ def _port(text: str) -> int:
 
 
 def _show_bag(arguments: argparse.Namespace) -> None:
-    """Show a bag in one of four ways."""
+    """Show a bag, or write a recording or a picture."""
     from soft_throw_ros.recording.rerun_layout import THROW_TIME
     from soft_throw_ros.recording.rerun_view import Scene
 
     with BagReader(arguments.bag) as reader:
         topics = {item.topic: identify(item.topic, item.type)[1] for item in reader.channels}
-        if not any(topic in READERS for topic in topics.values()):
+        if not any(topic in TWIN_TOPICS for topic in topics.values()):
             raise ValueError(
                 f'{reader.path}: no topic of a twin is in the bag; topics: {", ".join(topics)}'
             )
@@ -127,31 +118,28 @@ def _show_bag(arguments: argparse.Namespace) -> None:
         throw = _choose_throw(reader, journals, arguments.throw)
         stream = viewer.new_stream(reader.path.name)
         scene = Scene(stream, is_picture=bool(arguments.screenshot), throw=throw)
-        draw = partial(_draw, scene, reader)
         if arguments.save:
             with written_file(arguments.save) as unfinished:
-                _save(stream, unfinished, draw)
-        elif arguments.screenshot:
-            with report_io_errors(arguments.screenshot), tempfile.TemporaryDirectory() as folder:
-                recording = Path(folder) / 'scene.rrd'
-                _save(stream, recording, draw)
-                cursor = _cursor(scene, throw, arguments.at)
-                options = ('--headless', '--window-size', arguments.size, recording)
+                _save(stream, unfinished, scene, reader)
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            recording = Path(folder) / 'scene.rrd'
+            _save(stream, recording, scene, reader)
+            at = THROW_TIME, _cursor(scene, throw, arguments.at)
+            if arguments.screenshot:
+                options = '--headless', '--window-size', arguments.size
                 with viewer.Viewer(viewer.free_port(), *options) as process:
-                    picture = process.photograph(THROW_TIME, cursor)
-                arguments.screenshot.write_bytes(picture)
-        else:
-            viewer.show(stream, arguments.port, draw)
-            cursor = _cursor(scene, throw, arguments.at)
-            if cursor is not None:
-                viewer.go_to(stream, arguments.port, THROW_TIME, cursor)
-            stream.disconnect()
+                    picture = process.photograph(recording, *at)
+                with report_io_errors(arguments.screenshot):
+                    arguments.screenshot.write_bytes(picture)
+            else:
+                viewer.show(recording, arguments.port, *at)
 
 
-def _save(stream: rr.RecordingStream, path: Path, draw: Callable[[], None]) -> None:
+def _save(stream: rr.RecordingStream, path: Path, scene: Scene, reader: BagReader) -> None:
     """Draw a recording into a file; raise OSError if it is not written completely."""
     viewer.save_to(stream, path, is_live=False)
-    draw()
+    _draw(scene, reader)
     viewer.finish(stream, path)
 
 

@@ -21,7 +21,7 @@ from types import ModuleType
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.design.requests import solve_request
-from soft_throw_ros.twin import outlier_filter, plate_observer
+from soft_throw_ros.twin import outlier_filter, plate_estimator, plate_observer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 Say = Callable[[str], object]
@@ -29,7 +29,7 @@ Say = Callable[[str], object]
 _INTERVAL = 2.0  # from one line of progress to the next [s]
 _SOURCES = (  # of kernels
     *Path(smoothing.__file__).parent.glob('*.py'),
-    *(Path(str(module.__file__)) for module in (outlier_filter, plate_observer)),
+    *Path(str(plate_observer.__file__)).parent.glob('*.py'),
 )
 
 
@@ -42,7 +42,7 @@ def _step(stepper: ModuleType, **layer: float) -> None:
 
 def _measure() -> None:
     """Run the kernels that process samples of a plate once."""
-    for module in (smoothing, outlier_filter, plate_observer):
+    for module in (smoothing, outlier_filter, plate_estimator, plate_observer):
         module.warm_up()
 
 

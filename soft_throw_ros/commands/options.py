@@ -1,29 +1,23 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Options that commands share: parameters of a rig, worker processes, file names."""
+"""Options that commands share: parameters of a rig, a cluster, file names."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
+from concurrent.futures import CancelledError
 import contextlib
 from dataclasses import replace
 import math
-import multiprocessing
 from pathlib import Path
-import signal
 from typing import Any
 
 from soft_throw_ros.commands.output import require
-from soft_throw_ros.configuration import Entry, files, ParameterError, TWIN, Value
+from soft_throw_ros.configuration import files, ParameterError, TWIN, Value
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.table import float_of, value_text
 import yaml
-
-
-class WorkersLostError(RuntimeError):
-    """The worker processes have ended unexpectedly."""
 
 
 def option_of(name: str) -> str:
@@ -31,12 +25,6 @@ def option_of(name: str) -> str:
     last = 'layer' if name == 'layer.name' else name.rpartition('.')[2]
     return f'--{last.replace("_", "-")}'
 
-
-RECOMMENDATION_PARAMETERS = tuple(TWIN.names_in('recommendation'))
-"""Parameters with the objective and the limits of a recommendation."""
-
-UNCERTAINTY_PARAMETERS = tuple(TWIN.names_in('uncertainty'))
-"""Parameters with the uncertainties of a rig."""
 
 MAIN_PARAMETERS = (
     'engine.motion', 'engine.frequency', 'engine.amplitude', 'layer.name', 'layer.stack',
@@ -61,11 +49,8 @@ _MOTION = replace(
 _NAMED = 'named'
 """Attribute of the arguments with the names of the parameters that `-p` sets."""
 
-_NEEDED = {
-    '.rrd': ('rerun', 'rerun'),
-    **dict.fromkeys(('.png', '.pdf', '.svg'), ('plot', 'matplotlib')),
-}
-"""Extra of this package and module that are required to write a file, by suffix."""
+_FIGURES = ('.png', '.pdf', '.svg')
+"""Suffixes of files that Matplotlib writes."""
 
 
 class _SetParameter(argparse.Action):
@@ -112,18 +97,11 @@ def add_options(
     *,
     title: str,
     description: str = '',
-    entries: Iterable[Entry] = (),
 ) -> None:
-    """
-    Add a group with one option per parameter; `read_settings` reads them.
-
-    `entries` replace rows of the table of parameters if a command accepts fewer values.
-
-    """
-    special = {entry.name: entry for entry in (_MOTION, *entries)}
+    """Add a group with one option per parameter; `read_settings` reads them."""
     group = parser.add_argument_group(title, description)
     for name in names:
-        entry = special.get(name, TWIN.by_name[name])
+        entry = _MOTION if name == _MOTION.name else TWIN.by_name[name]
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':
             text += f' (default {value_text(entry.default)})'
@@ -180,42 +158,33 @@ def stated_parameters(arguments: argparse.Namespace) -> set[str]:
     return set(values)
 
 
-def add_executor_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--workers` and `--dask`; `open_executor` reads them."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        '--workers', metavar='N', type=count, default=1,
-        help='number of worker processes (default 1: this process)',
-    )
-    group.add_argument(
+def add_dask_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--dask`; `open_map` reads it."""
+    parser.add_argument(
         '--dask', metavar='ADDRESS',
         help='use the workers of a Dask scheduler, such as tcp://10.0.0.1:8786',
     )
 
 
 @contextlib.contextmanager
-def open_executor(arguments: argparse.Namespace) -> Iterator[Executor | None]:
-    """Yield the executor that the options select, or None for this process."""
-    if arguments.dask is not None:
-        with _open_dask(arguments.dask) as executor:
-            yield executor
-    elif arguments.workers == 1:
-        yield None
-    else:
-        # Spawn, because threads do not survive a fork. Start all workers while SIGINT is blocked:
-        # they inherit the mask, so only this process handles Ctrl-C. Workers finish their block.
-        spawn = multiprocessing.get_context('spawn')
-        with ProcessPoolExecutor(arguments.workers, mp_context=spawn) as executor:
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            for _ in range(arguments.workers):
-                executor.submit(int)
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            try:
-                yield executor
-            except BrokenExecutor:
-                raise WorkersLostError(
-                    'a worker process was killed, perhaps because memory ran out'
-                ) from None
+def open_map(address: str | None) -> Iterator[Callable[..., Iterable[Any]]]:
+    """Yield `map`, or that of the executor of a Dask scheduler."""
+    if address is None:
+        yield map
+        return
+    require('--dask', 'dask', 'distributed')
+    from distributed import Client
+    from distributed.scheduler import KilledWorker
+
+    try:
+        client = Client(address, timeout='10s', set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ValueError(f'--dask {address}: no scheduler answers there ({error})') from None
+    try:
+        with client, client.get_executor() as executor:
+            yield executor.map
+    except (KilledWorker, CancelledError):
+        raise ValueError(f'--dask {address}: the scheduler or a worker is lost') from None
 
 
 def number_type(rule: str, allows: Callable[[float], bool]) -> Callable[[str], float]:
@@ -230,29 +199,9 @@ def number_type(rule: str, allows: Callable[[float], bool]) -> Callable[[str], f
     return read
 
 
-def parameter_type(name: str) -> Callable[[str], Value]:
-    """Return an argparse type for the values of a parameter of the twin."""
-    entry = TWIN.by_name[name]
-
-    def read(text: str) -> Value:
-        value = entry.convert(text)
-        if value is None:
-            raise argparse.ArgumentTypeError(f'{name} must be {entry.rule}, got {text!r}')
-        return value
-
-    return read
-
-
 any_number = number_type('a number', lambda value: not math.isnan(value))
 positive = number_type('finite and positive', lambda value: 0.0 < value < math.inf)
 not_negative = number_type('finite and not negative', lambda value: 0.0 <= value < math.inf)
-
-
-def count(text: str) -> int:
-    """Parse a whole number above 0, as an argparse type."""
-    if not (text.isascii() and text.isdecimal()) or int(text) < 1:
-        raise argparse.ArgumentTypeError(f'must be a whole number of 1 or more, got {text!r}')
-    return int(text)
 
 
 def new_file(*endings: str) -> Callable[[str], Path]:
@@ -264,33 +213,11 @@ def new_file(*endings: str) -> Callable[[str], Path]:
             raise argparse.ArgumentTypeError(f'must end with {", ".join(endings)}, got {text!r}')
         if not path.absolute().parent.is_dir():
             raise argparse.ArgumentTypeError(f'{text}: folder {path.parent} not found')
-        if endings and path.suffix in _NEEDED:
+        if endings and path.suffix in _FIGURES:
             try:
-                require(text, *_NEEDED[path.suffix])
+                require(text, 'plot', 'matplotlib')
             except ValueError as error:
                 raise argparse.ArgumentTypeError(str(error)) from None
         return path
 
     return read
-
-
-@contextlib.contextmanager
-def _open_dask(address: str) -> Iterator[Executor]:
-    """Connect to a Dask scheduler."""
-    require('--dask', 'dask', 'distributed')
-    from distributed import Client
-    from distributed.scheduler import KilledWorker
-
-    try:
-        client = Client(address, timeout='10s', set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise ValueError(f'--dask {address}: no scheduler answers there ({error})') from None
-    with client, client.get_executor() as executor:
-        try:
-            yield executor
-        except KilledWorker:
-            raise WorkersLostError(
-                'the same task has killed several Dask workers, perhaps because memory ran out'
-            ) from None
-        except CancelledError:
-            raise WorkersLostError(f'lost the Dask scheduler at {address}') from None

@@ -9,21 +9,29 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import contextlib
 from dataclasses import fields, is_dataclass
 import importlib.util
-import itertools
 import json
 import math
-import os
 from pathlib import Path
 import re
 import sys
 import threading
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
-from soft_throw_ros.core.rig import STANDARD_GRAVITY
 from soft_throw_ros.storage.atomic_file import atomic_file
 
-_WIDTH = 12  # width of a column of numbers [characters]
+_UNITS = {
+    **dict.fromkeys(('amplitude', 'thickness', 'travel', 'height'), ('mm', 1e3)),
+    **dict.fromkeys(('work', 'energy', 'heat'), ('mJ', 1e3)),
+    'time': ('ms', 1e3),
+    'speed': ('m/s', 1.0),
+    'acceleration': ('m/s2', 1.0),
+    'strain': ('%', 1e2),
+    'force': ('N', 1.0),
+    'modulus': ('kPa', 1e-3),
+    'density': ('kg/m3', 1.0),
+}
+"""Units of quantities in tables, and factors from SI, by the last word of their names."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -130,30 +138,18 @@ def print_note(command: str, text: str) -> None:
 
 def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
     """Print a result as JSON, or else as lines, which are only then computed."""
-    if as_json:
-        print_text(to_json(data))
-    else:
-        print_lines(lines)
+    print_lines([to_json(data)] if as_json else lines)
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print lines as `print_text` does."""
-    print_text('\n'.join(lines) + '\n')
-
-
-def print_text(text: str) -> None:
-    """Print a text without control characters; a closed pipe, such as `| head`, is no error."""
-    try:
-        sys.stdout.write(printable(text))
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # Otherwise Python reports the closed pipe again when it exits.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Print lines without control characters."""
+    sys.stdout.write(printable('\n'.join(lines) + '\n'))
+    sys.stdout.flush()
 
 
 def to_json(data: object) -> str:
     """Format dataclasses, named tuples and arrays as JSON; non-finite numbers become null."""
-    return json.dumps(_plain(data), indent=2, allow_nan=False) + '\n'
+    return json.dumps(_plain(data), indent=2, allow_nan=False)
 
 
 def _plain(value: object) -> object:
@@ -171,96 +167,37 @@ def _plain(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-class _Row(NamedTuple):
-    """A line of a table: key of its numbers, title, unit, and factor from SI to the unit."""
-
-    key: str
-    title: str
-    unit: str = ''
-    scale: float = 1.0
-
-
-_ROWS = (
-    _Row('amplitude', 'amplitude A', 'mm', 1e3),
-    _Row('thickness', 'thickness L_s', 'mm', 1e3),
-    _Row('wave_speed', 'wave speed c_s', 'm/s'),
-    _Row('density', 'density', 'kg/m3'),
-    _Row('youngs_modulus', 'modulus', 'kPa', 1e-3),
-    _Row('loss_tangent', 'loss tangent'),
-    _Row('mass_ratio', 'mu'),
-    _Row('speed_ratio', 'kappa'),
-    _Row('plate_speed', 'plate speed', 'm/s'),
-    _Row('plate_acceleration', 'plate acceleration', 'm/s2'),
-    _Row('plate_travel', 'plate travel', 'mm', 1e3),
-    _Row('ejection_time', 'ejection time t_e', 'ms', 1e3),
-    _Row('ejection_phase', '  t_e f'),
-    _Row('ejection_speed', 'ejection speed V_e', 'm/s'),
-    _Row('peak_plate_speed', 'plate speed V_p*', 'm/s'),
-    _Row('energy_transfer', 'energy transfer alpha'),
-    _Row('recontacts', 're-contacts'),
-    _Row('last_ejection_time', 'last release', 'ms', 1e3),
-    _Row('last_ejection_speed', '  its speed', 'm/s'),
-    _Row('last_energy_transfer', '  its alpha'),
-    _Row('speed', 'speed of last release', 'm/s'),
-    _Row('height', 'rise above the layer', 'mm', 1e3),
-    _Row('apex_height', 'apex above the plate', 'mm', 1e3),
-    _Row('peak_strain', 'peak strain', '%', 1e2),
-    _Row('peak_plate_strain', '  at the plate', '%', 1e2),
-    _Row('peak_contact_strain', '  at the projectile', '%', 1e2),
-    _Row('peak_acceleration', 'peak acceleration', 'm/s2'),
-    _Row('peak_acceleration', '  in g', 'g', 1.0 / STANDARD_GRAVITY),
-    _Row('peak_plate_force', 'peak force on plate', 'N'),
-    _Row('plate_work', 'work of the plate', 'mJ', 1e3),
-    _Row('layer_energy', '  to the layer', 'mJ', 1e3),
-    _Row('projectile_energy', '  to the projectile', 'mJ', 1e3),
-    _Row('heat', '  to heat', 'mJ', 1e3),
-    _Row('kinetic_energy', 'kinetic energy at t_e', 'mJ', 1e3),
-)
-"""Quantities of a throw, in the order of the tables."""
-
-
-def write_columns(columns: Mapping[str, Mapping[str, float] | None]) -> Iterator[str]:
-    """
-    Yield the lines of a table of throws by their heads; rows without numbers are omitted.
-
-    Words of a head that are joined by `_` are written below each other.
-    """
-    words = [head.split('_') for head in columns]
-    for heads in itertools.zip_longest(*words, fillvalue=''):
-        yield table_line('', '', heads)
-    for row in _ROWS:
-        cells = [_cell((numbers or {}).get(row.key), row.scale) for numbers in columns.values()]
+def table(columns: Mapping[str, Mapping[str, Any] | None]) -> Iterator[str]:
+    """Yield the lines of a table of the numbers of throws, which are columns with a head."""
+    yield table_line('', '', columns)
+    names = dict.fromkeys(name for column in columns.values() for name in column or ())
+    for name in names:
+        unit, scale = _UNITS.get(name.rpartition('_')[2], ('', 1.0))
+        cells = [_cell((column or {}).get(name), scale) for column in columns.values()]
         if any(cell != '-' for cell in cells):
-            yield table_line(row.title, row.unit, cells)
+            yield table_line(name, unit, cells)
+
+
+def table_line(title: str, unit: str, cells: Iterable[str]) -> str:
+    """Return a line of a table."""
+    return (f'{title:22}{unit:>6}' + ''.join(f'{cell:>14}' for cell in cells)).rstrip()
+
+
+def _cell(value: object, scale: float) -> str:
+    if isinstance(value, float):
+        return f'{scale * value:#.6g}'
+    return str(value) if isinstance(value, int) else '-'
 
 
 def strain_warnings(
-    max_strain: float, columns: Mapping[str, Mapping[str, float] | None]
+    max_strain: float, columns: Mapping[str, Mapping[str, Any] | None]
 ) -> Iterator[str]:
     """Yield warnings of throws whose strain exceeds a range, or all that a layer can do [-]."""
-    peaks = {
-        head.replace('_', ' '): (numbers or {}).get('peak_strain', 0.0)
-        for head, numbers in columns.items()
-    }
+    peaks = {head: (column or {}).get('peak_strain', 0.0) for head, column in columns.items()}
     if beyond := [head for head, peak in peaks.items() if max_strain < peak < 1.0]:
         yield (
             f'Strain beyond {1e2 * max_strain:.3g} % leaves the linear range '
             f'({", ".join(beyond)}): a real layer will deviate from this prediction.'
         )
     if impossible := [head for head, peak in peaks.items() if peak >= 1.0]:
-        yield (
-            f'Strain of 100 % or more is impossible ({", ".join(impossible)}): a layer cannot be '
-            'compressed by its whole thickness.'
-        )
-
-
-def table_line(title: str, unit: str, cells: Iterable[str]) -> str:
-    """Return a line of a table."""
-    line = f'{title:22}{unit:>6}' + ''.join(f'{cell:>{_WIDTH}}' for cell in cells)
-    return line.rstrip()
-
-
-def _cell(value: float | None, scale: float) -> str:
-    if value is None:
-        return '-'
-    return str(value) if isinstance(value, int) else f'{scale * value:#.6g}'
+        yield f'Strain of 100 % or more is impossible ({", ".join(impossible)}).'

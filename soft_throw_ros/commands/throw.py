@@ -9,35 +9,31 @@ The options are the parameters of the twin, with the same ranges.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
-from soft_throw_ros.commands.design_texts import uncertainty_text
-from soft_throw_ros.commands.options import (
-    add_rig_options,
-    read_settings,
-    UNCERTAINTY_PARAMETERS,
-)
+from soft_throw_ros.commands.options import add_rig_options, read_settings
 from soft_throw_ros.commands.output import (
     CommandParser,
     print_result,
     run_command,
     slow_notice,
     strain_warnings,
-    write_columns,
+    table,
 )
-from soft_throw_ros.configuration import rig_of, Settings
+from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 
-ModelResult = Mapping[str, float]
-"""Predictions by name, in SI units."""
-
-Prediction = dict[str, Any]
-"""Output of `--json`, see `predict`."""
+_NOTES = {
+    'throw': 'whole throw of a rigid projectile, as the twin computes it',
+    'spring': 'layer without mass and loss, harmonic plate, no gravity (App. A)',
+    'uncertainty': '95 % of all throws within uncertainty.*',
+}
+"""Parts of a prediction."""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -53,12 +49,14 @@ def _run(arguments: argparse.Namespace) -> int:
     settings = read_settings(arguments)
     with slow_notice('throw'):
         prediction = predict(settings)
-    lines = _lines(prediction, arguments.verbose)
-    print_result(prediction, lines, as_json=arguments.json)
+    lines = _lines(prediction, rig_of(settings), arguments.verbose)
+    uncertainty = prediction['uncertainty']
+    data = {**prediction, 'uncertainty': uncertainty and uncertainty.values()}
+    print_result(data, lines, as_json=arguments.json)
     return 0 if prediction['throw'] else 1
 
 
-def predict(settings: Settings) -> Prediction:
+def predict(settings: Settings) -> dict[str, Any]:
     """
     Predict a throw.
 
@@ -77,18 +75,22 @@ def predict(settings: Settings) -> Prediction:
         `leaves_linear_range` is true if the strain is too large for a linear layer.
 
     """
-    rig = rig_of(settings)
-    parts: dict[str, Mapping[str, float] | None] = {}
-    notes: dict[str, str] = {}
-    for name, (compute, note) in _PARTS.items():
+    rig, uncertainties = rig_of(settings), Uncertainties.from_settings(settings)
+    parts: dict[str, Any] = {}
+    notes = dict(_NOTES)
+    for name, compute in (
+        ('throw', lambda: _simulated(rig)),
+        ('spring', lambda: _spring(rig)),
+        ('uncertainty', lambda: prediction_uncertainty(rig, uncertainties)),
+    ):
         try:
-            parts[name], notes[name] = compute(rig, settings), note
+            parts[name] = compute()
         except (ValueError, RuntimeError) as error:  # this rig is not supported
             parts[name], notes[name] = None, f'none, {error}'
+    throw = parts['throw']
     return {
         'parameters': {
-            name: settings[name]
-            for name in (*RIG_PARAMETERS, *UNCERTAINTY_PARAMETERS)
+            name: settings[name] for name in (*RIG_PARAMETERS, *TWIN.names_in('uncertainty'))
         },
         'rig': {
             'mass_ratio': rig.mass_ratio,
@@ -100,12 +102,11 @@ def predict(settings: Settings) -> Prediction:
         },
         **parts,
         'notes': notes,
-        'leaves_linear_range': (parts['throw'] or {}).get('peak_strain', 0.0)
-        > rig.layer.linear_range,
+        'leaves_linear_range': bool(throw) and throw['peak_strain'] > rig.layer.linear_range,
     }
 
 
-def _spring(rig: Rig, _settings: Settings) -> ModelResult:
+def _spring(rig: Rig) -> dict[str, float]:
     """Predict the first release from a layer without mass by the formula of App. A."""
     engine = rig.engine
     if engine.motion:
@@ -120,72 +121,55 @@ def _spring(rig: Rig, _settings: Settings) -> ModelResult:
     }
 
 
-_OF_THROW = (
-    'ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer', 'recontacts',
-    'last_energy_transfer', 'peak_strain',
-)
-"""Predictions with the name of an attribute of `Throw`."""
-
-
-def _simulated(rig: Rig, _settings: Settings) -> ModelResult:
+def _simulated(rig: Rig) -> dict[str, float]:
     """Simulate a throw to its end."""
     throw = simulate(rig)
-    projectile, release = rig.projectile, throw.first_release
+    mass, release, loads, energies = (
+        rig.projectile.mass, throw.first_release, throw.loads, throw.energies
+    )
     rise = release.position - throw.rest_height
-    energy = projectile.mass * (0.5 * release.velocity**2 + rig.gravity * rise)
-    result: dict[str, float] = {name: getattr(throw, name) for name in _OF_THROW}
-    result |= {
+    projectile_energy = mass * (0.5 * release.velocity**2 + rig.gravity * rise)
+    result: dict[str, float] = {
+        'ejection_time': throw.ejection_time,
         'ejection_phase': throw.ejection_time * rig.engine.frequency,
+        'ejection_speed': throw.ejection_speed,
+        'peak_plate_speed': throw.peak_plate_speed,
+        'energy_transfer': throw.energy_transfer,
+        'recontacts': throw.recontacts,
         'last_ejection_time': throw.last_release.time,
         'last_ejection_speed': throw.last_release.velocity,
-        'peak_plate_strain': throw.loads.plate_strain,
-        'peak_contact_strain': throw.loads.contact_strain,
-        'peak_acceleration': throw.loads.acceleration,
-        'peak_plate_force': throw.loads.plate_force,
-        'plate_work': throw.energies.plate_work,
-        'layer_energy': throw.energies.stored - energy,
-        'projectile_energy': energy,
+        'last_energy_transfer': throw.last_energy_transfer,
+        'peak_strain': throw.peak_strain,
+        'peak_plate_strain': loads.plate_strain,
+        'peak_contact_strain': loads.contact_strain,
+        'peak_acceleration': loads.acceleration,
+        'peak_plate_force': loads.plate_force,
+        'plate_work': energies.plate_work,
+        'layer_energy': energies.stored - projectile_energy,
+        'projectile_energy': projectile_energy,
     }
     if rig.gravity:
         result['apex_height'] = throw.apex_height
-    if throw.energies.heat:
-        result['heat'] = throw.energies.heat
+    if energies.heat:
+        result['heat'] = energies.heat
     return result
 
 
-def _uncertainty(rig: Rig, settings: Settings) -> ModelResult:
-    """Compute the intervals of the first release."""
-    return prediction_uncertainty(rig, Uncertainties.from_settings(settings)).values()
-
-
-_PARTS: Mapping[str, tuple[Callable[[Rig, Settings], ModelResult], str]] = {
-    'throw': (_simulated, 'whole throw of a rigid projectile, as the twin computes it'),
-    'spring': (_spring, 'layer without mass and loss, harmonic plate, no gravity (App. A)'),
-    'uncertainty': (_uncertainty, '95 % of all throws within uncertainty.*'),
-}
-"""Parts of a prediction, each with its function and a note."""
-
-
-def _lines(prediction: Prediction, is_verbose: bool) -> Iterator[str]:
+def _lines(prediction: dict[str, Any], rig: Rig, is_verbose: bool) -> Iterator[str]:
     """Yield the answer, its uncertainty and warnings, and everything else if asked for."""
-    throw, uncertainty = prediction['throw'], prediction['uncertainty']
+    throw, uncertainty, notes = (prediction[name] for name in ('throw', 'uncertainty', 'notes'))
     if throw:
         yield (
             f'released at {1e3 * throw["ejection_time"]:.4g} ms, '
             f'{throw["ejection_speed"]:.5g} m/s, alpha {throw["energy_transfer"]:.4g}'
         )
     else:
-        yield f'no throw: {prediction["notes"]["throw"].removeprefix("none, ")}'
+        yield f'no throw: {notes["throw"].removeprefix("none, ")}'
     if uncertainty:
-        yield f'With the uncertainties (uncertainty.*): {uncertainty_text(uncertainty)}'
-    limit = rig_of(prediction['parameters']).layer.linear_range
-    yield from strain_warnings(limit, {'throw': throw})
+        yield f'With the uncertainties (uncertainty.*): {uncertainty}'
+    yield from strain_warnings(rig.layer.linear_range, {'throw': throw})
     if is_verbose:
-        rig = prediction['rig']
         yield ''
-        yield (
-            f'mu {rig["mass_ratio"]:.6g}, kappa {rig["speed_ratio"]:.6g}, '
-            f'f0/f {rig["frequency_ratio"]:.6g}, t_s {1e3 * rig["crossing_time"]:.6g} ms'
-        )
-        yield from write_columns({'throw': throw, 'spring': prediction['spring']})
-        yield from (f'{name}: {note}' for name, note in prediction['notes'].items())
+        yield from table({'rig': prediction['rig']})
+        yield from table({'throw': throw, 'spring': prediction['spring']})
+        yield from (f'{name}: {note}' for name, note in notes.items())

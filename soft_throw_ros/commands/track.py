@@ -14,8 +14,8 @@ import numpy as np
 from soft_throw_ros.commands.options import new_file, positive
 from soft_throw_ros.commands.output import (
     CommandParser,
+    print_lines,
     print_note,
-    print_text,
     report_io_errors,
     require,
     run_command,
@@ -37,7 +37,6 @@ _MAX_ACCELERATION = 1e5  # acceleration beyond that of any plate [m/s2]
 _MAX_FALL = 1.4  # apparent gravity over gravity, or its inverse, beyond which a rate is wrong
 _MIN_SEEN = 0.5  # share of the pictures that must show the plate for its frequency
 _MAX_RATE_ERROR = 0.01  # deviation from the rate in the file, beyond which a note is printed
-_MAX_GAPS = 3  # largest number of gaps of a spot that a note lists
 
 
 def main(args: list[str] | None = None) -> int:
@@ -91,12 +90,11 @@ def _run(arguments: argparse.Namespace) -> int:
         *(f'# {note}' for note in notes),
         *csv_lines(tracks),
     ]
-    text = '\n'.join(lines) + '\n'
     if arguments.output:
         with written_file(arguments.output) as unfinished:
-            unfinished.write_text(text, encoding='utf-8')
+            unfinished.write_text('\n'.join(lines) + '\n', encoding='utf-8')
     else:
-        print_text(text)
+        print_lines(lines)
     for note in notes:
         print_note('track', f'{arguments.video}: {note}')
     return 0
@@ -113,7 +111,6 @@ def _gap_notes(spots: Sequence[Spot], count: int) -> Iterator[str]:
         last = spot.picture[-1] if spot.picture else -1
         if last < count - 1 and not spot.has_left:
             gaps.append(f'{last + 1} to the end')
-        gaps[_MAX_GAPS:] = [f'{len(gaps) - _MAX_GAPS} more times'] * (len(gaps) > _MAX_GAPS)
         if gaps:
             yield f'the spot at {spot.location} is not seen in pictures {", ".join(gaps)}'
 

@@ -11,7 +11,7 @@ import signal
 import time
 
 from soft_throw_ros.commands.kernels import load_kernels, PARTS
-from soft_throw_ros.commands.output import CommandParser, print_text, run_command
+from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 
 
 def main(args: list[str] | None = None) -> int:
@@ -38,12 +38,11 @@ def _run(arguments: argparse.Namespace) -> int:
         if part not in PARTS:
             raise ValueError(f'PART must be one of {", ".join(PARTS)}, got {part!r}')
     for number, part in enumerate(parts, 1):
-        title = f'{number}/{len(parts)} {part}'
-        begin = time.monotonic()
+        title, begin = f'{number}/{len(parts)} {part}', time.monotonic()
         load_kernels([part], say=partial(_print_line, title))
-        print_text(f'{title}: ready, {time.monotonic() - begin:.1f} s\n')
+        _print_line(title, f'ready, {time.monotonic() - begin:.1f} s')
     return 0
 
 
 def _print_line(title: str, text: str) -> None:
-    print_text(f'{title}: {text}\n')
+    print_lines([f'{title}: {text}'])

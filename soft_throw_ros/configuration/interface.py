@@ -149,7 +149,7 @@ class TwinTopics(NamedTuple):
     residual: Topic = Topic(
         '~/residual', JOINT_STATE,
         'Model positions minus measured positions, if both bodies are measured, with the stamps '
-        'of the samples',
+        'of the samples, until a period of the plate after the release',
         depth=_ONE_SECOND, joints=JOINTS, quantities=('position',))
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,

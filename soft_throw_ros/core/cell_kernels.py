@@ -50,19 +50,43 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 from soft_throw_ros.core import stepper
-from soft_throw_ros.core.cell_grid import POINT, ROUNDING
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, Record, reduction, subroutine
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, reduction, subroutine
 from soft_throw_ros.core.material import RELAXATION_RATES, static_stretch
-from soft_throw_ros.core.plate_kernels import motion_at, PLATE
+from soft_throw_ros.core.plate_kernels import motion_at
+
+BODY = np.dtype(
+    [
+        ('count', 'i8'),  # number of cells
+        ('thickness', 'f8'),  # [m]
+        ('mass', 'f8'),  # [kg]
+        ('stiffness', 'f8'),  # at the plate's frequency [N/m]
+        ('lag', 'f8'),  # viscosity over stiffness [s]
+        ('max_compression', 'f8'),  # of a neo-Hookean body, 0 for a linear one [-]
+        ('relaxed', 'f8'),  # share of the spring in the stiffness [-]
+        ('tangent', 'f8'),  # largest stiffness of any state over the stiffness [-]
+        ('maxwell', 'f8', (3,)),  # shares of the Maxwell elements in the stiffness [-]
+    ]
+)
+"""A sheet, to be cut into cells of one kind."""
+
+POINT = np.dtype(
+    [
+        ('cell', 'i8'),  # at the height
+        ('neighbour', 'i8'),  # of this cell in its sheet, or the cell itself if it has none
+        ('weight', 'f8'),  # of the neighbour for quantities in the middle of cells [-]
+        ('fraction', 'f8'),  # of the cell below the height [-]
+    ]
+)
+"""A height at which the layer is read."""
+
+ROUNDING = 1e-9
+"""Relative rounding error of a crossing time. [-]"""
 
 _FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed [-]."""
 
 _AVERAGE_ACCELERATION = 0.25
 """Newmark's parameter beta of cells that a wave crosses in less than a step. [-]"""
-
-_SHOCK = 1.0
-"""Artificial viscosity of von Neumann and Richtmyer, over the density. [-]"""
 
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
@@ -110,12 +134,10 @@ class Row(NamedTuple):
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-ROWS, STATE_ROWS = 39, 10
-"""Number of rows, and of the first ones, which are the state and 0 at rest."""
+ROWS = 39
+"""Number of rows."""
 
-# A stepper has three records. The first is the state at a step of the grid, the second is the
-# state at the requested time, and the third is the initial state for a reset. A pair of values is
-# below and above the contact, or at the plate and at the top of the layer.
+# A pair of values is in flight and in contact, or at the plate and at the top of the layer.
 RECORD = np.dtype(
     [
         # constants
@@ -131,28 +153,20 @@ RECORD = np.dtype(
         ('mass', 'f8'),  # of the projectile [kg]
         ('gravity', 'f8'),  # [m/s2]
         ('release_threshold', 'f8'),  # contact force below which the projectile leaves [N]
-        ('rest_height', 'f8'),  # of the projectile's lower face [m]
         ('edge_cells', 'i8', (2, 2)),  # cells that extrapolate the strain to plate and top
         ('edge_weights', 'f8', (2,)),
         ('collision_node', 'i8'),  # lowest of the nodes that meet the projectile as one
         ('collision_mass', 'f8'),  # of these nodes [kg]
-        # the linear system of the mean velocities, see `factorise`
+        # the linear system of the mean velocities, see `_factorise`
         ('first', 'i8', (2,)),  # first and last of the nodes that are coupled
         ('end', 'i8', (2,)),
         ('first_stiff', 'i8'),  # first and last link that is too fast for the step
         ('last_stiff', 'i8'),
-        # the plate
-        *PLATE,
+        *stepper.COMMON,
         ('plate_acceleration', 'f8'),  # [m/s2]
         # the state of the grid
-        ('time', 'f8'),  # [s]
         ('index', 'i8'),  # of the step
         ('fraction', 'f8'),  # of the step that has passed
-        ('contact', '?'),
-        ('landed', '?'),
-        ('events', 'i8'),
-        ('event_time', 'f8'),  # of the event in the last step, infinite without one [s]
-        ('event_velocity', 'f8'),  # [m/s]
         ('force', 'f8'),  # in the contact: now, and at the three steps before [N]
         ('force_1', 'f8'),
         ('force_2', 'f8'),
@@ -167,16 +181,8 @@ RECORD = np.dtype(
         ('on_projectile_before', 'f8'),
         ('on_projectile_until', 'f8'),
         ('on_projectile_now', 'f8'),
-        # loads up to the first release
-        ('edge_strains', 'f8', (2,)),  # [-]
-        ('acceleration', 'f8'),  # [m/s2]
-        ('plate_force', 'f8'),  # [N]
         ('power', 'f8'),  # of the plate [W]
         ('work_before', 'f8'),  # of the plate, a step ago [J]
-        ('work', 'f8'),  # of the plate [J]
-        # at `time`
-        ('surface', 'f8'),  # height of the top against rest [m]
-        ('state', 'f8', (7,)),
     ],
     align=True,
 )
@@ -184,18 +190,16 @@ RECORD = np.dtype(
 
 
 @subroutine
-def cut(s: Record, nodes: Any, bodies: Any) -> None:
+def _cut(s, nodes, bodies):
     """Cut sheets into cells; the projectile is a point."""
     first = 0
     for n in range(bodies.size):
         body = bodies[n]
         mass, spring = body.mass / body.count, body.stiffness * body.count
         inverse = body.count / body.thickness
-        tangent = body.relaxed  # of the stiffest state
-        if body.max_compression > 0.0:
-            tangent *= (1.0 + 2.0 / (1.0 - body.max_compression) ** 3) / 3.0
-        tangent = (tangent + body.maxwell[0] + body.maxwell[1] + body.maxwell[2]) * spring
-        implicit = 0.0
+        s.is_curved = s.is_curved or body.max_compression > 0.0
+        s.has_maxwell = s.has_maxwell or body.relaxed < 1.0
+        implicit, tangent = 0.0, body.tangent * spring
         if 0.0 < math.sqrt(mass / tangent) * (1.0 + ROUNDING) < s.step:
             implicit = _AVERAGE_ACCELERATION * s.step * s.step * tangent
         for j in range(first, first + body.count):
@@ -205,7 +209,7 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
             if body.max_compression > 0.0:
                 nodes[ROW.third_modulus, j] = body.relaxed * spring / inverse / 3.0
                 nodes[ROW.min_stretch, j] = 1.0 - body.max_compression
-                nodes[ROW.shock_viscosity, j] = _SHOCK * mass * inverse
+                nodes[ROW.shock_viscosity, j] = mass * inverse  # von Neumann and Richtmyer
             else:
                 nodes[ROW.stiffness, j] = body.relaxed * spring
             for element in range(3):
@@ -217,8 +221,8 @@ def cut(s: Record, nodes: Any, bodies: Any) -> None:
 
 
 @subroutine
-def factorise(s: Record, nodes: Any, case: int) -> None:
-    """Compute the factors of the matrix in flight (0) or in contact (1), see `solve`."""
+def _factorise(s, nodes, case):
+    """Compute the factors of the matrix in flight (0) or in contact (1), see `_solve`."""
     step, rigid = s.step, s.cells if case == 1 else -1
     last = nodes.shape[1] - 1
     mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
@@ -268,7 +272,7 @@ def _substitute(nodes, x, case, first, end):
 
 
 @inlined
-def solve(s: Record, nodes: Any) -> None:
+def _solve(s, nodes):
     """
     Compute the mean velocities w of all nodes above the plate.
 
@@ -295,27 +299,13 @@ def solve(s: Record, nodes: Any) -> None:
 
 
 @subroutine
-def _prepare_links(s, nodes, omega):
-    """Find out which materials there are, and prepare the Maxwell elements."""
-    for j in range(nodes.shape[1] - 1):
-        s.is_curved = s.is_curved or nodes[ROW.third_modulus, j] > 0.0
-        for element in range(3):
-            s.has_maxwell = s.has_maxwell or nodes[ROW.maxwell_stiffness + element, j] > 0.0
-    for element in range(3):
-        s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
-        half = 0.5 * s.step * s.maxwell_rates[element]
-        s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
-        s.maxwell_gain[element] = 1.0 / (1.0 + half)
-
-
-@subroutine
 def _prepare_contact(s, nodes):
     """Prepare the free top, the equations of flight and contact, and the nodes of a landing."""
     top = s.cells
     # A dashpot that takes half of the momentum of the top in half a step ends its alternation
     nodes[ROW.viscosity, top - 1] += s.rate * nodes[ROW.mass, top]
-    factorise(s, nodes, 0)
-    factorise(s, nodes, 1)
+    _factorise(s, nodes, 0)
+    _factorise(s, nodes, 1)
     s.contact = True
     # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
     # such cells part meet as one.
@@ -350,9 +340,12 @@ def _prepare_rest(s, nodes):
         length = (1.0 - nodes[ROW.static_strain, j]) / nodes[ROW.inverse_length, j]
         nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + length
     s.rest_height = nodes[ROW.rest_height, top]
-    s.edge_strains[0] = nodes[ROW.static_strain, 0]
-    s.edge_strains[1] = nodes[ROW.static_strain, top - 1]
-    s.plate_force = carried
+    nodes[ROW.peak_strain] = nodes[ROW.static_strain]
+    s.loads[1], s.loads[2] = nodes[ROW.static_strain, 0], nodes[ROW.static_strain, top - 1]
+    s.loads[4] = s.force = carried
+    s.known_forces = 1
+    s.on_projectile_before = s.on_projectile_until = s.on_projectile_now = carried
+    s.on_plate_before = s.on_plate_until = s.on_plate_now = -carried
 
 
 @kernel
@@ -373,8 +366,12 @@ def prepare(
             s.edge_cells[end, 1] = edge + (1 - 2 * end)
             s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
-    cut(s, nodes, bodies)
-    _prepare_links(s, nodes, omega)
+    for element in range(3):
+        s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
+        half = 0.5 * step * s.maxwell_rates[element]
+        s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
+        s.maxwell_gain[element] = 1.0 / (1.0 + half)
+    _cut(s, nodes, bodies)
     _prepare_contact(s, nodes)
     _prepare_rest(s, nodes)
 
@@ -442,21 +439,6 @@ def _link_tension(nodes, j, parity, case, rate):
 
 
 @inlined
-def _move_first_node(s, nodes, height, speed, acceleration):
-    """Move the lowest node, which is the plate."""
-    s.plate_acceleration = acceleration
-    nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + (s.index & 1), 0] = height, speed
-    nodes[ROW.velocity, 0] = speed - 0.5 * s.step * acceleration
-
-
-@subroutine
-def _record_event(s, events, kind, fraction, height, velocity):
-    """Write down an event in the last step."""
-    s.event_time, s.event_velocity = (s.index - 1 + fraction) * s.step, velocity
-    stepper.note_event(s, events, kind, s.event_time, height, velocity)
-
-
-@inlined
 def _contact_forces(s, nodes):
     """Compute the forces of the layer on plate and projectile."""
     now, j, case = s.index & 1, s.cells + 1, 1 if s.contact else 0
@@ -486,29 +468,6 @@ def _first_root(a, b, c, d):
 
 
 @subroutine
-def _earlier_strain(nodes, j, back):
-    """Compute the strain of a cell some time before the last step."""
-    stretch = _across(nodes, ROW.displacement, j) - back * _across(nodes, ROW.velocity, j)
-    return stretch * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j]
-
-
-@subroutine
-def _compare_last_loads(s, nodes, fraction):
-    """Update the maxima of strain and plate force at the first release, within the last step."""
-    back, force = (1.0 - fraction) * s.step, s.on_plate_before
-    for j in range(s.cells):
-        strain = abs(_earlier_strain(nodes, j, back))
-        nodes[ROW.peak_strain, j] = max(nodes[ROW.peak_strain, j], strain)
-    for end in range(2):
-        strain = _earlier_strain(nodes, s.edge_cells[end, 0], back)
-        inner = _earlier_strain(nodes, s.edge_cells[end, 1], back)
-        strain += s.edge_weights[end] * (inner - strain)
-        s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
-    force += fraction * (s.on_plate_now - force)
-    s.plate_force = max(s.plate_force, abs(force))
-
-
-@subroutine
 def _handle_release(s, nodes, events):
     """Release the projectile at the root of the force, which is below zero now."""
     after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
@@ -525,10 +484,12 @@ def _handle_release(s, nodes, events):
     impulse -= (after - before) / 24.0
     velocity = nodes[ROW.velocity, s.cells + 1] + s.step * impulse / s.mass
     if s.events == 0:
-        _compare_last_loads(s, nodes, t)
+        _find_largest_strain(s, nodes)
     s.contact = False
     height, _ = _motion(s, nodes, s.cells + 1, t)
-    _record_event(s, events, stepper.RELEASE, t, height, velocity)
+    stepper.note_event(
+        s, events, stepper.RELEASE, (s.index - 1 + t) * s.step, height, velocity
+    )
 
 
 @subroutine
@@ -554,7 +515,7 @@ def _handle_landing(s, nodes, events):
     s.known_forces = 0
     s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
     kind = stepper.LANDING if s.landed else stepper.RECONTACT
-    _record_event(s, events, kind, t, height, velocity)
+    stepper.note_event(s, events, kind, (s.index - 1 + t) * s.step, height, velocity)
 
 
 @inlined
@@ -573,8 +534,9 @@ def _march(s, nodes, path, events, goal):
         s.event_time = math.inf
         s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
         s.work_before = s.work
-        height, speed, acceleration = motion_at(s, path, s.index * step)
-        _move_first_node(s, nodes, height, speed, acceleration)
+        height, speed, s.plate_acceleration = motion_at(s, path, s.index * step)
+        nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + now, 0] = height, speed
+        nodes[ROW.velocity, 0] = speed - 0.5 * step * s.plate_acceleration
         gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
         lands = not s.contact and gap < 0.0
         if lands:
@@ -584,7 +546,7 @@ def _march(s, nodes, path, events, goal):
         while True:
             if not s.contact:  # both sides of the contact are free of the weight
                 nodes[ROW.tension + now, link] = s.mass * s.gravity
-            solve(s, nodes)
+            _solve(s, nodes)
             _contact_forces(s, nodes)
             if leaves:
                 break
@@ -621,9 +583,18 @@ def _compare_loads(s, nodes):
         strain = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 0])
         inner = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 1])
         strain += s.edge_weights[end] * (inner - strain)
-        s.edge_strains[end] = max(s.edge_strains[end], abs(strain))
-    s.acceleration = max(s.acceleration, s.on_projectile_now / s.mass - s.gravity)
-    s.plate_force = max(s.plate_force, abs(s.on_plate_now))
+        s.loads[1 + end] = max(s.loads[1 + end], abs(strain))
+    s.loads[3] = max(s.loads[3], s.on_projectile_now / s.mass - s.gravity)
+    s.loads[4] = max(s.loads[4], abs(s.on_plate_now))
+
+
+@subroutine
+def _find_largest_strain(s, nodes):
+    """Find the largest strain of all cells and both ends."""
+    largest = max(s.loads[1], s.loads[2])
+    for j in range(s.cells):
+        largest = max(largest, nodes[ROW.peak_strain, j])
+    s.loads[0] = largest
 
 
 @subroutine
@@ -658,7 +629,10 @@ def _advance(core, nodes, path, events, time):
         return stepper.BEYOND_HORIZON
     _march(grid, nodes, path, events, goal)
     if grid.events > events.shape[0]:
+        core[1] = core[0]
         return stepper.TOO_MANY_EVENTS
+    if grid.events == 0:
+        _find_largest_strain(grid, nodes)
     piece = s.piece
     core[1] = core[0]
     if time < s.piece_begin:  # the grid is further on
@@ -758,21 +732,6 @@ def stored_energy(core: Any, nodes: Any) -> float:
             total += 0.5 * nodes[ROW.maxwell_stiffness + element, j] * maxwell**2
         total += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
     return total  # type: ignore[no-any-return]
-
-
-@kernel
-def reset(core: Any, nodes: Any) -> None:
-    """Reset the record and the nodes to rest."""
-    s = core[0]
-    nodes[:STATE_ROWS] = 0.0
-    nodes[ROW.peak_strain] = nodes[ROW.static_strain]
-    weight = s.mass * s.gravity
-    s.force = s.on_projectile_now = weight
-    s.known_forces = 1
-    s.on_plate_now = -weight
-    s.on_plate_before = s.on_plate_until = s.on_plate_now
-    s.on_projectile_before = s.on_projectile_until = weight
-    core[1] = core[0]
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]

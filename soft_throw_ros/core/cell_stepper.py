@@ -3,38 +3,39 @@
 """
 Throws by cells of finite size: layers with loss, large strain or several sheets.
 
-`cell_grid` cuts a rig into cells, and `cell_kernels` has the scheme and its order.
+Each sheet is cut into cells that its fastest wave crosses in one time step, or a little more,
+which is the longest step that is stable. At one step exactly, as in a linear layer of one
+material, the scheme has no dispersion. Sheets begin and end with a node; a sheet that is too thin
+or too stiff for one cell and an explicit step gets one that is implicit. `cell_kernels` has the
+scheme and its order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.batch import Cancelled, check_cancelled, in_threads, longest_wait
-from soft_throw_ros.core.cell_grid import count_cells, crossing_time, make_bodies, make_grid
+from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.cell_kernels import (
     advance_compiled,
+    BODY,
+    POINT,
     prepare,
     read_layer_compiled,
     RECORD,
-    reset,
-    ROW,
+    ROUNDING,
     ROWS,
     stored_energy,
 )
-from soft_throw_ros.core.plate_kernels import NO_PATH, write_damped
-from soft_throw_ros.core.rig import Layer, Rig, Scales, scales_of, values_of
+from soft_throw_ros.core.material import LARGEST_STRAIN, relaxation
+from soft_throw_ros.core.rig import Layer, Rig, Scales, scales_of, section_of, values_of
 from soft_throw_ros.core.stepper import (
+    follow_batch,
     load_kernels,
-    Loads,
-    RateError,
     require_count,
-    require_rate,
-    require_steps_per_period,
+    require_feasible,
     Stepper,
 )
 
@@ -46,7 +47,7 @@ MAX_CELLS = 4096
 MAX_UPDATE_RATE = 6e7
 """Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
 
-UPDATE_COST = 4e-9
+_UPDATE_COST = 4e-9
 """Time of a processor for a cell in a step. [s]"""
 
 _CELLS = 64
@@ -70,34 +71,101 @@ _MIN_STEPS_PER_PERIOD = 80.0
 _MAX_BATCH_CELLS = 2048
 """Most cells that `throw_batch` chooses. [-]"""
 
-_LOSSLESS_CELLS = 256
-"""Cells of lossless sheets from which the step is halved; fewer miss short releases. [-]"""
 
-_HALVING = 1e-4
-"""Largest relative change of time and speed at which halving the step ends. [-]"""
+_SHOCK_SPEED = 1.055
+"""Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
 
-_SLICE = 0.1
-"""Time of a processor between two looks at a flag. [s]"""
 
-_THROWS_PER_THREAD = 16
-"""Fewest throws that are worth a thread. [-]"""
+def reading_points(bodies: NDArray[np.void], count: int) -> NDArray[np.void]:
+    """Return a `POINT` for each of some even heights from plate to top of a cut layer."""
+    counts = bodies['count']
+    sheets = np.repeat(np.arange(counts.size), counts)
+    lengths = (bodies['thickness'] / counts)[sheets]
+    bounds = np.append(0.0, np.cumsum(lengths))
+    heights = np.linspace(0.0, bounds[-1], count)
+    cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
+    fraction = (heights - bounds[cell]) / lengths[cell]
+    # The nearer neighbour, or at the end of a sheet the other one, which extrapolates
+    nearer = np.where(fraction > 0.5, 1, -1)
+    sheets_around = np.pad(sheets, 1, constant_values=-1)
+    neighbour = cell
+    for other in (cell - nearer, cell + nearer):
+        neighbour = np.where(sheets_around[other + 1] == sheets[cell], other, neighbour)
+    points = np.empty(count, POINT)
+    points['cell'], points['neighbour'] = cell, neighbour
+    points['weight'], points['fraction'] = (fraction - 0.5) * (neighbour - cell), fraction
+    return points
+
+
+def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.void], Floats]:
+    """
+    Make the sheets of layers, and the crossing times of their fastest waves.
+
+    The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
+    proportions of all layers. The results have the shape (n, sheets): `BODY` without numbers of
+    cells, and times [s].
+    """
+    shares = np.array([
+        (
+            sheet.thickness / layer.thickness, sheet.mass / layer.mass,
+            sheet.crossing_time / layer.crossing_time,
+            sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0,
+        )
+        for sheet in layer.sheets
+    ]).T
+    scales, thickness = scales_of(values), values['thickness']
+    mass = values['density'] * section_of(values['diameter']) * thickness
+    wholes = np.stack([thickness, mass, scales.crossing_time, values['loss_tangent']])
+    bodies = np.zeros((thickness.size, len(layer.sheets)), BODY)
+    bodies['thickness'], bodies['mass'], crossing, losses = wholes[:, :, None] * shares[:, None]
+    bodies['stiffness'] = bodies['mass'] / crossing**2
+    bodies['relaxed'] = 1.0
+    if layer.stress_strain_law == 'neo_hookean':
+        bodies['max_compression'] = LARGEST_STRAIN
+    if layer.loss == 'constant':
+        for body, loss in zip(bodies.ravel(), losses.ravel().tolist(), strict=True):
+            body['relaxed'], body['maxwell'] = relaxation(loss)
+    else:
+        bodies['lag'] = losses / scales.angular_frequency[:, None]
+    bound = bodies['max_compression']
+    bodies['tangent'] = bodies['relaxed'] * (1.0 + 2.0 / (1.0 - bound) ** 3) / 3.0
+    bodies['tangent'] += bodies['maxwell'].sum(axis=-1)
+    fastest = np.sqrt(bodies['tangent']) * np.where(bound > 0.0, _SHOCK_SPEED, 1.0)
+    return bodies, crossing / fastest
+
+
+def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
+    """Return a `BODY` for each sheet, and the crossing times of its fastest wave [s]."""
+    values = {name: np.array([value]) for name, value in values_of(rig).items()}
+    bodies, crossings = make_bodies(values, rig.layer)
+    return bodies[0], crossings[0]
+
+
+def count_cells(crossings: Floats, step: Floats | float) -> NDArray[np.int64]:
+    """Count the cells of sheets that their fastest wave crosses in a step or a little more."""
+    return np.maximum(1, (crossings / step * (1.0 + ROUNDING)).astype(np.int64))
+
+
+def cut_layer(rig: Rig, *, cells: int) -> tuple[float, NDArray[np.void]]:
+    """
+    Cut the layer of a rig into about so many cells, at least 1 per sheet.
+
+    Returns the time step [s], and a `BODY` for each sheet from the plate up.
+    """
+    bodies, crossings = _make_sheets(rig)
+    step = float(crossings.sum()) / cells
+    bodies['count'] = count_cells(crossings, step)
+    return step, bodies
 
 
 def cells_per_layer(rig: Rig) -> int:
     r"""
     Choose the number of cells of the layer in real time.
 
-    Returns
-    -------
-    int
-        At least 64; 12 per relaxation time and 120 steps in a period of the plate, for errors of
-        1e-4, or as many as there is time for.
-
-    Raises
-    ------
-    ValueError
-        If `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 64 cells, 4 per relaxation time and 80
-        steps in a period; with a feasible value.
+    It is at least 64, with 12 per relaxation time and 120 steps in a period of the plate, for
+    errors of 1e-4, or as many as there is time for. ValueError, with a feasible value, if
+    `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 64 cells, 4 per relaxation time and 80 steps
+    in a period.
 
     Examples
     --------
@@ -105,21 +173,15 @@ def cells_per_layer(rig: Rig) -> int:
     64
 
     """
-    layer = rig.layer
-    rate = 1.0 / crossing_time(rig)  # updates per second, over the square of the cells
-    require_rate(layer, _CELLS**2 * rate, limit=MAX_UPDATE_RATE, unit='updates of cells')
+    rate = 1.0 / float(_make_sheets(rig)[1].sum())  # of updates, over the square of the cells
+    updates = _CELLS**2 * rate
+    require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, 'cell updates per second')
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
     for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
-    if for_mass > limit:
-        min_mass = rig.projectile.mass * for_mass / limit
-        raise RateError(
-            f'projectile.mass {rig.projectile.mass:g} kg on a layer of {layer.mass:.4g} kg needs '
-            f'{for_mass} cells, the limit is {limit}; '
-            f'feasible: projectile.mass of {1.001 * min_mass:.4g} kg or more'
-        )
-    require_steps_per_period(rig, _MIN_STEPS_PER_PERIOD, limit=limit, unit='cells')
-    periods = rig.crossing_time * rig.engine.frequency
-    needed = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD * periods)
+    require_feasible(rig, 'projectile.mass', for_mass, limit, 'cells')
+    for_plate = math.ceil(_MIN_STEPS_PER_PERIOD / rig.speed_ratio)
+    require_feasible(rig, 'engine.frequency', for_plate, limit, 'cells')
+    needed = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD / rig.speed_ratio)
     return min(max(_CELLS, math.ceil(min(needed, MAX_CELLS))), limit)
 
 
@@ -128,30 +190,15 @@ def throw_batch(
     layer: Layer,
     *,
     cells: int | None = None,
-    threads: int | None = None,
     cancelled: Cancelled | None = None,
 ) -> Floats:
-    r"""
+    """
     Compute first releases and loads for `throws.throw_many`, unchecked but for `cells`.
 
-    Parameters
-    ----------
-    values : mapping of str to ndarray, shape (n,)
-        Values of the rigs, as of `rig.values_of`.
-    layer : Layer
-        Layer whose sheets have the proportions of all layers.
-    cells : int, optional
-        Number of cells of the layer, from 8 to `MAX_CELLS`; by default chosen for each throw, at
-        least 64, for errors of 1e-4. Errors are of second order, but of first order in shocks.
-    threads, cancelled
-        As for `throws.throw_many`.
-
-    Returns
-    -------
-    ndarray, shape (6, n)
-        Rows of `throws.Throws` without the energy transfer; NaN without a release by
-        `batch.longest_wait`.
-
+    The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
+    proportions of all layers. The number of cells, 8 to `MAX_CELLS`, is chosen for each throw by
+    default, at least 64, for errors of 1e-4. Errors are of second order, but of first order in
+    shocks. The result is that of `stepper.follow_batch`.
     """
     if cells is not None:
         require_count('cells', cells, low=8, high=MAX_CELLS)
@@ -159,89 +206,16 @@ def throw_batch(
     bodies, crossings = make_bodies(values, layer)
     steps = crossings.sum(axis=1) / (_choose_cells(scales, layer) if cells is None else cells)
     bodies['count'] = count_cells(crossings, steps[:, None])
-    is_settled = (values['loss_tangent'] > 0.0) | (cells is not None or not layer.parts)
-    latest = longest_wait(scales)
-    names = 'amplitude', 'damping_ratio', 'mass', 'gravity'
-    amplitude, zeta, mass, gravity = (values[name] for name in names)
     omega = scales.angular_frequency
-    results = np.full((6, mass.size), math.nan)
+    peak_force = values['amplitude'] * omega * scales.impedance
+    columns = steps, values['mass'], values['gravity'], omega, peak_force
 
-    def run(first: int, stride: int) -> None:
-        core, no_events = np.zeros(3, RECORD), np.empty((0, 4))
-        numbers = core.view(np.float64).reshape(3, -1)
-        advance = advance_compiled()
+    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
+        nodes = np.zeros((ROWS, bodies['count'][n].sum() + 2))
+        prepare(core, nodes, bodies[n], *(column[n] for column in columns))
+        return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
 
-        def throw(n: int) -> tuple[float, ...]:
-            step, body = steps[n], bodies[n]
-            nodes = np.zeros((ROWS, body['count'].sum() + 2))
-            numbers[:] = 0.0
-            write_damped(core, amplitude[n], omega[n], zeta[n])
-            peak_force = amplitude[n] * omega[n] * scales.impedance[n]
-            prepare(core, nodes, body, step, mass[n], gravity[n], omega[n], peak_force)
-            numbers[:2] = numbers[2]
-            reset(core, nodes)
-            slices = 2 + int(UPDATE_COST * nodes.shape[1] * latest[n] / step / _SLICE)
-            for time in np.linspace(0.0, latest[n], slices)[1:]:
-                check_cancelled(cancelled)
-                if advance(core, nodes, NO_PATH, no_events, time):
-                    break
-            grid = core[0]
-            if not grid['events']:
-                return (math.nan,) * 6
-            return (
-                grid['event_time'], grid['event_velocity'],
-                max(grid['edge_strains'].max(), nodes[ROW.peak_strain].max()),
-                grid['acceleration'], grid['plate_force'], grid['work'],
-            )
-
-        def throw_with(n: int, count: int) -> tuple[float, ...]:
-            steps[n] = crossings[n].sum() / count
-            bodies['count'][n] = count_cells(crossings[n], steps[n])
-            return throw(n)
-
-        for n in range(first, mass.size, stride):
-            if is_settled[n]:
-                results[:, n] = throw(n)
-            else:
-                _, results[:, n] = _halve_steps(partial(throw_with, n))
-
-    in_threads(run, count=mass.size, per_thread=_THROWS_PER_THREAD, threads=threads)
-    return results
-
-
-def _halve_steps(throw: Callable[[int], tuple[float, ...]]) -> tuple[int, tuple[float, ...]]:
-    """Halve the step until time and speed of the release settle; return cells and results."""
-    cells, results = _LOSSLESS_CELLS, throw(_LOSSLESS_CELLS)
-    while cells < _MAX_BATCH_CELLS:
-        cells, coarse, results = 2 * cells, results, throw(2 * cells)
-        if np.allclose(results[:2], coarse[:2], rtol=_HALVING, atol=0.0, equal_nan=True):
-            break
-    return cells, results
-
-
-def settled_cells(rig: Rig, *, latest: float, cancelled: Cancelled | None = None) -> int | None:
-    """
-    Return the number of cells for 1e-4 offline, None for that of `cells_per_layer`.
-
-    Nothing smooths the waves in sheets without loss, whose boundaries are between two steps.
-
-    Parameters
-    ----------
-    rig, cancelled
-        As for `throw.simulate`.
-    latest : float
-        Longest wait for the first release. [s]
-
-    """
-    if not rig.layer.parts or rig.layer.loss_tangent > 0.0:
-        return None
-
-    def throw(cells: int) -> tuple[float, ...]:
-        stepper = CellStepper(rig, cells=cells, field_points=2)
-        event = stepper.advance_to_release(latest=latest, step=latest / 256, cancelled=cancelled)
-        return (math.nan,) * 2 if event is None else (event.time, event.velocity)
-
-    return _halve_steps(throw)[0]
+    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, math.nan, cancelled)
 
 
 def _choose_cells(scales: Scales, layer: Layer) -> NDArray[np.int64]:
@@ -288,8 +262,6 @@ class CellStepper(Stepper):
 
     """
 
-    _kernels = advance_compiled, read_layer_compiled
-
     def __init__(
         self,
         rig: Rig,
@@ -298,55 +270,32 @@ class CellStepper(Stepper):
         cells: int | None = None,
         field_points: int = 64,
     ) -> None:
-        super().__init__(rig, field_points)
-        if cells is None:
-            cells = cells_per_layer(rig)
+        cells = cells_per_layer(rig) if cells is None else cells
         require_count('cells', cells, low=1, high=MAX_CELLS)
-        grid = make_grid(rig, cells=cells)
-        self.cells = int(grid.counts.sum())
-        self.step = grid.step
-        self._layer = np.zeros((ROWS, self.cells + 2))
-        self._reading = (grid.points(field_points),)
-        self._make_records(RECORD, is_measured=is_measured)
+        self.step, bodies = cut_layer(rig, cells=cells)
+        self.cells = int(bodies['count'].sum())
+        self.cost = _UPDATE_COST * (self.cells + 2) / self.step
+        super().__init__(
+            rig, RECORD, np.zeros((ROWS, self.cells + 2)),
+            is_measured=is_measured, field_points=field_points,
+        )
+        self._reading = (reading_points(bodies, field_points),)
         prepare(
-            self._core, self._layer, grid.bodies, grid.step, rig.projectile.mass, rig.gravity,
+            self._core, self._layer, bodies, self.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
         )
-        self._bind()
-        self.reset()
-
-    def _clear(self) -> None:
-        reset(self._core, self._layer)
+        self._start(advance_compiled(), read_layer_compiled())
 
     @property
     def horizon(self) -> float:
         """Last step at which the plate is known, until which `advance_to` can go [s]."""
-        known = float(self._core['horizon'][0])
+        known = super().horizon
         if math.isinf(known):
             return known
         steps = int(known / self.step)
         while steps * self.step > known:
             steps -= 1
         return steps * self.step
-
-    @property
-    def cost(self) -> float:
-        """Time of a processor over time of the rig, about [-]."""
-        return float(UPDATE_COST * self._layer.shape[1] / self.step)
-
-    @property
-    def loads(self) -> Loads:
-        """Largest loads up to the first release, or up to now before the release."""
-        now = self._core[1]
-        plate, contact = now['edge_strains'].tolist()
-        inside = float(self._layer[ROW.peak_strain].max())
-        acceleration, force = float(now['acceleration']), float(now['plate_force'])
-        return Loads(max(inside, plate, contact), plate, contact, acceleration, force)
-
-    @property
-    def plate_work(self) -> float:
-        """Work of the plate up to the first release, or up to now before the release [J]."""
-        return float(self._core[1]['work'])
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""

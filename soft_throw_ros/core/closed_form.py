@@ -43,16 +43,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.batch import in_threads, ThrowUnresolvedError
+from soft_throw_ros.core.batch import run_batches, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import inlined, kernel, subroutine
-from soft_throw_ros.core.plate import peak_velocity_ratio, peak_velocity_ratios
+from soft_throw_ros.core.plate import peak_velocity_ratio
 
 MAX_INTERVALS = 2048
 """Most wave intervals (two crossings each) before the computation gives up with an error. [-]"""
-
-_RELEASED = 0
-_NOT_WITHIN = 1
-_INACCURATE = 2
 
 _GROWTH_LIMIT = 1e4
 """Largest |Q_k|; alpha loses at most 1e-14 |Q_k|, and |Q_k| is 34 at most within the box. [-]"""
@@ -66,8 +62,8 @@ _ACCURACY = 1e-9
 _SEARCH_EFFORT = 1e6
 """Terms of Laguerre sums after which a search is given up: some milliseconds."""
 
-_THROWS_PER_THREAD = 2048
-"""Throws that take as long as the start of a thread."""
+_BATCH = 2048
+"""Throws that a thread computes at once: some milliseconds."""
 
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
 """Reciprocals of 1, 1, 2, 3 ..."""
@@ -89,58 +85,27 @@ class FirstRelease(NamedTuple):
 
 
 def first_release(
-    *,
-    mass_ratio: float,
-    speed_ratio: float,
-    damping_ratio: float = 0.0,
+    *, mass_ratio: float, speed_ratio: float, damping_ratio: float = 0.0,
     gravity_ratio: float = 0.0,
 ) -> FirstRelease:
     r"""
-    Compute time and speed of the first release of a rigid projectile.
-
-    The plate moves as `plate.Underdamped`; the layer is lossless.
-
-    Parameters
-    ----------
-    mass_ratio : float
-        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
-    speed_ratio : float
-        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
-    damping_ratio : float
-        Damping ratio of the plate, :math:`\zeta`. [-]
-    gravity_ratio : float
-        :math:`g / (A \omega^2)`. [-]
-
-    Returns
-    -------
-    FirstRelease
-        Of floats. Errors: 1e-9 in the ejection phase and relative in the energy transfer for
-        :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3];
-        a few roundings in practice.
+    Compute the first release of one throw: floats, as of `first_releases`.
 
     Raises
     ------
-    ValueError
-        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative).
     ThrowUnresolvedError
         If the projectile does not leave within `MAX_INTERVALS` (fewer if gravity makes many of
-        them worth a search), or rounding would spoil the promised accuracy (strong damping or a
-        heavy projectile, and many crossings).
+        them worth a search), or rounding would spoil the promised accuracy.
 
     Notes
     -----
-    See the module. The interval of release is found from G at the ends of intervals; within it the
-    root is bracketed and polished by Newton's iteration.
-
-    In interval 0 the bracket is certain: G rises at most until the plate is fastest, falls through
-    0 before the plate stops, and with gravity falls at least until the plate brakes hardest.
-    Later, G may dip to 0 in an interval at whose end it is positive again (k >= 2 and stiff
-    layers). In dense scans of 10^5 throws it did so only with G at one end of the interval below
-    0.28 :math:`\omega t_s` and rising at its end. Hence every minimum is looked for if G comes
-    below 1 :math:`\omega t_s` and does not clearly fall. With gravity the limit found is 0.8
-    :math:`\omega t_s` times the largest steady amplitude so far, and 2 is taken; and as G may
-    also be negative at the end for the second time (never seen for k <= 3 and
-    :math:`\kappa > 4`), those intervals are searched as well.
+    The interval of release is found from G at the ends of intervals; within it the root is
+    bracketed and polished by Newton's iteration. In interval 0 the bracket is certain. Later, G
+    may dip to 0 in an interval at whose end it is positive again; in dense scans of 10^5 throws it
+    did so only with G at one end of the interval below 0.28 :math:`\omega t_s` (with gravity: 0.8
+    times the largest steady amplitude so far) and rising at its end. Hence every minimum is looked
+    for if G comes below 1 (with gravity: 2) and does not clearly fall. With gravity G may also be
+    negative at the end for the second time (never seen for k <= 3 and :math:`\kappa > 4`).
 
     Examples
     --------
@@ -151,16 +116,17 @@ def first_release(
     (0.39944, 4.123215)
 
     """
-    case = (
-        checks.require_positive('mass_ratio', mass_ratio),
-        checks.require_positive('speed_ratio', speed_ratio),
-        checks.require_in_unit_interval('damping_ratio', damping_ratio),
-        checks.require_not_negative('gravity_ratio', gravity_ratio),
-    )
-    phase, speed, status = first_release_kernel(*case, np.empty((2, MAX_INTERVALS)))
-    if status != _RELEASED:
-        raise _unresolved(status, phase, case)
-    return FirstRelease(phase, speed, (speed / peak_velocity_ratio(case[2])) ** 2)
+    ratios = {
+        'mass_ratio': mass_ratio, 'speed_ratio': speed_ratio, 'damping_ratio': damping_ratio,
+        'gravity_ratio': gravity_ratio,
+    }
+    release = FirstRelease(*map(float, first_releases(**ratios, threads=1)))
+    if math.isnan(release.speed):
+        case = ', '.join(f'{name} {value:g}' for name, value in ratios.items())
+        raise ThrowUnresolvedError(
+            f'no release is known to 1e-9 within {MAX_INTERVALS} wave intervals for {case}'
+        )
+    return release
 
 
 def first_releases(
@@ -171,16 +137,22 @@ def first_releases(
     gravity_ratio: ArrayLike = 0.0,
     threads: int | None = None,
 ) -> FirstRelease:
-    """
-    Compute times and speeds of the first releases of rigid projectiles, for many throws.
+    r"""
+    Compute times and speeds of the first releases of rigid projectiles.
 
-    This is the one function for many throws that are given in ratios, as the maps of the paper
-    are; `throws.throw_many` takes SI units.
+    The plate moves as `plate.Underdamped`; the layer is lossless. `throws.throw_many` takes SI
+    units.
 
     Parameters
     ----------
-    mass_ratio, speed_ratio, damping_ratio, gravity_ratio : array_like
-        Arguments of `first_release`, broadcast against each other. [-]
+    mass_ratio : array_like
+        Projectile over layer mass, :math:`\mu = m / (\rho_s S L_s)`. [-]
+    speed_ratio : array_like
+        Crossings of the wave per plate period, :math:`\kappa = c_s / (L_s f)`. [-]
+    damping_ratio : array_like
+        Damping ratio of the plate, :math:`\zeta`. [-]
+    gravity_ratio : array_like
+        :math:`g / (A \omega^2)`. [-]
     threads : int, optional
         Largest number of threads, all cores if not given. The number does not change the results.
 
@@ -188,11 +160,15 @@ def first_releases(
     -------
     FirstRelease
         Of arrays with the common shape; NaN where `first_release` raises ThrowUnresolvedError.
+        Errors: 1e-9 in the ejection phase and relative in the energy transfer for
+        :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3];
+        a few roundings in practice.
 
     Raises
     ------
     ValueError
-        As for `first_release`, or if the shapes do not fit.
+        If a ratio is not finite and positive (damping: in [0, 1); gravity: not negative), or the
+        shapes do not fit.
 
     Examples
     --------
@@ -212,63 +188,33 @@ def first_releases(
     )
     ratios, shape = np.stack(arrays).reshape(len(arrays), -1), arrays[0].shape
     phase, speed = np.empty((2, ratios.shape[1]))
-    status = np.empty(ratios.shape[1], dtype=np.int64)
-    in_threads(
-        lambda first, stride: _release_series(ratios, phase, speed, status, first, stride),
-        count=ratios.shape[1],
-        per_thread=_THROWS_PER_THREAD,
-        threads=threads,
-    )
-    phase[status != _RELEASED] = np.nan
-    energy_transfer = (speed / peak_velocity_ratios(ratios[2])) ** 2
+
+    def run(batch: NDArray[np.int64]) -> None:
+        _release_series(ratios, phase, speed, batch[0], batch.size)
+
+    run_batches(run, np.arange(phase.size), size=_BATCH, threads=threads)
+    energy_transfer = (speed / peak_velocity_ratio(ratios[2])) ** 2
     return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
 
 
-def _unresolved(
-    status: int, crossings: float, ratios: tuple[float, float, float, float]
-) -> ThrowUnresolvedError:
-    """Return the exception for a throw without a release."""
-    mu, kappa, zeta, gravity = ratios
-    case = (
-        f'mass_ratio {mu:g}, speed_ratio {kappa:g}, damping_ratio {zeta:g}, '
-        f'gravity_ratio {gravity:g}'
-    )
-    if status == _NOT_WITHIN:
-        return ThrowUnresolvedError(f'no release within {crossings:.0f} crossings for {case}')
-    return ThrowUnresolvedError(
-        f'the release cannot be computed to 1e-9 in double precision for {case}; '
-        'fewer crossings, less damping or a lighter projectile can'
-    )
-
-
-@kernel
-def first_release_kernel(
-    mu: float, kappa: float, zeta: float, gravity: float, work: NDArray[np.float64]
-) -> tuple[float, float, int]:
-    """
-    Compute one release without checks: (t_e f, V_e / (A w), status), status 0 when found.
-
-    With another status the first value is the number of crossings that were followed, the second
-    is NaN. `work` is a float array of shape (2, MAX_INTERVALS), which afterwards holds c_0 ... c_k
-    of the interval of release in its first row. For use inside compiled code.
-    """
-    c = work[0]
+@subroutine
+def _first_release(mu, kappa, zeta, gravity, c, b):
+    """Compute (t_e f, V_e / (A w)), NaN if they are unknown; c and b are memory."""
     wave = _wave(mu, kappa, zeta, gravity)
-    status, k, low, high, guess, steady = _find(wave, c, work[1])
-    if status != _RELEASED:
-        return 2.0 * k + 1.0, math.nan, status
+    k, low, high, guess, steady = _find(wave, c, b)
+    if high == 0.0:
+        return math.nan, math.nan
     sigma = guess if low < guess < high else 0.5 * (low + high)
-    phase, speed, status = _polish(k, low, high, sigma, wave, steady, c)
-    return phase, speed, status
+    return _polish(k, low, high, sigma, wave, steady, c)
 
 
 @kernel
-def _release_series(ratios, phase, speed, status, first, stride):
-    """Compute every `stride`-th throw from number `first` on; `ratios` has a row for each."""
-    work = np.empty((2, MAX_INTERVALS))
-    for n in range(first, phase.size, stride):
-        phase[n], speed[n], status[n] = first_release_kernel(
-            ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], work
+def _release_series(ratios, phase, speed, first, count):
+    """Compute some throws from number `first` on; `ratios` has a row for each ratio."""
+    c, b = np.empty(MAX_INTERVALS), np.empty(MAX_INTERVALS)
+    for n in range(first, first + count):
+        phase[n], speed[n] = _first_release(
+            ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], c, b
         )
 
 
@@ -305,16 +251,8 @@ def _wave(mu, kappa, zeta, gravity):
     scale = 1.0 / (below.real * below.real + below.imag * below.imag)
     inverse = complex(below.real * scale, -below.imag * scale)
     return _Wave(
-        mu,
-        rate,
-        kappa,
-        root,
-        gravity * crossing * mu * root,
-        lam,
-        inverse,
-        (lam * mu - 1.0) * inverse,
-        2.0 * (lam * mu) * inverse,
-        _phasor(lam, 2.0),
+        mu, rate, kappa, root, gravity * crossing * mu * root, lam, inverse,
+        (lam * mu - 1.0) * inverse, 2.0 * (lam * mu) * inverse, _phasor(lam, 2.0),
         math.exp(-2.0 * rate),
     )
 
@@ -324,7 +262,7 @@ def _find(wave, c, b):
     """
     Find the wave interval of the release; fill c with c_j, b with phi_j(2 / mu).
 
-    Returns status, interval k, a bracket of the root, a first guess of the root, and Q_k.
+    Returns interval k, a bracket of the root (up to 0 if it is unknown), a guess, and Q_k.
     """
     turn = wave.lam.imag
     weight = wave.weight
@@ -338,17 +276,17 @@ def _find(wave, c, b):
         # G rises, at most until the plate is fastest, and falls through 0 before it stops.
         high = min(2.0, math.pi / turn)
         if high < 2.0 or force <= 0.0:
-            return _RELEASED, 0, 0.0, high, _first_guess(wave), steady
+            return _FIRST, 0.0, high, _first_guess(wave), steady
     else:
         # G falls at least until the plate brakes hardest, and later periods push it off less
         # than the first.
         high = min(2.0, 2.0 * math.acos(-wave.lam.real / math.hypot(turn, wave.lam.real)) / turn)
         if _force(_FIRST, high, wave, steady, c)[0] <= 0.0:
-            return _RELEASED, 0, 0.0, high, _first_guess(wave), steady
+            return _FIRST, 0.0, high, _first_guess(wave), steady
         if high < 2.0:
             low, high = _search(_FIRST, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
             if high > 0.0:
-                return _RELEASED, 0, low, high, math.nan, steady
+                return _FIRST, low, high, math.nan, steady
     effort = 0.0
     arriving = complex(1.0, 0.0)  # e^{2 k lambda}
     power = complex(1.0, 0.0)  # r^k
@@ -358,8 +296,9 @@ def _find(wave, c, b):
         arriving *= wave.step
         power *= wave.reflection
         steady = arriving + wave.reflection * steady
-        if _size(steady) > _GROWTH_LIMIT**2 or _underflows(k, wave.mu):
-            return _INACCURATE, k, 0.0, 0.0, math.nan, steady
+        underflows = k > 250 and wave.mu < 2.0 / 700.0  # e^{-sigma / mu}, but not phi_k
+        if _size(steady) > _GROWTH_LIMIT**2 or underflows:
+            return k, 0.0, 0.0, math.nan, steady
         older = b[k - 2] if k > 1 else 0.0
         b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - (k - 1) * older) * _INVERSE[k]
         s_before, s_now = s_now, s_next
@@ -370,7 +309,7 @@ def _find(wave, c, b):
         pull = wave.to_force * steady
         before = force
         force = (pull * wave.step).imag - s_next - s_now + weight
-        # Where may G + weight come down to 0 and rise again within the interval? See the Notes.
+        # Where may G + weight come down to 0 and rise again? See the Notes of `first_release`.
         smooth = True
         if weight > 0.0:
             smooth = k <= 3 and turn < 0.5 * math.pi
@@ -379,28 +318,22 @@ def _find(wave, c, b):
         if force > 0.0 and min(before, force) > margin:
             continue
         if force <= 0.0 and smooth:
-            return _RELEASED, k, 0.0, 2.0, 2.0 * before / (before - force), steady
+            return k, 0.0, 2.0, 2.0 * before / (before - force), steady
         if smooth and _force(k, 2.0, wave, steady, c)[1] < -0.25 * turn:
             continue
         effort += (16 + 8 * k + 6.0 * turn) * (k + 8)
         if effort > _SEARCH_EFFORT:
-            return _NOT_WITHIN, k, 0.0, 0.0, math.nan, steady
+            return k, 0.0, 0.0, math.nan, steady
         low, high = _search(k, 0.0, 2.0, wave, steady, c)
         if high > 0.0:
-            return _RELEASED, k, low, high, math.nan, steady
-    return _NOT_WITHIN, MAX_INTERVALS, 0.0, 0.0, math.nan, steady
+            return k, low, high, math.nan, steady
+    return _FIRST, 0.0, 0.0, math.nan, steady
 
 
 @inlined
 def _size(z):
     """Compute |z|^2."""
     return z.real * z.real + z.imag * z.imag
-
-
-@inlined
-def _underflows(k, mu):
-    """Return whether e^{-sigma / mu} may underflow where phi_k is not negligible."""
-    return k > 250 and mu < 2.0 / 700.0
 
 
 @inlined
@@ -440,7 +373,7 @@ def _attached(k, sigma, wave, steady, c):
 
 @subroutine
 def _polish(k, low, high, sigma, wave, steady, c):
-    """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w), status)."""
+    """Find the root in a bracket by Newton's iteration within it: (t_e f, V_e / (A w))."""
     tolerance = max(1e-7 * min(1.0, wave.mu, 1.0 / wave.lam.imag), 4e-16)
     change, speed = high - low, math.nan
     for i in range(160):
@@ -464,8 +397,8 @@ def _polish(k, low, high, sigma, wave, steady, c):
     # The steady wave is known relative to its phase; each interval adds to the error
     wave_size = math.sqrt(_size(steady)) * min(1.0, wave.lam.imag * (2.0 * k + 1.0 + sigma))
     if not is_found or _ROUNDING * (k + 1.0) * wave_size > _ACCURACY * abs(speed):
-        return 2.0 * k + 1.0, math.nan, _INACCURATE
-    return phase, speed, _RELEASED
+        return math.nan, math.nan
+    return phase, speed
 
 
 @subroutine

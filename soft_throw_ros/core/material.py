@@ -72,24 +72,10 @@ class Relaxation(NamedTuple):
     strengths: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def require_constant_loss(loss_tangent: float) -> None:
-    """Raise ValueError for a constant loss tangent above `LARGEST_CONSTANT_LOSS`."""
-    if loss_tangent > LARGEST_CONSTANT_LOSS:
-        raise ValueError(
-            f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
-            f'got {loss_tangent:g}'
-        )
-
-
 @lru_cache(maxsize=4096)
 def relaxation(loss_tangent: float) -> Relaxation:
     """
-    Fit Maxwell elements to a constant loss tangent.
-
-    Raises
-    ------
-    ValueError
-        If it is larger than `LARGEST_CONSTANT_LOSS`.
+    Fit Maxwell elements to a constant loss tangent, at most `LARGEST_CONSTANT_LOSS`.
 
     Examples
     --------
@@ -100,7 +86,6 @@ def relaxation(loss_tangent: float) -> Relaxation:
     (0.821, 1.336)
 
     """
-    require_constant_loss(loss_tangent)
     if loss_tangent == 0.0:
         return Relaxation()
     from scipy.optimize import nnls  # which takes long to import, and few layers need
@@ -115,15 +100,7 @@ def relaxation(loss_tangent: float) -> Relaxation:
 
 
 def static_stretch(load: float) -> float:
-    """
-    Find the stretch of a neo-Hookean layer under a steady compressive load.
-
-    Parameters
-    ----------
-    load : float
-        Over a third of modulus times section. [-]
-
-    """
+    """Find the stretch of a neo-Hookean layer under a load over a third of modulus and section."""
     stretch = 1.0
     for _ in range(50):  # Newton, from above: the curve is concave
         excess = stretch - 1.0 / (stretch * stretch) + load

@@ -26,28 +26,29 @@ if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a m
 Floats = NDArray[np.float64]
 
 
+class Motion:
+    """Base of the motions."""
+
+    def states_at(self, time: Floats) -> Floats:
+        """Height [m], velocity [m/s] and acceleration [m/s2], in the last axis."""
+        raise NotImplementedError
+
+    def position(self, time: ArrayLike) -> Floats:
+        """Height of the plate [m]."""
+        return np.asarray(self.states_at(np.asarray(time, dtype=np.float64))[..., 0])
+
+    def velocity(self, time: ArrayLike) -> Floats:
+        """Velocity of the plate [m/s]."""
+        return np.asarray(self.states_at(np.asarray(time, dtype=np.float64))[..., 1])
+
+
 @dataclass(frozen=True, kw_only=True)
-class Underdamped:
+class Underdamped(Motion):
     r"""
     A step answered by a damped oscillator: up, over, and down to the new height.
 
-    Parameters
-    ----------
-    frequency : float
-        Natural frequency :math:`f` (of the undamped oscillator). [Hz]
-    amplitude : float
-        Height :math:`A` at which the plate settles. [m]
-    damping_ratio : float
-        :math:`\zeta`; 0 gives the harmonic motion :math:`A (1 - \cos \omega t)` of Eq. (1). [-]
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite and positive, or `damping_ratio` is not in [0, 1).
-
-    Notes
-    -----
-    Eqs. (D2)-(D4) of [1]_, with :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`:
+    The parameters are those of `rig.Engine`. Eqs. (D2)-(D4) of [1]_, and (1) without damping, with
+    :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`:
 
     .. math:: V_p = \frac{A \omega}{\sqrt{1 - \zeta^2}} e^{-\zeta \omega t} \sin \omega_d t
 
@@ -68,16 +69,13 @@ class Underdamped:
     damping_ratio: float = 0.0
 
     def __post_init__(self) -> None:
-        check_fields(self, damping_ratio='in_unit_interval')
+        check_fields(self)
 
     @classmethod
     def of(cls, engine: Engine) -> Underdamped:
         """Make the motion of `engine`."""
-        return cls(
-            frequency=engine.frequency,
-            amplitude=engine.amplitude,
-            damping_ratio=engine.damping_ratio,
-        )
+        values = (engine.frequency, engine.amplitude, engine.damping_ratio)
+        return cls(frequency=values[0], amplitude=values[1], damping_ratio=values[2])
 
     @property
     def angular_frequency(self) -> float:
@@ -87,66 +85,54 @@ class Underdamped:
     @property
     def exponent(self) -> complex:
         r""":math:`\lambda = -\zeta \omega + i \omega_d` [1/s]."""
-        omega = 2.0 * math.pi * self.frequency
-        return omega * complex(-self.damping_ratio, math.sqrt(1.0 - self.damping_ratio**2))
+        zeta = self.damping_ratio
+        return self.angular_frequency * complex(-zeta, math.sqrt(1.0 - zeta**2))
 
     @property
     def velocity_factor(self) -> float:
         r""":math:`V_p(t)` is the imaginary part of this times :math:`e^{\lambda t}` [m/s]."""
-        omega = 2.0 * math.pi * self.frequency
-        return self.amplitude * omega / math.sqrt(1.0 - self.damping_ratio**2)
+        root = math.sqrt(1.0 - self.damping_ratio**2)
+        return self.amplitude * self.angular_frequency / root
 
     @property
     def peak_velocity(self) -> float:
         """:math:`V_p^*`, Eq. (D4) [m/s]."""
-        omega = 2.0 * math.pi * self.frequency
-        return self.amplitude * omega * peak_velocity_ratio(self.damping_ratio)
+        ratio = peak_velocity_ratio(self.damping_ratio)
+        return float(self.amplitude * self.angular_frequency * ratio)
 
     @property
     def peak_velocity_time(self) -> float:
         """:math:`t_v`, when the plate is fastest (D3) [s]."""
         return math.acos(self.damping_ratio) / self.exponent.imag
 
-    def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate, Eq. (D2) [m]."""
-        time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        rate = self.exponent
-        decayed = np.exp(rate.real * time)
-        sine = -rate.real / rate.imag * np.sin(rate.imag * time)
-        # 1 - cos as 2 sin^2, so that the first micrometres keep their digits
-        rise = 2.0 * np.sin(0.5 * rate.imag * time) ** 2 * decayed - np.expm1(rate.real * time)
-        return np.asarray(self.amplitude * (rise - decayed * sine))
-
-    def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate [m/s]."""
-        time = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        rate = self.exponent
-        return self.velocity_factor * np.exp(rate.real * time) * np.sin(rate.imag * time)
-
     def states_at(self, time: Floats) -> Floats:
-        """Height [m], velocity [m/s] and acceleration [m/s2], Eqs. (D1) and (D2), shape (n, 3)."""
-        rate, change = self.exponent, np.expm1(self.exponent * np.maximum(time, 0.0))
-        turned = change + 1.0
-        columns = change / rate, turned, rate * turned
-        states = self.velocity_factor * np.stack(columns, axis=1).imag
-        states[time < 0.0, 2] = 0.0
-        return states
+        """Height [m], velocity [m/s] and acceleration [m/s2]."""
+        rate, since = self.exponent, np.maximum(time, 0.0)
+        height, velocity, acceleration = damped_state(since, self.amplitude, rate.real, rate.imag)
+        return np.stack((height, velocity, np.where(time < 0.0, 0.0, acceleration)), axis=-1)
 
 
-def peak_velocity_ratio(damping_ratio: float) -> float:
-    r"""Largest plate speed over :math:`A \omega`, Eq. (D4) [-]."""
-    angle = math.acos(damping_ratio)
-    return math.exp(-damping_ratio / math.sqrt(1.0 - damping_ratio**2) * angle)
+def damped_state(time: Any, amplitude: float, growth: float, turn: float) -> tuple[Any, Any, Any]:
+    """Compute height, velocity and acceleration of a damped step, also inside kernels."""
+    half_sine, half_cosine = np.sin(0.5 * turn * time), np.cos(0.5 * turn * time)
+    fading = np.expm1(growth * time)
+    decayed = 1.0 + fading
+    # 1 - cos as 2 sin^2, so that the first micrometres keep their digits
+    sine, versine = 2.0 * half_sine * half_cosine, 2.0 * half_sine * half_sine
+    rise = versine * decayed - fading + growth / turn * decayed * sine  # Eq. (D2)
+    turning = turn * (1.0 - versine) + growth * sine
+    factor = amplitude * (turn + growth * growth / turn)
+    return amplitude * rise, factor * decayed * sine, factor * decayed * turning  # Eq. (D1)
 
 
-def peak_velocity_ratios(damping_ratio: Floats) -> Floats:
-    """Compute `peak_velocity_ratio` for many plates."""
-    angle = np.arccos(damping_ratio)
-    return np.asarray(np.exp(-damping_ratio / np.sqrt(1.0 - damping_ratio**2) * angle))
+def peak_velocity_ratio(damping_ratio: Any) -> Any:
+    r"""Compute the largest plate speed over :math:`A \omega`, Eq. (D4), of one or many plates."""
+    rate = damping_ratio / np.sqrt(1.0 - damping_ratio**2)
+    return np.exp(-rate * np.arccos(damping_ratio))
 
 
 @dataclass(frozen=True, eq=False)
-class SampledMotion:
+class SampledMotion(Motion):
     """
     A motion given by states of the plate, which quintics join: at rest before and after them.
 
@@ -191,18 +177,8 @@ class SampledMotion:
         """
         Lay a twice differentiable cubic spline through positions; fourth order in the spacing.
 
-        It starts at rest. Heights count from the first sample.
-
-        Parameters
-        ----------
-        times, positions : array_like, shape (n,)
-            Times increase. [s], [m]
-
-        Raises
-        ------
-        ValueError
-            If fewer than 4 samples are given, a value is not finite, or times do not increase.
-
+        It starts at rest, and heights [m] count from the first sample. ValueError if fewer than 4
+        samples are given, a value is not finite, or times [s] do not increase.
         """
         times, positions = require_samples(times, positions, 'positions')
         from scipy.interpolate import CubicSpline
@@ -242,20 +218,10 @@ class SampledMotion:
         return float(self.velocity(self.peak_velocity_time))
 
     def states_at(self, time: Floats) -> Floats:
-        """Height [m], velocity [m/s] and acceleration [m/s2], shape (n, 3)."""
-        is_moving = (time >= self.start_time) & (time <= self.end_time)
-        acceleration = np.where(is_moving, self._path(time, 2), 0.0)
-        return np.stack((self.position(time), self.velocity(time), acceleration), axis=1)
-
-    def position(self, time: ArrayLike) -> Floats:
-        """Height of the plate [m]."""
-        return np.asarray(self._path(np.clip(time, self.start_time, self.end_time)))
-
-    def velocity(self, time: ArrayLike) -> Floats:
-        """Velocity of the plate [m/s]."""
-        time = np.asarray(time, dtype=np.float64)
+        """Height [m], velocity [m/s] and acceleration [m/s2]."""
         inside = np.clip(time, self.start_time, self.end_time)
-        return np.where(time == inside, self._path(inside, 1), 0.0)
+        rates = (np.where(time == inside, self._path(inside, order), 0.0) for order in (1, 2))
+        return np.stack((self._path(inside), *rates), axis=-1)
 
 
 PlateMotion: TypeAlias = Underdamped | SampledMotion

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import inlined, kernel, Record, subroutine
-from soft_throw_ros.core.plate import quintic
+from soft_throw_ros.core.plate import damped_state, quintic
 from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
@@ -29,7 +29,7 @@ _PIECES_PER_PERIOD = 32.0
 
 _ROWS = 7
 
-_quintic = subroutine(quintic)
+_quintic, _damped_state = subroutine(quintic), subroutine(damped_state)
 
 PLATE = [
     ('amplitude', 'f8'),  # of a damped step [m]
@@ -80,20 +80,6 @@ def write_motion(core: NDArray[np.void], engine: Engine, *, is_measured: bool) -
 
 
 @subroutine
-def _damped_state(s: Record, time: float) -> tuple[float, float, float]:
-    """Evaluate height, velocity and acceleration of a damped step."""
-    half_sine, half_cosine = math.sin(0.5 * s.turn * time), math.cos(0.5 * s.turn * time)
-    fading = math.expm1(s.growth * time)
-    decayed = 1.0 + fading
-    # 1 - cos as 2 sin^2, so that the first micrometres keep their digits (as `Underdamped`).
-    sine, versine = 2.0 * half_sine * half_cosine, 2.0 * half_sine * half_sine
-    rise = versine * decayed - fading + s.growth / s.turn * decayed * sine  # Eq. (D2)
-    turning = s.turn * (1.0 - versine) + s.growth * sine
-    factor = s.amplitude * (s.turn + s.growth * s.growth / s.turn)
-    return s.amplitude * rise, factor * decayed * sine, factor * decayed * turning
-
-
-@subroutine
 def enter_piece(s: Record, path: Floats, time: float) -> None:
     """Write the piece at `time`, which must not decrease, into the record."""
     c, last = s.coefficients, s.last
@@ -105,8 +91,12 @@ def enter_piece(s: Record, path: Floats, time: float) -> None:
             s.piece += 1
         s.piece_begin, s.piece_end = s.piece * s.duration, (s.piece + 1) * s.duration
         if last[0] != s.piece_begin:
-            last[1], last[2], last[3] = _damped_state(s, s.piece_begin)
-        height, velocity, acceleration = _damped_state(s, s.piece_end)
+            last[1], last[2], last[3] = _damped_state(
+                s.piece_begin, s.amplitude, s.growth, s.turn
+            )
+        height, velocity, acceleration = _damped_state(
+            s.piece_end, s.amplitude, s.growth, s.turn
+        )
         c[0], c[1], c[2], c[3], c[4], c[5] = _quintic(
             s.piece_end - s.piece_begin, last[1], last[2], last[3], height, velocity, acceleration
         )

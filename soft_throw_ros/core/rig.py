@@ -10,17 +10,17 @@ can be simulated.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 import math
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.material import (
+    LARGEST_CONSTANT_LOSS,
     LARGEST_STRAIN,
     LOSSES,
     relaxation,
-    require_constant_loss,
     static_stretch,
     STRESS_STRAIN_LAWS,
 )
@@ -39,21 +39,30 @@ times its amplitude (`test/core/test_cell_stepper.py`). That is about the error 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""
 
+_MAX_PERIODS = 16.0
+"""Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
+
+RANGES = {
+    **dict.fromkeys(('frequency', 'amplitude', 'thickness', 'wave_speed', 'density'), 'positive'),
+    **dict.fromkeys(('diameter', 'mass', 'length'), 'positive'),
+    **dict.fromkeys(('loss_tangent', 'gravity'), 'not_negative'),
+    'damping_ratio': 'in_unit_interval',
+}
+"""Ranges of the numbers of a rig, see `checks.require_number`."""
+
 _CHOICES = {'stress_strain_law': STRESS_STRAIN_LAWS, 'loss': LOSSES}
 
 
-def check_fields(instance: object, **kinds: str) -> None:
-    """Check numbers and choices of a frozen dataclass; positive unless `kinds` names another."""
-    for item in fields(instance):  # type: ignore[arg-type]
-        kind = type(instance).__name__.lower()
-        name = item.name if kind == 'rig' else f'{kind}.{item.name}'
-        value = getattr(instance, item.name)
-        if item.type == 'float':
-            check = getattr(checks, f'require_{kinds.get(item.name, "positive")}')
-            object.__setattr__(instance, item.name, check(name, value))
-        elif item.name in _CHOICES and value not in _CHOICES[item.name]:
-            choices = ', '.join(_CHOICES[item.name])
-            raise ValueError(f'{name} must be one of {choices}, got {value!r}')
+def check_fields(instance: object, prefix: str = '') -> None:
+    """Check numbers and choices of a frozen dataclass."""
+    for name, value in [*vars(instance).items()]:
+        if name in RANGES:
+            number = checks.require_number(RANGES[name], prefix + name, value)
+            object.__setattr__(instance, name, number)
+        elif name in _CHOICES and value not in _CHOICES[name]:
+            raise ValueError(
+                f'{prefix}{name} must be one of {", ".join(_CHOICES[name])}, got {value!r}'
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +87,7 @@ class Engine:
     Raises
     ------
     ValueError
-        If a value is not finite and positive, or `damping_ratio` is not in [0, 1).
+        If a value is out of range.
 
     """
 
@@ -88,7 +97,7 @@ class Engine:
     motion: SampledMotion | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, damping_ratio='in_unit_interval')
+        check_fields(self, 'engine.')
         if self.motion is not None:
             object.__setattr__(self, 'motion', self.motion.from_start())
 
@@ -133,9 +142,8 @@ class Layer:
     Raises
     ------
     ValueError
-        If a value is not finite and positive, `loss_tangent` is negative, or above
-        `material.LARGEST_CONSTANT_LOSS` where it is constant, or `stress_strain_law` or `loss` is
-        not one of the listed texts.
+        If a value is out of range, or the loss tangent is above `material.LARGEST_CONSTANT_LOSS`
+        where it is constant.
 
     Examples
     --------
@@ -158,9 +166,12 @@ class Layer:
     parts: tuple[Layer, ...] = ()
 
     def __post_init__(self) -> None:
-        check_fields(self, loss_tangent='not_negative')
-        if self.loss == 'constant':
-            require_constant_loss(self.loss_tangent)
+        check_fields(self, 'layer.')
+        if self.loss == 'constant' and self.loss_tangent > LARGEST_CONSTANT_LOSS:
+            raise ValueError(
+                f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
+                f'got {self.loss_tangent:g}'
+            )
         if self.parts:
             own = {name: value for name, value in vars(self).items() if name != 'parts'}
             whole = _values_of_sheets(self.parts)
@@ -224,15 +235,7 @@ class Layer:
         return self.thickness / self.wave_speed
 
     def static_strain(self, force: float) -> float:
-        """
-        Return the compression under a steady force, by the relaxed modulus [-].
-
-        Parameters
-        ----------
-        force : float
-            Force on the top. [N]
-
-        """
+        """Return the compression under a steady force [N], by the relaxed modulus [-]."""
         if self.parts:
             sag = sum(sheet.thickness * sheet.static_strain(force) for sheet in self.parts)
             return sag / self.thickness
@@ -305,7 +308,7 @@ class Projectile:
     length: float = 8.2e-3
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, 'projectile.')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,7 +349,7 @@ class Rig:
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self) -> None:
-        check_fields(self, gravity='not_negative')
+        check_fields(self)
         for name, kind in (('engine', Engine), ('layer', Layer), ('projectile', Projectile)):
             if not isinstance(value := getattr(self, name), kind):
                 raise ValueError(f'{name} must be of type {kind.__name__}, got {value!r}')
@@ -391,25 +394,19 @@ class Rig:
         r""":math:`g / (A \omega^2)` [-]."""
         return self.gravity / (self.engine.speed_scale * self.engine.angular_frequency)
 
+    @property
+    def longest_wait(self) -> float:
+        """Time until which steppers follow a throw without a release [s]."""
+        end = self.engine.motion.end_time if self.engine.motion else 0.0
+        return end + float(scales_of(values_of(self)).longest_wait)
+
     def check_for_waves(self) -> None:
-        """
-        Refuse a rig that travelling waves cannot simulate.
-
-        Raises
-        ------
-        ValueError
-            If the layer is a stack, is not linear, or has internal loss.
-
-        """
-        layer, need = self.layer, ''
-        if layer.parts:
-            need = f'a layer of one material, got {len(layer.parts)} sheets'
-        elif layer.stress_strain_law != 'linear':
-            need = f'layer.stress_strain_law linear, got {layer.stress_strain_law}'
-        elif layer.loss_tangent > 0.0:
-            need = f'layer.loss_tangent 0, got {layer.loss_tangent:g}'
-        if need:
-            raise ValueError(f'travelling waves need {need}')
+        """Raise ValueError if the layer is a stack, is not linear, or has internal loss."""
+        if self.layer.needs_cells:
+            raise ValueError(
+                'travelling waves need a layer of one material, linear and without loss, '
+                f'got {len(self.layer.sheets)} sheets, {self.layer}'
+            )
 
 
 def values_of(rig: Rig) -> dict[str, float]:
@@ -420,22 +417,22 @@ def values_of(rig: Rig) -> dict[str, float]:
 
 
 class Scales(NamedTuple):
-    """Scales of time and force of a rig, and the ratios that decide a throw: numbers or arrays."""
+    """Numbers or arrays, named as properties of `Rig`: scales, and ratios that decide a throw."""
 
     crossing_time: Any
-    """:math:`t_s = L_s / c_s`. [s]"""
     relaxation_time: Any
-    r""":math:`\tau = m c_s / (E_s S)`. [s]"""
     impedance: Any
-    """:math:`E_s S / c_s`. [kg/s]"""
     angular_frequency: Any
-    r""":math:`\omega`. [rad/s]"""
     mass_ratio: Any
-    r""":math:`\mu = m / (\rho_s S L_s)`, projectile over layer. [-]"""
     speed_ratio: Any
-    r""":math:`\kappa = c_s / (L_s f)`, crossings of the wave per plate period. [-]"""
     gravity_ratio: Any
-    r""":math:`g / (A \omega^2)`. [-]"""
+
+    @property
+    def longest_wait(self) -> Any:
+        """Time until which steppers follow throws without a release [s]."""
+        own_period = 2.0 * math.pi * np.sqrt(self.crossing_time * self.relaxation_time)
+        longest = np.maximum(2.0 * math.pi / self.angular_frequency, own_period)
+        return self.crossing_time + _MAX_PERIODS * longest
 
 
 def scales_of(values: Mapping[str, Any]) -> Scales:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.kernels import kernel
+from soft_throw_ros.core.kernels import kernel, subroutine
 
 Floats = NDArray[np.float64]
 
@@ -30,41 +30,45 @@ FEWEST = 4
 """Samples that a window must have."""
 
 
+@subroutine
+def _solve(rows: Floats) -> bool:
+    """Solve a positive definite system beside its right sides; False if it is singular."""
+    size = rows.shape[0]
+    for i in range(size):
+        largest = rows[i, i]
+        for k in range(i):
+            for j in range(rows.shape[1] - 1, k, -1):
+                rows[i, j] -= rows[i, k] * rows[k, j]
+        if not rows[i, i] > 1e-12 * largest:
+            return False
+        for j in range(rows.shape[1] - 1, i - 1, -1):
+            rows[i, j] /= rows[i, i]
+    for i in range(size - 2, -1, -1):
+        for j in range(size, rows.shape[1]):
+            for k in range(i + 1, size):
+                rows[i, j] -= rows[i, k] * rows[k, j]
+    return True
+
+
 @kernel
 def fit_cubics(
-    at: Floats,
-    times: Floats,
-    positions: Floats,
-    half: float,
-    states: Floats,
-    errors: Floats,
+    at: Floats, times: Floats, positions: Floats, half: float, states: Floats, errors: Floats,
 ) -> None:
     """
-    Fit a cubic around each time, unchecked; the error of the velocity is of third order.
+    Fit a cubic around each of some times [s]; the error of the velocity is of third order.
 
-    Parameters
-    ----------
-    at : ndarray, shape (n,)
-        Times of the estimates, increasing. [s]
-    times, positions : ndarray, shape (m,)
-        Samples, times increasing. [s], [m]
-    half : float
-        Half the length of the window. [s]
-    states, errors : ndarray, shapes (n, 3) and (n,)
-        For the results: position [m], velocity [m/s] and acceleration [m/s2]; errors of the
-        velocity for unit noise of the position [1/s]. NaN where samples are too few, or on one
-        side only.
-
+    All times increase; `half` is half the length of the window [s]. A row of the results `states`
+    is position [m], velocity [m/s] and acceleration [m/s2]; `errors` are those of the velocity for
+    unit noise of the position [1/s]. NaN where samples are too few, or on one side only.
     """
     first = 0
     behind, ahead = 2.0 * BEHIND, 2.0 * AHEAD
-    normal, right, unit = np.empty((4, 4)), np.empty(4), np.empty(4)
-    row, solution = np.empty(4), np.empty(4)
+    row, system = np.empty(4), np.empty((4, 6))  # normal equations, and their two right sides
     for n in range(at.size):
         while first < times.size and (times[first] - at[n]) / half < -behind:
             first += 1
-        normal[:], right[:], unit[:] = 0.0, 0.0, 0.0
-        unit[1] = 1.0
+        system[:] = 0.0
+        system[1, 5] = 1.0
         count, before = 0, 0
         k = first
         while k < times.size and (times[k] - at[n]) / half <= ahead:
@@ -72,55 +76,20 @@ def fit_cubics(
             row[0], row[1], row[2], row[3] = 1.0, u, u * u, u * u * u
             value = positions[k] - positions[first]
             for i in range(4):
-                right[i] += row[i] * value
-                for j in range(i + 1):
-                    normal[i, j] += row[i] * row[j]
+                system[i, 4] += row[i] * value
+                for j in range(4):
+                    system[i, j] += row[i] * row[j]
             count += 1
             before += u <= 0.0
             k += 1
-        if count < FEWEST or before in (0, count) or not factorise(normal):
+        if count < FEWEST or before in (0, count) or not _solve(system):
             states[n] = np.nan
             errors[n] = np.nan
             continue
-        solution[:] = right
-        solve(normal, solution)
-        solve(normal, unit)
-        states[n, 0] = solution[0] + positions[first]
-        states[n, 1] = solution[1] / half
-        states[n, 2] = 2.0 * solution[2] / (half * half)
-        errors[n] = np.sqrt(unit[1]) / half
-
-
-@kernel
-def factorise(matrix: Floats) -> bool:
-    """Factorise in place by Cholesky; False if the matrix is singular to working accuracy."""
-    for i in range(matrix.shape[0]):
-        largest = matrix[i, i]
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i > j:
-                matrix[i, j] = total / matrix[j, j]
-            elif total > 1e-12 * largest:
-                matrix[i, i] = np.sqrt(total)
-            else:
-                return False
-    return True
-
-
-@kernel
-def solve(factor: Floats, x: Floats) -> None:
-    """Solve in place by a Cholesky factor."""
-    size = factor.shape[0]
-    for i in range(size):
-        for k in range(i):
-            x[i] -= factor[i, k] * x[k]
-        x[i] /= factor[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            x[i] -= factor[k, i] * x[k]
-        x[i] /= factor[i, i]
+        states[n, 0] = system[0, 4] + positions[first]
+        states[n, 1] = system[1, 4] / half
+        states[n, 2] = 2.0 * system[2, 4] / (half * half)
+        errors[n] = np.sqrt(system[1, 5]) / half
 
 
 def warm_up() -> None:

@@ -9,25 +9,26 @@ cells of finite size. An offline result is the same kernel, run to the end of th
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import copy
 from functools import partial
 import math
-from typing import Any, ClassVar, get_args, Literal, NamedTuple, TypeAlias
+from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core.batch import Cancelled, check_cancelled
 from soft_throw_ros.core.kernels import Record, subroutine
-from soft_throw_ros.core.plate import require_series
 from soft_throw_ros.core.plate_kernels import (
     append_states,
     extrapolate,
     MAX_PIECES_AHEAD,
+    NO_PATH,
+    PLATE,
+    write_damped,
     write_motion,
 )
-from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.rig import Rig, scales_of
 
 Floats = NDArray[np.float64]
 
@@ -53,6 +54,28 @@ _NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
 
 MAX_EVENTS = 4096
 """Most events of one throw."""
+
+_SLICE = 0.1
+"""Time of a processor between two looks at a flag. [s]"""
+
+_MAX_CROSSINGS = 4096.0
+"""Longest wait for a release in batches, in crossings of the wave. [-]"""
+
+COMMON = [
+    *PLATE,
+    ('time', 'f8'),  # [s]
+    ('contact', '?'),
+    ('landed', '?'),
+    ('events', 'i8'),
+    ('event_time', 'f8'),  # of the last event; of cells in the last step, infinite without one [s]
+    ('event_velocity', 'f8'),  # [m/s]
+    ('rest_height', 'f8'),  # of the projectile's lower face [m]
+    ('loads', 'f8', (5,)),  # of `Loads`
+    ('work', 'f8'),  # of the plate up to the first release [J]
+    ('surface', 'f8'),  # height of the top of the layer against rest [m]
+    ('state', 'f8', (7,)),
+]
+"""Fields of the records of all steppers, for `numpy.dtype`."""
 
 BACKWARDS, BEYOND_HORIZON, TOO_MANY_EVENTS, TOO_FAR = -1, -2, -3, -4
 """Error codes that a kernel returns instead of the number of events."""
@@ -101,7 +124,7 @@ class Loads(NamedTuple):
     plate_force: float
 
 
-class Stepper(ABC):
+class Stepper:
     """
     One throw, going forward: state, layer, events and loads at any time.
 
@@ -124,123 +147,86 @@ class Stepper(ABC):
     Nothing is allocated after construction, except for `events`, and no kernel holds Python's
     lock.
 
-    A subclass has two records in `_core`: the first stands at a step of its grid, the second at
-    the time asked for. Their fields include `plate_kernels.PLATE`, and contact, events, state,
-    surface (height of the top against rest) and rest_height (of the projectile's lower face).
+    A stepper has three records: at a step of its grid, at the time asked for, and at rest. The
+    constructor of a subclass completes the third one and the layer, and calls `_start`.
 
     """
 
-    rig: Rig
-    field_points: int
-    state: Floats
+    cost: float
+    """Time of a processor over time of the rig, about [-]."""
 
-    _kernels: ClassVar[tuple[Callable[[], Callable[..., Any]], Callable[[], Callable[..., Any]]]]
-    """Return the compiled kernels that advance, and that read the layer."""
-
-    _core: NDArray[np.void]
-    _numbers: Floats
-    """View of the records as plain numbers, a row for each record, for faster copies."""
-    _layer: Floats
-    """State of the layer."""
     _reading: tuple[NDArray[np.void], ...] = ()
     """Further arguments of the kernel that reads the layer."""
-    _path: Floats
-    """Motion of the plate, see `plate_kernels`."""
-    _events: Floats
-    """A row for each event: kind, time, position, velocity."""
-    _advance: Callable[[float], int]
-    """Goes to a time, and returns the number of events, or an error code."""
-    _read_layer: Callable[[Floats], None]
-    """Does the work of `read_layer`, without checks."""
 
-    def __init__(self, rig: Rig, field_points: int) -> None:
+    def __init__(
+        self, rig: Rig, record: np.dtype[np.void], layer: Floats, *, is_measured: bool,
+        field_points: int,
+    ) -> None:
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
-        self._events = np.zeros((MAX_EVENTS, 4))
+        self._layer = layer
+        self._events = np.zeros((MAX_EVENTS, 4))  # rows of kind, time, position, velocity
         self._readable = np.empty(0)  # the array that was checked last
-
-    def _make_records(self, record: np.dtype[np.void], *, is_measured: bool) -> NDArray[np.void]:
-        """Make records and path, and return the record to fill in."""
         self._use_records(np.zeros(3, record))
-        self._path = write_motion(self._core, self.rig.engine, is_measured=is_measured)
+        self._path = write_motion(self._core, rig.engine, is_measured=is_measured)
         self._is_measured = is_measured
-        return self._core[2]  # type: ignore[no-any-return]
 
     def _use_records(self, core: NDArray[np.void]) -> None:
         self._core = core
-        self._numbers = core.view(np.float64).reshape(3, -1)
+        self._numbers = core.view(np.float64).reshape(3, -1)  # for faster copies
         self.state = core['state'][1]
         self.state.flags.writeable = False
 
+    def _start(self, *kernels: Callable[..., Any]) -> None:
+        """Take over the kernels that advance and that read the layer, and go to time 0."""
+        self._kernels = kernels
+        self._layer_at_rest = self._layer.copy()
+        self._bind()
+        self.reset()
+
     def _bind(self) -> None:
         """Hand the arrays to the kernels."""
-        advance, read_layer = (kernel() for kernel in self._kernels)
+        advance, read_layer = self._kernels
         self._advance = partial(advance, self._core, self._layer, self._path, self._events)
         self._read_layer = partial(read_layer, self._core, self._layer, *self._reading)
-
-    @abstractmethod
-    def _clear(self) -> None:
-        """Put the layer back to rest."""
 
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
         self._numbers[:2] = self._numbers[2]
         if self._is_measured:
             self._path[:, 0] = 0.0  # the rest before the first state, unless pieces went round
-        self._clear()
+        self._layer[:] = self._layer_at_rest
         self._advance(0.0)
 
     def advance_to(self, time: float) -> int:
         """
-        Go forward to `time`, however far, and bring `state` there.
+        Go forward to a time, bring `state` there, and return the number of events until then.
 
-        Parameters
-        ----------
-        time : float
-            Time since the start; must not decrease from call to call. [s]
-
-        Returns
-        -------
-        int
-            Number of events until now.
-
-        Raises
-        ------
-        ValueError
-            If `time` is not finite or goes backwards.
-        HorizonError
-            If the plate is not known that far ahead; nothing has changed.
-        EventLimitError
-            If there were too many events on the way; only `reset` helps.
-
+        ValueError if the time [s] is not finite or decreases from call to call; HorizonError if
+        the plate is not known that far ahead, and nothing has changed; EventLimitError if there
+        were too many events on the way, and only `reset` helps.
         """
-        count = self._advance(time)
+        count: int = self._advance(time)
         if count < 0:
             raise self._refusal(count, float(time))
         return count
 
     def advance_to_release(
-        self, *, latest: float, step: float, cancelled: Cancelled | None = None
+        self, *, latest: float, step: float | None = None, cancelled: Cancelled | None = None
     ) -> Event | None:
         """
-        Go forward from the start in steps until the first release, and return it.
+        Go forward until the first release, and return it, or None if there is none by `latest`.
 
-        Parameters
-        ----------
-        latest : float
-            Time after which to give up and return None. [s]
-        step : float
-            Time of each step. [s]
-        cancelled : callable, optional
-            See `batch.Cancelled`; SearchCancelledError if it returns True.
-
+        SearchCancelledError if `cancelled` returns True, which is called after each `step`, by
+        default a quarter of the projectile's own period. [s]
         """
-        steps = 0
-        while not self.advance_to(min(steps * step, latest)):
+        step = step or 0.25 * (1.0 / self.rig.natural_frequency + self.rig.crossing_time)
+        time = float(self.state[TIME])
+        while not self.advance_to(time):
             check_cancelled(cancelled)
-            if steps * step >= latest:
+            if time >= latest:
                 return None
-            steps += 1
+            time = min(time + step, latest)
         return self.events()[0]
 
     def _refusal(self, status: int, time: float) -> Exception:
@@ -259,22 +245,11 @@ class Stepper(ABC):
         """
         Append states of a measured plate in real time; quintics join the states.
 
-        The plate is known up to the last state; with a single state, up to this state. It is at
-        rest before the first state.
-
-        Parameters
-        ----------
-        times : array_like, shape (n,)
-            Increasing, from call to call too; the first not negative. [s]
-        states : array_like, shape (n, 3)
-            Height, velocity and acceleration at each. [m], [m/s], [m/s2]
-
-        Raises
-        ------
-        ValueError
-            If the stepper was not made with `is_measured`, or states are not finite, not
-            increasing, or more than `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
-
+        A row of the states, of shape (n, 3), is height [m], velocity [m/s] and acceleration
+        [m/s2]; times [s] increase, from call to call too. The plate is at rest before the first
+        state, and known up to the last one. ValueError if the stepper was not made with
+        `is_measured`, or states are not finite, not increasing, at negative times, or more than
+        `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
         """
         if not self._is_measured:
             raise ValueError('append_plate_states needs a stepper made with is_measured')
@@ -289,20 +264,25 @@ class Stepper(ABC):
             return
         last = float(self._core[0]['last'][0])
         if not _are_in_order(times, states, last):
-            require_series(times, states, 'states', after=last)
-            raise ValueError(f'times must not be negative, got {times[0]:g} s')
+            raise ValueError(
+                f'times must increase from {last:g} s and not be negative, and all be finite, '
+                f'got times {times.tolist()} and states {states.tolist()}'
+            )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
         if ahead > MAX_PIECES_AHEAD:
             raise ValueError(
                 f'states must not be more than {MAX_PIECES_AHEAD} ahead of advance_to, '
                 f'got {times.size} which makes {ahead}'
             )
-        core = self._core
-        core['pieces'][0] = append_states(
-            core['last'][0], int(core['pieces'][0]), self._path, times, states
+        self._append(times, states)
+        self._core['piece_end'][0] = -math.inf  # the present piece may end now
+        self._core['horizon'][:2] = times[-1]
+
+    def _append(self, times: Floats, states: Floats) -> None:
+        record = self._core[0]
+        record['pieces'] = append_states(
+            record['last'], int(record['pieces']), self._path, times, states
         )
-        core['piece_end'][0] = -math.inf  # the present piece may end now
-        core['horizon'][:2] = times[-1]
 
     def fork(self) -> Stepper:
         """
@@ -334,10 +314,7 @@ class Stepper(ABC):
         """
         self._numbers[:] = origin._numbers
         self._copy_layer(origin)
-        record = self._core[0]
-        record['pieces'] = append_states(
-            record['last'], int(record['pieces']), self._path, times, states
-        )
+        self._append(times, states)
         extrapolate(self._core, self._path)
 
     def _copy_layer(self, origin: Stepper) -> None:
@@ -348,13 +325,9 @@ class Stepper(ABC):
         """
         Write the state of the layer at the present time, from plate to top.
 
-        Parameters
-        ----------
-        out : ndarray, shape (3, field_points) or (4, field_points)
-            Of float64, else ValueError: heights above the plate's rest position [m], velocities
-            [m/s], forces through the layer, positive in compression [N], and, if there is a
-            fourth row, total strains, negative in compression [-].
-
+        The rows of `out`, of float64 and shape (3 or 4, field_points), are heights above the
+        plate's rest position [m], velocities [m/s], forces through the layer, positive in
+        compression [N], and total strains, negative in compression [-]; else ValueError.
         """
         if out is not self._readable:
             _require_target(out, self.field_points)
@@ -394,23 +367,57 @@ class Stepper(ABC):
         return float(self._core['rest_height'][1] + self._core['surface'][1])
 
     @property
-    @abstractmethod
-    def cost(self) -> float:
-        """Time of a processor over time of the rig, about [-]."""
-
-    @property
-    @abstractmethod
     def loads(self) -> Loads:
         """Largest loads up to the first release, or up to now before the release."""
+        return Loads(*self._core['loads'][1].tolist())
 
     @property
-    @abstractmethod
     def plate_work(self) -> float:
         """Work of the plate up to the first release, or up to now before the release [J]."""
+        return float(self._core['work'][1])
 
-    @abstractmethod
     def stored_energy(self) -> float:
         """Return the energy of layer and projectile against rest, up to the first release [J]."""
+        return self.plate_work
+
+
+def follow_batch(
+    record: np.dtype[np.void],
+    advance: Callable[..., int],
+    prepare: Callable[[NDArray[np.void], int], tuple[Floats, float]],
+    values: Mapping[str, Floats],
+    until: Floats | float,
+    cancelled: Cancelled | None,
+) -> Floats:
+    """
+    Follow throws to their first releases, or up to a time [s] if it is no NaN, without steppers.
+
+    `prepare` completes the third record of a throw by its number, and returns its layer and its
+    cost, see `Stepper.cost`. The result has a row each for time (NaN without a release),
+    speed, largest strain, acceleration and plate force, and work of the plate.
+    """
+    amplitude, zeta = values['amplitude'], values['damping_ratio']
+    scales = scales_of(values)
+    longest = np.minimum(scales.longest_wait, _MAX_CROSSINGS * scales.crossing_time)
+    latest = np.where(np.isnan(until), longest, until)
+    core, no_events = np.zeros(3, record), np.empty((0, 4))
+    numbers = core.view(np.float64).reshape(3, -1)
+    rows = np.empty((6, latest.size))
+    for n in range(latest.size):
+        numbers[:] = 0.0
+        write_damped(core, amplitude[n], scales.angular_frequency[n], zeta[n])
+        layer, cost = prepare(core, n)
+        looks = 1 + int(cost * latest[n] / _SLICE)
+        numbers[:2] = numbers[2]
+        for look in range(1, looks + 1):
+            check_cancelled(cancelled)
+            if advance(core, layer, NO_PATH, no_events, latest[n] * (look / looks)):
+                break
+        now = core[1]
+        rows[0, n] = now['event_time'] if now['events'] else math.nan
+        rows[1, n], rows[2:5, n] = now['event_velocity'], now['loads'][[0, 3, 4]]
+        rows[5, n] = now['work']
+    return rows
 
 
 @subroutine
@@ -419,6 +426,7 @@ def note_event(
 ) -> None:
     """Append an event, with its height from rest; the march ends if the table is full."""
     s.events += 1
+    s.event_time, s.event_velocity = time, velocity
     if s.events <= events.shape[0]:
         row = events[s.events - 1]
         row[0], row[1], row[2], row[3] = kind, time, s.rest_height + height, velocity
@@ -467,37 +475,25 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
     return int(value)
 
 
-def require_rate(layer: Layer, needed: float, *, limit: float, unit: str) -> None:
-    """Raise ValueError with a remedy if a layer needs more steps per second than the limit."""
+def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str) -> None:
+    """Raise RateError with a feasible value of a parameter if a rig needs more than the limit."""
+    value, dimension, margin, bound = {
+        'layer.thickness': (rig.layer.thickness, 'm', 1.001, 'more'),
+        'projectile.mass': (rig.projectile.mass, 'kg', 1.001, 'more'),
+        'engine.frequency': (rig.engine.frequency, 'Hz', 0.999, 'less'),
+    }[name]
     factor = needed / limit
     if factor > 1.0:
+        feasible = margin * value * (factor if bound == 'more' else 1.0 / factor)
         raise RateError(
-            f'layer.thickness {layer.thickness:g} m at layer.wave_speed {layer.wave_speed:g} m/s '
-            f'needs {needed:.3g} {unit} per second, the limit is {limit:g}; feasible: '
-            f'layer.thickness of {1.001 * layer.thickness * factor:.4g} m or more, or '
-            f'layer.wave_speed of {0.999 * layer.wave_speed / factor:.4g} m/s or less'
+            f'{name} {value:g} {dimension} at layer.wave_speed {rig.layer.wave_speed:g} m/s needs '
+            f'{needed:.3g} {unit}, the limit is {limit:g}; '
+            f'feasible: {name} of {feasible:.4g} {dimension} or {bound}'
         )
-
-
-def require_steps_per_period(rig: Rig, steps: float, *, limit: int, unit: str) -> int:
-    """Return the count of a unit for some steps in a period of the plate, or raise ValueError."""
-    needed = math.ceil(steps * rig.crossing_time * rig.engine.frequency)
-    if needed > limit:
-        raise RateError(
-            f'engine.frequency {rig.engine.frequency:g} Hz with a crossing time of '
-            f'{rig.crossing_time:.4g} s needs {needed} {unit}, the limit is {limit}; feasible: '
-            f'engine.frequency of {0.999 * rig.engine.frequency * limit / needed:.4g} Hz or less'
-        )
-    return needed
 
 
 def _require_target(out: Floats, points: int) -> None:
     """Raise ValueError unless a kernel can write a layer to `out`."""
-    shapes, got = ((3, points), (4, points)), type(out).__name__
-    if isinstance(out, np.ndarray):
-        if out.dtype == np.float64 and out.shape in shapes and out.flags.carray:
-            return
-        got = f'{out.dtype} of shape {out.shape}'
-    raise ValueError(
-        f'out must be a contiguous float64 array of shape (3 or 4, {points}), got {got}'
-    )
+    is_array = isinstance(out, np.ndarray) and out.dtype == np.float64 and out.flags.carray
+    if not (is_array and out.shape in ((3, points), (4, points))):
+        raise ValueError(f'out must be a float64 array of shape (3 or 4, {points}), got {out!r}')

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import takewhile
 import math
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, check_cancelled
-from soft_throw_ros.core.cell_stepper import CellStepper, settled_cells
+from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import motion_of, PlateMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
@@ -35,11 +36,14 @@ MAX_DURATION = 60.0
 _BUDGET = 0.5
 """Processor time after which a throw ends that `until` does not end. [s]"""
 
-_WAIT_CROSSINGS, _WAIT_PERIODS = 100.0, 50.0
-"""Crossings of the layer plus periods of the plate within which the first release must come."""
-
 _QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
 """Crossings plus periods after a release that show how far up the free top swings."""
+
+_LOSSLESS_CELLS, _MAX_CELLS = 256, 2048
+"""Cells of lossless sheets between which the step is halved; fewer miss short releases. [-]"""
+
+_HALVING = 1e-4
+"""Largest relative change of time and speed at which halving the step ends. [-]"""
 
 
 class ThrowUnfinishedError(RuntimeError):
@@ -80,13 +84,8 @@ class Fields(NamedTuple):
 
 def ejections(events: Iterable[Event]) -> tuple[Event, ...]:
     """Return the ejections: the releases before the projectile has come down on the layer."""
-    selected = []
-    for event in events:
-        if event.kind == 'landing':
-            break
-        if event.kind == 'release':
-            selected.append(event)
-    return tuple(selected)
+    before = takewhile(lambda event: event.kind != 'landing', events)
+    return tuple(event for event in before if event.kind == 'release')
 
 
 def apex_height(ejection: Event, gravity: float) -> float:
@@ -106,26 +105,40 @@ def make_stepper(
     """
     Make a stepper: cells if the layer needs them, otherwise travelling waves.
 
-    Parameters
-    ----------
-    rig, cells
-        As for `simulate`.
-    is_measured : bool
-        Whether the plate moves by `append_plate_states` and not by the rig's engine.
-    field_points : int
-        Heights at which the layer is read, 2 or more.
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time, or an option is out of range.
-
+    The plate of a measured one moves by `append_plate_states`, and not by the rig's engine; the
+    layer is read at `field_points` heights. ValueError if the rig cannot be stepped in real time,
+    or an option is out of range.
     """
     if rig.layer.needs_cells:
         return CellStepper(rig, is_measured=is_measured, cells=cells, field_points=field_points)
     if cells is not None:
         raise ValueError(f'cells are for layers that need them only, got {cells!r}')
     return WaveStepper(rig, is_measured=is_measured, field_points=field_points)
+
+
+def make_settled_stepper(
+    rig: Rig, *, cells: int | None, field_points: int = 64, cancelled: Cancelled | None
+) -> tuple[Stepper, int | None]:
+    """
+    Make a stepper for results to 1e-4, and return its number of cells, too.
+
+    Nothing smooths the waves in sheets without loss, whose boundaries are between two steps. There
+    the step is halved until the first release settles, and the stepper stands after it.
+    """
+    if cells is not None or not rig.layer.parts or rig.layer.loss_tangent > 0.0:
+        return make_stepper(rig, cells=cells, field_points=field_points), cells
+    before: tuple[float, float] | None = None
+    cells, latest = _LOSSLESS_CELLS, rig.longest_wait
+    while True:
+        stepper = make_stepper(rig, cells=cells, field_points=field_points)
+        event = stepper.advance_to_release(latest=latest, cancelled=cancelled)
+        now = (math.nan, math.nan) if event is None else (event.time, event.velocity)
+        is_settled = before is not None and np.allclose(
+            now, before, rtol=_HALVING, atol=0.0, equal_nan=True
+        )
+        if is_settled or cells == _MAX_CELLS:
+            return stepper, cells
+        cells, before = 2 * cells, now
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,15 +227,7 @@ class Throw:
         return apex_height(self.last_release, self.rig.gravity)
 
     def trajectory(self, time: ArrayLike) -> Trajectory:
-        """
-        Return positions and velocities at increasing times [s]; this follows the throw again.
-
-        Raises
-        ------
-        ValueError
-            For times that do not increase.
-
-        """
+        """Return positions and velocities at increasing times [s], following the throw again."""
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
         stepper = self._stepper()
         rows = np.empty((time.size, 5))
@@ -234,20 +239,9 @@ class Throw:
 
     def fields(self, time: ArrayLike, *, points: int = 64) -> Fields:
         """
-        Return strain and velocity of the layer; this follows the throw again.
+        Return strain and velocity of the layer at increasing times [s], following the throw again.
 
-        Parameters
-        ----------
-        time : array_like, shape (n,)
-            Increasing. [s]
-        points : int
-            Depths from plate to top, both included.
-
-        Raises
-        ------
-        ValueError
-            As for `trajectory`, or for fewer than 2 points.
-
+        There are so many `points` from plate to top, both included, at least 2.
         """
         time = np.atleast_1d(np.asarray(time, dtype=np.float64))
         stepper = self._stepper(points)
@@ -301,16 +295,14 @@ def simulate(
     ValueError
         If the rig cannot be stepped in real time, or a bound is out of range.
     ThrowUnfinishedError
-        If the projectile is not released by `until`, or within 100 crossings and 50 periods of
-        the plate.
+        If the projectile is not released by `until`, or within 16 periods of the plate or of its
+        own on the layer.
     SearchCancelledError
         If `cancelled` returns True.
 
     Notes
     -----
-    Travelling waves are for a layer of one material that is linear and lossless, cells for loss,
-    large strain and stacks. `wave_stepper.steps_per_crossing` and `cell_stepper.cells_per_layer`
-    give the errors.
+    `wave_stepper.steps_per_crossing` and `cell_stepper.cells_per_layer` give the errors.
 
     Examples
     --------
@@ -330,9 +322,8 @@ def simulate(
         checks.require_positive('until', until)
     if max_events is not None and not 1 <= max_events <= MAX_EVENTS:
         raise ValueError(f'max_events must be from 1 to {MAX_EVENTS}, got {max_events}')
-    if cells is None:
-        cells = settled_cells(rig, latest=_longest_wait(rig), cancelled=cancelled)
-    stepper = make_stepper(rig, cells=cells)
+    stepper, cells = make_settled_stepper(rig, cells=cells, cancelled=cancelled)
+    stepper.reset()
     _run(stepper, until, max_events, cancelled)
     events = tuple(stepper.events()[:max_events])
     end_time = float(stepper.state[TIME])
@@ -366,20 +357,13 @@ def _energies(stepper: Stepper) -> Energies:
     return Energies(work, stored, 0.0 if is_lossless else max(0.0, work - stored))
 
 
-def _longest_wait(rig: Rig) -> float:
-    """Return the longest wait for the first release [s]."""
-    wait = _WAIT_CROSSINGS * rig.crossing_time + _WAIT_PERIODS / rig.engine.frequency
-    return wait + (rig.engine.motion.end_time if rig.engine.motion else 0.0)
-
-
 def _run(
     stepper: Stepper, until: float | None, max_events: int | None, cancelled: Cancelled | None
 ) -> None:
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
     latest = MAX_DURATION if until is None else until
-    affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
-    wait = _longest_wait(rig)
+    wait, affordable = rig.longest_wait, max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position

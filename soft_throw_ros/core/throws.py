@@ -10,25 +10,20 @@ near a discontinuity could jump when its loads are computed.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import fields, replace
+from functools import partial
 import math
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
-from soft_throw_ros.core.batch import (
-    Cancelled,
-    check_cancelled,
-    in_threads,
-    ThrowUnresolvedError,
-)
-from soft_throw_ros.core.cell_stepper import settled_cells
-from soft_throw_ros.core.plate import motion_of, peak_velocity_ratios
-from soft_throw_ros.core.rig import Engine, Layer, Rig, Scales, scales_of, values_of
+from soft_throw_ros.core.batch import Cancelled, run_batches, ThrowUnresolvedError
+from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
+from soft_throw_ros.core.rig import Engine, Layer, RANGES, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import EventLimitError, RateError
-from soft_throw_ros.core.throw import make_stepper, simulate, ThrowUnfinishedError
+from soft_throw_ros.core.throw import make_settled_stepper, simulate, ThrowUnfinishedError
 
 Floats = NDArray[np.float64]
 
@@ -36,10 +31,8 @@ Changes: TypeAlias = Mapping[str, Floats | float]
 """Other values of a rig by name: of engine and layer, `mass` of the projectile, `gravity` [SI]."""
 
 _KINDS = {
-    **dict.fromkeys(('frequency', 'amplitude', 'density', 'diameter'), 'positive'),
-    **dict.fromkeys(('loss_tangent', 'gravity'), 'not_negative'),
+    **{name: kind for name, kind in RANGES.items() if name != 'length'},
     **dict.fromkeys(('thickness', 'wave_speed', 'mass'), 'finite'),  # no layer, no throw: NaN
-    'damping_ratio': 'in_unit_interval',
 }
 """Names of `Changes`, and their ranges for `checks.require_all`."""
 
@@ -64,15 +57,10 @@ On a spring the acceleration is :math:`2 q^2 / (q^2 - 1)` times the plate's at m
 frequencies :math:`q \ge 2` times the plate's. Waves increase it; 3.1 is the largest seen.
 """
 
-_BATCHES = {'closed_form': 1 << 16, 'light': 1 << 5, 'waves': 1 << 10, 'cells': 1 << 10}
-"""Throws per batch by method: some tenths of a second. [-]"""
-
-_NUMBERS = 7
-"""Number of the results of a throw besides its status."""
-
-_WAIT = 8.0
-"""Longest wait for a release after a sampled motion, in periods of plate and projectile. [-]"""
-
+_BATCHES = {
+    'closed_form': 1 << 14, 'loads': 256, 'light': 64, 'waves': 256, 'cells': 32, 'steppers': 8,
+}
+"""Throws that a thread computes at once by each method: some milliseconds. [-]"""
 
 RELEASED, HELD, REFUSED = range(3)
 """Values of `Throws.status`."""
@@ -144,48 +132,61 @@ def throw_many(
         If `cancelled` returns True.
 
     """
-    changes = checked = _checked(changes or {})
-    if any(single.engine.motion for single in ([rig] if isinstance(rig, Rig) else rig)):
-        return _throw_sampled(rig, checked, cells, threads, cancelled)
-    if not isinstance(rig, Rig):
-        kinds = {_kind_of(single) for single in rig}
-        if len(kinds) != 1:
-            raise ValueError(
-                'rigs must differ in the values of `Changes` only, got '
-                f'{len(kinds)} kinds of layers'
-            )
-        tables = [values_of(single) for single in rig]
-        columns = {name: np.array([row[name] for row in tables]) for name in tables[0]}
-        changes = {**columns, **changes}
-        rig = rig[0]
-    given: dict[str, Any] = {**values_of(rig), **changes}
+    changes = _checked(changes or {})
+    rigs = [rig] if isinstance(rig, Rig) else list(rig)
+    is_sampled = any(single.engine.motion for single in rigs)
+    if not is_sampled and len(kinds := set(map(_kind_of, rigs))) != 1:
+        raise ValueError(
+            f'rigs must differ in the values of `Changes` only, got {len(kinds)} kinds of layers'
+        )
+    tables = [values_of(single) for single in rigs]
+    given = {name: np.array([table[name] for table in tables]) for name in tables[0]}
+    given = {**given, 'rig': np.arange(len(rigs))}
+    if isinstance(rig, Rig):
+        given = {name: column[0] for name, column in given.items()}
+    given.update(changes)
     shape = np.broadcast_shapes(*map(np.shape, given.values()))
     values = {name: np.broadcast_to(item, shape).ravel() for name, item in given.items()}
-    scales = scales_of(values)
     exist = (values['thickness'] > 0.0) & (values['wave_speed'] > 0.0) & (values['mass'] > 0.0)
-    results = np.full((_NUMBERS, exist.size), math.nan)
-    for name, chosen in _methods(rig, values, scales).items():
-        for batch in _batches(chosen & exist, _BATCHES[name], cancelled):
-            selected = {name: column[batch] for name, column in values.items()}
-            if name == 'cells':
-                rows = cell_stepper.throw_batch(
-                    selected, rig.layer, cells=cells, threads=threads, cancelled=cancelled
-                )
-            elif name == 'waves':
-                rows = wave_stepper.throw_batch(selected, threads=threads, cancelled=cancelled)
-            else:
-                rows = _throw_by_closed_form(selected, loads, threads, cancelled)
-            results[[0, 1, 3, 4, 5, 6], batch[:, None]] = rows.T
-    peak_speed = values['amplitude'] * scales.angular_frequency
-    results[2] = (results[1] / (peak_speed * peak_velocity_ratios(values['damping_ratio']))) ** 2
-    return _throws(results, np.where(exist, HELD, REFUSED), shape)
+    status = np.where(exist, HELD, REFUSED)
+    peak_speed = 2.0 * math.pi * values['frequency'] * values['amplitude']
+    peak_speed *= peak_velocity_ratio(values['damping_ratio'])
+    results = np.full((6, exist.size), math.nan)
 
+    def follow(batch: NDArray[np.int64]) -> None:
+        for n in batch.tolist():
+            changed = {name: values[name][n].item() for name in changes}
+            single = rig_with(rigs[values['rig'][n]], changed)
+            peak_speed[n] = motion_of(single.engine).peak_velocity
+            try:
+                results[:, n] = _follow_one(single, cells, cancelled)
+            except (RateError, EventLimitError):
+                status[n] = REFUSED
 
-def _throws(results: Floats, status: NDArray[np.int64], shape: tuple[int, ...]) -> Throws:
-    """Return the results of throws; no loads without a release, which a method may have."""
-    status = np.where(np.isnan(results[0]), status, RELEASED)
-    results[1:, status != RELEASED] = math.nan
-    numbers: Any = (*results.reshape(_NUMBERS, *shape), status.astype(np.int8).reshape(shape))
+    def compute(method: str, batch: NDArray[np.int64]) -> None:
+        selected = {name: column[batch] for name, column in values.items()}
+        if method == 'cells':
+            rows = cell_stepper.throw_batch(
+                selected, rigs[0].layer, cells=cells, cancelled=cancelled
+            )
+        elif method == 'waves':
+            rows = wave_stepper.throw_batch(selected, cancelled=cancelled)
+        else:
+            rows = _throw_by_closed_form(selected, loads, cancelled)
+        results[:, batch] = rows
+
+    methods = {'steppers': exist} if is_sampled else _methods(rigs[0].layer, values, cells)
+    for method, chosen in methods.items():
+        run_batches(
+            follow if method == 'steppers' else partial(compute, method),
+            np.flatnonzero(chosen & exist),
+            size=_BATCHES['loads' if loads and method == 'closed_form' else method],
+            threads=threads, cancelled=cancelled,
+        )
+    status[~np.isnan(results[0])] = RELEASED
+    results[:, status != RELEASED] = math.nan  # loads without a release, which a method may have
+    rows = np.insert(results, 2, (results[1] / peak_speed) ** 2, axis=0).reshape(7, *shape)
+    numbers: Any = (*rows, status.astype(np.int8).reshape(shape))
     return Throws(*numbers)
 
 
@@ -202,17 +203,7 @@ def _kind_of(rig: Rig) -> tuple[Hashable, ...]:
 
 
 def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
-    """
-    Return a rig with other values.
-
-    Parameters
-    ----------
-    rig : Rig
-        Sheets of a stack, and a motion of the plate, change in proportion to the whole.
-    changes : mapping of str to float
-        See `Changes`.
-
-    """
+    """Return a rig with other values; a stack and a motion of the plate change in proportion."""
     of_engine = _of(Engine, changes)
     engine = replace(rig.engine, **of_engine)
     if engine.motion and (of_engine.keys() & {'frequency', 'amplitude'}):
@@ -235,38 +226,30 @@ def _of(kind: type[Engine] | type[Layer], changes: Mapping[str, float]) -> dict[
     return {item.name: changes[item.name] for item in fields(kind) if item.name in changes}
 
 
-def _batches(
-    chosen: NDArray[np.bool_], size: int, cancelled: Cancelled | None
-) -> Iterator[NDArray[np.int64]]:
-    """Yield the indices of batches; raise before one if the search is cancelled."""
-    indices = np.flatnonzero(chosen)
-    for start in range(0, indices.size, size):
-        check_cancelled(cancelled)
-        yield indices[start:start + size]
-
-
 def _methods(
-    rig: Rig, values: Mapping[str, Floats], scales: Scales
+    layer: Layer, values: Mapping[str, Floats], cells: int | None
 ) -> dict[str, NDArray[np.bool_]]:
     """Return the throws that each method computes."""
+    scales, loss = scales_of(values), values['loss_tangent']
     mu, gravity = scales.mass_ratio, scales.gravity_ratio
     with np.errstate(invalid='ignore', divide='ignore'):  # layers that do not exist
         # about the lowest frequency of projectile and layer over the plate's
         q = scales.speed_ratio / (2.0 * math.pi * np.sqrt(np.abs(mu) + 4.0 / math.pi**2))
     moves = (q <= 2.0) | (gravity <= _HOLDING_GRAVITY)
     is_strong = gravity > STRONG_GRAVITY
-    layer = replace(rig.layer, loss_tangent=0.0)
-    needs_cells = (values['loss_tangent'] > 0.0) | layer.needs_cells
+    needs_cells = (loss > 0.0) | replace(layer, loss_tangent=0.0).needs_cells
+    is_settled = (loss > 0.0) | (cells is not None or not layer.parts)
     return {
         'closed_form': moves & ~needs_cells & ~is_strong,
         'light': moves & ~needs_cells & is_strong & (mu < _LIGHT),
         'waves': moves & ~needs_cells & is_strong & (mu >= _LIGHT),
-        'cells': moves & needs_cells,
+        'cells': moves & needs_cells & is_settled,
+        'steppers': moves & ~is_settled,
     }
 
 
 def _throw_by_closed_form(
-    values: Mapping[str, Floats], loads: bool, threads: int | None, cancelled: Cancelled | None
+    values: Mapping[str, Floats], loads: bool, cancelled: Cancelled | None
 ) -> Floats:
     """
     Compute rows as of `cell_stepper.throw_batch` by the closed form, and loads by waves.
@@ -276,8 +259,7 @@ def _throw_by_closed_form(
     scales = scales_of(values)
     phase, speed, _ = (np.asarray(row) for row in closed_form.first_releases(
         mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio,
-        damping_ratio=values['damping_ratio'], gravity_ratio=scales.gravity_ratio,
-        threads=threads,
+        damping_ratio=values['damping_ratio'], gravity_ratio=scales.gravity_ratio, threads=1,
     ))
     results = np.full((6, phase.size), math.nan)
     results[0] = phase / values['frequency']
@@ -286,67 +268,24 @@ def _throw_by_closed_form(
     chosen = unresolved | (loads and ~np.isnan(phase))
     waves = wave_stepper.throw_batch(
         {name: column[chosen] for name, column in values.items()}, until=results[0, chosen],
-        threads=threads, cancelled=cancelled,
+        cancelled=cancelled,
     )
     results[2:, chosen] = waves[2:]
     results[:, unresolved] = waves[:, unresolved[chosen]]
     return results
 
 
-def _throw_sampled(
-    rig: Rig | Sequence[Rig],
-    changes: Mapping[str, Floats],
-    cells: int | None,
-    threads: int | None,
-    cancelled: Cancelled | None,
-) -> Throws:
-    """Compute throws with sampled motions of the plate, each with a stepper of its own."""
-    rigs, numbers = ([rig], np.array(0)) if isinstance(rig, Rig) else (rig, np.arange(len(rig)))
-    shape = np.broadcast_shapes(numbers.shape, *map(np.shape, changes.values()))
-    numbers = np.broadcast_to(numbers, shape).ravel()
-    columns: dict[str, Any] = {
-        name: np.broadcast_to(item, shape).ravel() for name, item in changes.items()
-    }
-    results = np.full((_NUMBERS, numbers.size), math.nan)
-    status = np.full(numbers.size, HELD)
-    for name in columns.keys() & {'thickness', 'wave_speed', 'mass'}:
-        status[columns[name] <= 0.0] = REFUSED
-    for batch in _batches(status == HELD, _BATCHES['waves'], cancelled):
-
-        def run(first: int, stride: int, batch: NDArray[np.int64] = batch) -> None:
-            for n in batch[first::stride].tolist():
-                values = {name: column[n].item() for name, column in columns.items()}
-                other = rig_with(rigs[numbers[n]], values)
-                try:
-                    results[:, n] = _throw_with_stepper(other, cells, cancelled)
-                except (RateError, EventLimitError):
-                    status[n] = REFUSED
-
-        in_threads(run, count=batch.size, per_thread=16, threads=threads)
-    return _throws(results, status, shape)
-
-
-def _throw_with_stepper(
-    rig: Rig, cells: int | None, cancelled: Cancelled | None
-) -> tuple[float, ...]:
-    """Follow one throw to its first release; without one it is NaN."""
-    motion = motion_of(rig.engine)
-    own_period = 1.0 / rig.natural_frequency + rig.crossing_time
-    latest = getattr(motion, 'end_time', 0.0) + _WAIT * own_period
-    if not rig.layer.needs_cells:
-        cells = None
-    elif cells is None:
-        cells = settled_cells(rig, latest=latest, cancelled=cancelled)
-    stepper = make_stepper(rig, cells=cells, field_points=2)
-    release = stepper.advance_to_release(
-        latest=latest, step=0.25 * own_period, cancelled=cancelled
-    )
+def _follow_one(rig: Rig, cells: int | None, cancelled: Cancelled | None) -> tuple[float, ...]:
+    """Compute a row as of `cell_stepper.throw_batch` with a stepper."""
+    cells = cells if rig.layer.needs_cells else None
+    stepper, _ = make_settled_stepper(rig, cells=cells, field_points=2, cancelled=cancelled)
+    release = stepper.advance_to_release(latest=rig.longest_wait, cancelled=cancelled)
     if release is None:
-        return (math.nan,) * _NUMBERS
-    loads, transfer = stepper.loads, (release.velocity / motion.peak_velocity) ** 2
+        return (math.nan,) * 6
+    loads = stepper.loads
     return (
-        release.time, release.velocity, transfer, loads.strain, loads.acceleration,
-        loads.plate_force, stepper.plate_work,
+        release.time, release.velocity, loads.strain, loads.acceleration, loads.plate_force,
+        stepper.plate_work,
     )
 
 
@@ -365,17 +304,8 @@ def last_release(rig: Rig, *, cancelled: Cancelled | None = None) -> LastRelease
     """
     Follow one throw until the projectile has left for good.
 
-    Parameters
-    ----------
-    rig, cancelled
-        The rig, and a callback as for `throw_many`.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If the projectile does not leave, or cannot be followed.
-    SearchCancelledError
-        If `cancelled` returns True.
+    ThrowUnresolvedError if the projectile does not leave, or cannot be followed;
+    SearchCancelledError if `cancelled` returns True.
 
     Examples
     --------

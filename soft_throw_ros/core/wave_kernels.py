@@ -50,7 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.kernels import compiled, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import enter_piece, motion_at, PLATE
+from soft_throw_ros.core.plate_kernels import enter_piece, motion_at
 
 Floats = NDArray[np.float64]
 
@@ -74,8 +74,8 @@ _COUNTS = np.arange(1024.0)
 
 _RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 
-# A stepper has three records: the state at a grid point, a state between two grid points, and the
-# initial state for a reset. Lengths count from the static equilibrium, offsets are in steps.
+# The first record is the state at a grid point, the second that between two grid points. Lengths
+# count from the static equilibrium, offsets are in steps.
 RECORD = np.dtype(
     [
         # constants
@@ -90,19 +90,14 @@ RECORD = np.dtype(
         ('release_threshold', 'f8'),  # 2 p - V at which the projectile leaves: -g tau, less noise
         ('thickness', 'f8'),
         ('impedance', 'f8'),
-        ('rest_height', 'f8'),  # of the projectile's lower face [m]
-        # how the plate moves, and where it has got to
-        *PLATE,
+        *stepper.COMMON,
         # where the waves have got to
-        ('time', 'f8'),
         ('cell', 'i8'),  # grid point
         ('offset', 'f8'),  # beyond it
         ('base', 'i8'),  # grid point at index 0 of the waves
         ('filled', 'i8'),  # up to where p is known at the plate
         ('kink', 'i8'),  # next grid point at which p has a kink, at the top
         # the mass and the top of the layer
-        ('contact', '?'),
-        ('landed', '?'),
         ('velocity', 'f8'),  # V in contact
         ('sum', 'f8'),  # of p at the top by the trapezoidal rule, over h
         ('top', 'f8'),  # height of the top less 2 P - tau V, in flight less 2 P + g tau t
@@ -110,21 +105,18 @@ RECORD = np.dtype(
         ('launch_offset', 'f8'),
         ('launch_height', 'f8'),
         ('launch_velocity', 'f8'),
-        ('events', 'i8'),
         # loads up to the first release
         ('stride', 'i8'),  # between the grid points in time and depth whose strains are compared
         ('compared', 'i8'),  # next of these grid points in time
         ('peak_contact_force', 'f8'),  # of the scaled contact force 2 p - V
         ('peak_plate_stress', 'f8'),  # of p - m + g tau at the plate
         ('peak_strain', 'f8'),  # of the same in the layer
-        ('first_work', 'f8'),
-        ('work', 'f8'),  # sum of power over the impedance and h, without the steps in flight
+        ('first_work', 'f8'),  # the next at the first release
+        ('power_sum', 'f8'),  # sum of power over the impedance and h, without the steps in flight
         ('power', 'f8'),  # last addend
         # at `time`
         ('upward', 'f8', (2,)),  # p at plate and top
         ('downward', 'f8', (2,)),  # m at plate and top
-        ('surface', 'f8'),  # height of the top of the layer
-        ('state', 'f8', (7,)),
     ],
     align=True,
 )
@@ -152,8 +144,8 @@ def _moments(x):
 
 @kernel
 def prepare(
-    core: Any, N: int, crossing: float, relaxation: float, gravity: float, impedance: float,
-    omega: float, speed: float,
+    core: Any, N: int, thickness: float, crossing: float, relaxation: float, gravity: float,
+    impedance: float, omega: float, speed: float,
 ) -> None:
     """Complete the third record, which has the plate's motion already."""
     s = core[2]
@@ -168,6 +160,8 @@ def prepare(
     cubic[2] = x * (m1 + m2 / 2.0 - m3 / 2.0)
     cubic[3] = x * (-m1 / 6.0 + m3 / 6.0)
     s.relaxation, s.gravity, s.impedance = relaxation, gravity, impedance
+    s.thickness = thickness
+    s.rest_height = thickness - gravity * relaxation * crossing  # sag m g L / (E S)
     s.gravity_offset = gravity * relaxation
     s.release_threshold = -s.gravity_offset - _NOISE * speed
     s.base = -2 * N - PAD
@@ -266,7 +260,7 @@ def _change_contact(s, waves, events, d, cubic):
         height = s.top + 2.0 * rise - s.relaxation * V
         if s.events == 0:
             _compare_strains_at(s, waves, s.cell)
-            s.first_work = s.work + 0.5 * s.power * (2.0 * d - 1.0)
+            s.first_work = s.power_sum + 0.5 * s.power * (2.0 * d - 1.0)
         stepper.note_event(s, events, stepper.RELEASE, time, height, V)
         s.launch_cell, s.launch_offset = s.cell, d
         s.launch_height, s.launch_velocity = height, V
@@ -323,7 +317,7 @@ def _end_step(s, waves, V):
         stress = p - m + s.gravity_offset
         s.peak_plate_stress = max(s.peak_plate_stress, abs(stress))
         s.power = stress * (p + m)
-        s.work += s.power
+        s.power_sum += s.power
 
 
 @subroutine
@@ -332,18 +326,15 @@ def _write_top(s, offset, a, V, P):
     s.upward[1] = a
     if s.contact:
         s.downward[1] = V - a
-        s.surface = s.top + 2.0 * P - s.relaxation * V
-        s.state[stepper.PROJECTILE_POSITION] = s.rest_height + s.surface
-        s.state[stepper.PROJECTILE_VELOCITY] = V
-        force = s.impedance * (2.0 * a - V + s.gravity_offset)
-        s.state[stepper.PROJECTILE_FORCE] = force
+        s.surface = height = s.top + 2.0 * P - s.relaxation * V
+        velocity, force = V, s.impedance * (2.0 * a - V + s.gravity_offset)
     else:
         time, height, velocity = _free_flight(s, offset)
-        s.downward[1] = a + s.gravity_offset
+        s.downward[1], force = a + s.gravity_offset, 0.0
         s.surface = s.top + 2.0 * P + s.gravity_offset * time
-        s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
-        s.state[stepper.PROJECTILE_VELOCITY] = velocity
-        s.state[stepper.PROJECTILE_FORCE] = 0.0
+    s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
+    s.state[stepper.PROJECTILE_VELOCITY] = velocity
+    s.state[stepper.PROJECTILE_FORCE] = force
 
 
 @subroutine
@@ -355,7 +346,7 @@ def _run_in_contact(s, waves, count):
     decay, threshold = s.decay, s.release_threshold
     w0, w1, w2, w3 = s.cubic[0], s.cubic[1], s.cubic[2], s.cubic[3]
     behind, here, ahead = top[0], top[1], top[2]
-    V, total, work, power = s.velocity, s.sum, s.work, s.power
+    V, total, work, power = s.velocity, s.sum, s.power_sum, s.power
     peak_force, peak_stress = s.peak_contact_force, s.peak_plate_stress
     done = count
     for n in range(count):
@@ -378,7 +369,7 @@ def _run_in_contact(s, waves, count):
     s.cell += done
     s.velocity, s.sum = V, total
     if s.events == 0:
-        s.work, s.power = work, power
+        s.power_sum, s.power = work, power
         s.peak_contact_force, s.peak_plate_stress = peak_force, peak_stress
     return done
 
@@ -466,6 +457,18 @@ def _compare_strains_at(s, waves, cell):
         s.peak_strain = max(s.peak_strain, abs(stress))
 
 
+@subroutine
+def _write_loads(s):
+    """Write loads and work in SI units."""
+    force, stress = s.peak_contact_force, s.peak_plate_stress
+    contact_stress, wave_speed = force + s.gravity_offset, s.thickness / (s.steps * s.step)
+    s.loads[0] = max(s.peak_strain, stress, contact_stress) / wave_speed
+    s.loads[1], s.loads[2] = stress / wave_speed, contact_stress / wave_speed
+    s.loads[3], s.loads[4] = force / s.relaxation, stress * s.impedance
+    work = s.first_work if s.events > 0 else s.power_sum + (s.offset - 0.5) * s.power
+    s.work = s.impedance * s.step * work
+
+
 @kernel
 def _advance(core, waves, path, events, time):
     """Advance to `time`; return the number of events so far, or an error code."""
@@ -478,10 +481,10 @@ def _advance(core, waves, path, events, time):
         return stepper.BEYOND_HORIZON
     _march(grid, waves, path, events, goal)
     core[1] = core[0]
-    if s.cell != goal or s.events > events.shape[0]:
-        return stepper.TOO_MANY_EVENTS
-    s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
-    _cross_step(s, waves, events, s.offset)
+    if s.events <= events.shape[0]:
+        s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
+        _cross_step(s, waves, events, s.offset)
+    _write_loads(s)
     if s.events > events.shape[0]:
         return stepper.TOO_MANY_EVENTS
     i = goal - s.base - s.steps
@@ -543,11 +546,6 @@ def _read_layer(core, waves, out):
 def make_waves(steps: int) -> Floats:
     """Make room for the waves p and m."""
     return np.zeros((2, 4 * steps + _SPARE_STEPS))
-
-
-def clear_waves(waves: Floats, steps: int) -> None:
-    """Forget the waves: those that are read before they are written."""
-    waves[:, : 2 * steps + PAD + 1] = 0.0
 
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]

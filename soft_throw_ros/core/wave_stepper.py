@@ -13,20 +13,17 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.batch import Cancelled, check_cancelled, in_threads, longest_wait
-from soft_throw_ros.core.plate_kernels import NO_PATH, write_damped
+from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig, scales_of
 from soft_throw_ros.core.stepper import (
+    follow_batch,
     load_kernels,
-    Loads,
     require_count,
-    require_rate,
-    require_steps_per_period,
+    require_feasible,
     Stepper,
 )
 from soft_throw_ros.core.wave_kernels import (
     advance_compiled,
-    clear_waves,
     make_waves,
     PAD,
     prepare,
@@ -57,30 +54,18 @@ _STEPS_PER_RELAXATION = 8.0
 _MOST_FOR_RELAXATION = 2048
 """Most steps per crossing that are chosen for the relaxation time. [-]"""
 
-STEP_COST = 3e-9
+_STEP_COST = 3e-9
 """Time of a processor for a step. [s]"""
-
-_THROWS_PER_THREAD = 64
-"""Fewest throws that are worth a thread. [-]"""
 
 
 def steps_per_crossing(rig: Rig) -> int:
     r"""
     Choose the number of steps per crossing of the wave in real time.
 
-    Returns
-    -------
-    int
-        512, or more where the relaxation time or the plate's period is short, or less where steps
-        would be more than `MAX_STEP_RATE` in a second. Errors in :math:`t f` and
-        :math:`V / (A \omega)`: 1e-6 at the first release, and 1e-3 at the next four events of
-        95 % of random rigs.
-
-    Raises
-    ------
-    ValueError
-        If the layer is a stack or has loss, or if `MAX_STEPS` or `MAX_STEP_RATE` are too few; the
-        message names feasible values.
+    It is 512, or more where the relaxation time or the plate's period is short, or less where
+    steps would be more than `MAX_STEP_RATE` in a second. Errors in :math:`t f` and
+    :math:`V / (A \omega)`: 1e-6 at the first release, and 1e-3 at the next four events of 95 % of
+    random rigs. ValueError, with a feasible value, if `MAX_STEPS` or `MAX_STEP_RATE` are too few.
 
     Examples
     --------
@@ -88,13 +73,11 @@ def steps_per_crossing(rig: Rig) -> int:
     512
 
     """
-    rig.check_for_waves()
     slowest = _FEWEST_STEPS / rig.crossing_time
-    require_rate(rig.layer, slowest, limit=MAX_STEP_RATE, unit='steps')
+    require_feasible(rig, 'layer.thickness', slowest, MAX_STEP_RATE, 'steps per second')
     limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * rig.crossing_time))
-    for_plate = require_steps_per_period(
-        rig, _STEPS_PER_PERIOD, limit=limit, unit='steps per crossing of the wave'
-    )
+    for_plate = math.ceil(_STEPS_PER_PERIOD / rig.speed_ratio)
+    require_feasible(rig, 'engine.frequency', for_plate, limit, 'steps per crossing of the wave')
     for_mass = math.ceil(min(_STEPS_PER_RELAXATION / rig.mass_ratio, _MOST_FOR_RELAXATION))
     steps = min(max(_STEPS, for_mass, for_plate), limit)
     return steps - steps % 32
@@ -103,8 +86,6 @@ def steps_per_crossing(rig: Rig) -> int:
 class WaveStepper(Stepper):
     """
     A throw by travelling waves: a rigid projectile on a lossless layer of one material.
-
-    See `wave_kernels` for the scheme and its order, and `Stepper` for the common contract.
 
     Parameters
     ----------
@@ -131,8 +112,6 @@ class WaveStepper(Stepper):
 
     """
 
-    _kernels = advance_compiled, read_layer_compiled
-
     def __init__(
         self,
         rig: Rig,
@@ -142,24 +121,17 @@ class WaveStepper(Stepper):
         field_points: int = 64,
     ) -> None:
         rig.check_for_waves()
-        super().__init__(rig, field_points)
-        if steps is None:
-            steps = steps_per_crossing(rig)
+        steps = steps_per_crossing(rig) if steps is None else steps
         self.steps = require_count('steps', steps, low=16, high=MAX_STEPS)
-        self._layer = make_waves(self.steps)
-        start = self._make_records(RECORD, is_measured=is_measured)
-        start['thickness'] = rig.layer.thickness
-        start['rest_height'] = rig.rest_height
-        prepare(
-            self._core, self.steps, rig.crossing_time, rig.relaxation_time, rig.gravity,
-            rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
+        self.cost = _STEP_COST * self.steps / rig.crossing_time
+        super().__init__(
+            rig, RECORD, make_waves(self.steps), is_measured=is_measured, field_points=field_points
         )
-        self._work_unit = rig.layer.impedance * float(start['step'])
-        self._bind()
-        self.reset()
-
-    def _clear(self) -> None:
-        clear_waves(self._layer, self.steps)
+        prepare(
+            self._core, self.steps, rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
+            rig.gravity, rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
+        )
+        self._start(advance_compiled(), read_layer_compiled())
 
     def _copy_layer(self, origin: Stepper) -> None:
         """Copy the waves that are still on their way."""
@@ -168,65 +140,20 @@ class WaveStepper(Stepper):
         first, last = max(kept - PAD, 0), int(grid['filled'] - grid['base']) + 2
         self._layer[:, first:last] = origin._layer[:, first:last]
 
-    @property
-    def cost(self) -> float:
-        """Time of a processor over time of the rig, about [-]."""
-        return STEP_COST * self.steps / self.rig.crossing_time
-
-    @property
-    def loads(self) -> Loads:
-        """Largest loads up to the first release, or up to now before the release."""
-        return _loads_of(self._core[1], self.rig.layer.wave_speed)
-
-    @property
-    def plate_work(self) -> float:
-        """Work of the plate up to the first release, or up to now before the release [J]."""
-        now = self._core[1]
-        work = now['work'] + (now['offset'] - 0.5) * now['power']
-        return float(self._work_unit * (now['first_work'] if self.event_count else work))
-
-    def stored_energy(self) -> float:
-        """Return the work of the plate, since the layer is lossless [J]."""
-        return self.plate_work
-
-
-def _loads_of(s: np.void, wave_speed: float) -> Loads:
-    """Return the loads of a record in SI units."""
-    force, stress = float(s['peak_contact_force']), float(s['peak_plate_stress'])
-    contact_stress = force + float(s['gravity_offset'])
-    return Loads(
-        strain=max(float(s['peak_strain']), stress, contact_stress) / wave_speed,
-        plate_strain=stress / wave_speed,
-        contact_strain=contact_stress / wave_speed,
-        acceleration=force / float(s['relaxation']),
-        plate_force=stress * float(s['impedance']),
-    )
-
 
 def throw_batch(
     values: Mapping[str, Floats],
     *,
     until: Floats | float = math.nan,
-    threads: int | None = None,
     cancelled: Cancelled | None = None,
 ) -> Floats:
-    r"""
+    """
     Compute first releases and loads for `throws.throw_many`, without loss, unchecked.
 
-    Parameters
-    ----------
-    values, threads, cancelled
-        As for `cell_stepper.throw_batch`.
-    until : ndarray or float
-        Times of the first releases where they are known, otherwise NaN. A light projectile may
-        leave and be caught again within a step. [s]
-
-    Returns
-    -------
-    ndarray, shape (6, n)
-        Rows as of `cell_stepper.throw_batch`. Errors: 1e-5 in the release, and 1e-3 in
-        loads and work for 95 % of rigs.
-
+    `until` has the times of the first releases where they are known, otherwise NaN [s]: a light
+    projectile may leave and be caught again within a step. Arguments and result are else those of
+    `cell_stepper.throw_batch`. Errors: 1e-5 in the release, and 1e-3 in loads and work for 95 % of
+    rigs.
     """
     scales = scales_of(values)
     crossing, omega = scales.crossing_time, scales.angular_frequency
@@ -234,37 +161,17 @@ def throw_batch(
         _STEPS_PER_RELAXATION / scales.mass_ratio, _STEPS_PER_PERIOD / scales.speed_ratio
     )
     steps = np.clip(32.0 * np.ceil(steps / 32.0), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    is_known = np.isfinite(np.broadcast_to(until, crossing.shape))
-    latest = np.where(is_known, until + crossing / steps, longest_wait(scales))
-    amplitude, zeta, gravity = (values[key] for key in ('amplitude', 'damping_ratio', 'gravity'))
-    results = np.full((6, crossing.size), math.nan)
+    columns = (
+        steps, values['thickness'], crossing, scales.relaxation_time, values['gravity'],
+        scales.impedance, omega, values['amplitude'] * omega,
+    )
 
-    def run(first: int, stride: int) -> None:
-        core, no_events = np.zeros(3, RECORD), np.empty((0, 4))
-        numbers = core.view(np.float64).reshape(3, -1)
-        advance = advance_compiled()
-        for n in range(first, crossing.size, stride):
-            check_cancelled(cancelled)
-            waves = make_waves(int(steps[n]))
-            numbers[:] = 0.0
-            write_damped(core, amplitude[n], omega[n], zeta[n])
-            prepare(
-                core, steps[n], crossing[n], scales.relaxation_time[n], gravity[n],
-                scales.impedance[n], omega[n], amplitude[n] * omega[n],
-            )
-            numbers[:2] = numbers[2]
-            advance(core, waves, NO_PATH, no_events, latest[n])
-            s = core[1]
-            if s['events'] or is_known[n]:
-                loads = _loads_of(s, values['wave_speed'][n])
-                work = (s['first_work'] if s['events'] else s['work']) * s['step'] * s['impedance']
-                results[:, n] = (
-                    (s['launch_cell'] + s['launch_offset']) * s['step'], s['launch_velocity'],
-                    loads.strain, loads.acceleration, loads.plate_force, work,
-                )
+    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
+        prepare(core, *(column[n] for column in columns))
+        return make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
 
-    in_threads(run, count=crossing.size, per_thread=_THROWS_PER_THREAD, threads=threads)
-    return results
+    until = until + crossing / steps
+    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, until, cancelled)
 
 
 def warm_up() -> None:

@@ -21,34 +21,32 @@ from soft_throw_ros.core.throws import last_release, rig_with
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
 
-_MAX_AMPLITUDE = TWIN.by_name['engine.amplitude'].high
-"""Amplitude at which the search ends. [m]"""
-
-_BRACKET_STEP = 0.1
-"""Step of the logarithm of the amplitude in the search for a bracket. [-]"""
-
-_UNRELEASED = -10.0
-"""Logarithm of reached over target that stands for a throw without a release. [-]"""
-
-_AMPLITUDE_TOLERANCE = 1e-9
-"""Error of the logarithm of the amplitude. [-]"""
-
-_TARGET_TOLERANCE = 1e-5
-"""Relative error of the target; a solution that misses it by more lies at a jump. [-]"""
+_MAX_AMPLITUDE = TWIN.by_name['engine.amplitude'].high  # where the search ends [m]
+_BRACKET_STEP = 0.1  # step of the logarithm of the amplitude in the search for a bracket [-]
+_UNRELEASED = -10.0  # logarithm of reached over target that stands for no release [-]
+_AMPLITUDE_TOLERANCE = 1e-9  # error of the logarithm of the amplitude [-]
+_TARGET_TOLERANCE = 1e-5  # relative error of the target, beyond it a solution is a jump [-]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aim(PredictedThrow):
     """A throw that reaches its target."""
 
-    amplitude: float
-    """Amplitude of the plate. [m]"""
-    height: float
-    """Rise of the projectile above its rest position; infinite without gravity. [m]"""
-    speed: float
-    """Speed at the last release. [m/s]"""
-    rig: Rig
-    """The rig of this throw."""
+    amplitude: float  # amplitude of the plate [m]
+    height: float  # rise of the projectile above its rest position; infinite without gravity [m]
+    speed: float  # speed at the last release [m/s]
+    rig: Rig  # the rig of this throw
+    present: Rig  # the rig as it is
+
+    @property
+    def summary(self) -> str:
+        """A sentence with the amplitude, what it reaches, and the loads."""
+        height = f' and {self.height:.4g} m high' if self.height < math.inf else ''
+        return (
+            f'amplitude {1e3 * self.present.engine.amplitude:.4g} -> {1e3 * self.amplitude:.4g} '
+            f'mm reaches {self.speed:.4g} m/s{height}: strain {1e2 * self.peak_strain:.3g} %, '
+            f'acceleration {self.peak_acceleration:.3g} m/s2'
+        )
 
 
 def aim(
@@ -114,8 +112,8 @@ def aim(
     amplitude = math.exp(logarithm)
     if abs(excess(logarithm)) > _TARGET_TOLERANCE or amplitude > _MAX_AMPLITUDE:
         raise ThrowUnresolvedError(f'no amplitude up to {_MAX_AMPLITUDE:g} m reaches {goal}')
-    rig = rig_with(rig, {'amplitude': amplitude})
-    throw, last, limits = predict(rig), last_release(rig), limits or Limits()
+    aimed = rig_with(rig, {'amplitude': amplitude})
+    throw, last, limits = predict(aimed), last_release(aimed), limits or Limits()
     for name, value, limit in (
         ('strain', throw.peak_strain, min(limits.max_strain, LARGEST_STRAIN)),
         ('acceleration', throw.peak_acceleration, limits.max_acceleration),
@@ -126,5 +124,6 @@ def aim(
                 f'{value:.4g}, which must be at most {limit:g}'
             )
     return Aim(
-        **vars(throw), amplitude=amplitude, height=last.height, speed=last.speed, rig=rig
+        **vars(throw), amplitude=amplitude, height=last.height, speed=last.speed, rig=aimed,
+        present=rig,
     )

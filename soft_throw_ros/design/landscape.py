@@ -24,15 +24,13 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import functools
-import itertools
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import get_args, Literal, NamedTuple
+from typing import Any, get_args, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,9 +47,6 @@ from soft_throw_ros.storage.atomic_file import atomic_file
 Floats = NDArray[np.float64]
 
 Release = Literal['first', 'last']
-
-Progress = Callable[[int], object]
-"""Called with the number of throws that have been computed since the last call."""
 
 
 class QuantityLabel(NamedTuple):
@@ -93,29 +88,11 @@ RESULTS: Mapping[str, QuantityLabel] = {
 }
 """Results at every point of a landscape, by the names of its arrays."""
 
-_SAME = ({'x', 'mu'}, {'C', 'kappa'})
+_RATIOS = {'x': 'mu', 'C': 'kappa', 'mu': 'mu', 'kappa': 'kappa'}
+"""Axes without unit, and the ratio that each of them is a function of."""
+
 _WITH_RATIOS = ('engine.damping_ratio', 'engine.amplitude', 'gravity', 'layer.loss_tangent')
 """Parameters that may be an axis beside a ratio."""
-
-
-def check_axis(name: str, values: ArrayLike) -> Floats:
-    """Return the values of one of `AXES` as floats, shape (n,), which must increase [SI]."""
-    if name not in AXES:
-        raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
-    array = checks.require_all(name, values, 'not_negative')
-    if array.ndim != 1 or not array.size:
-        raise ValueError(f'{name} must be a row of numbers, got shape {array.shape}')
-    for before, after in itertools.pairwise(array.tolist()):
-        if after <= before:
-            raise ValueError(f'{name} must increase, got {before:g} and then {after:g}')
-    if name in TWIN.by_name:
-        for value in (array[0], array[-1]):
-            TWIN.check_value(name, float(value))
-    else:
-        checks.require_positive(name, array[0])
-    if name == 'x':
-        checks.require_in_unit_interval(name, array[-1])
-    return array
 
 
 class HighestPoint(NamedTuple):
@@ -130,18 +107,12 @@ class HighestPoint(NamedTuple):
 class Landscape:
     """Ejection phase and energy transfer over two axes. Made by `compute_landscape`."""
 
-    rig: Rig
-    """The rig of all throws, apart from the axes."""
-    axes: Mapping[str, Floats]
-    """Values of the two axes, of shapes (n,) and (m,). [SI]"""
-    ejection_phase: Floats
-    """:math:`t_e f`, shape (n, m); NaN where the projectile does not leave. [-]"""
-    energy_transfer: Floats
-    r""":math:`\alpha = (V_e / V_p^*)^2`, shape (n, m); NaN as above. [-]"""
-    release: Release
-    """Release that counts, the first or the last."""
-    density_ratio: float
-    """Density of the projectile over that of the layer, for the axes x and C. [-]"""
+    rig: Rig  # the rig of all throws, apart from the axes
+    axes: Mapping[str, Floats]  # values of the two axes, of shapes (n,) and (m,) [SI]
+    ejection_phase: Floats  # shape (n, m); NaN where the projectile does not leave [-]
+    energy_transfer: Floats  # likewise [-]
+    release: Release  # release that counts, the first or the last
+    density_ratio: float  # projectile over layer, for the axes x and C [-]
 
     @property
     def optimum(self) -> HighestPoint | None:
@@ -150,11 +121,8 @@ class Landscape:
             return None
         i, j = np.unravel_index(np.nanargmax(self.energy_transfer), self.energy_transfer.shape)
         x, y = self.axes.values()
-        return HighestPoint(
-            (float(x[i]), float(y[j])),
-            float(self.ejection_phase[i, j]),
-            float(self.energy_transfer[i, j]),
-        )
+        results = float(self.ejection_phase[i, j]), float(self.energy_transfer[i, j])
+        return HighestPoint((float(x[i]), float(y[j])), *results)
 
     def coordinates_of(self, rig: Rig) -> tuple[float, float]:
         """Return the position of a rig on the axes; x and C take the landscape's density ratio."""
@@ -167,30 +135,26 @@ class Landscape:
 
     def save(self, path: Path) -> None:
         """Write NetCDF 3, which xarray and MATLAB read; the file is complete or not there."""
-        labels = {name.replace('.', '_'): AXES[name] for name in self.axes} | dict(RESULTS)
-        arrays = [*self.axes.values(), *(getattr(self, name) for name in RESULTS)]
-        axes = list(labels)[:2]
+        axes = [name.replace('.', '_') for name in self.axes]
         with (
             atomic_file(path) as unfinished,
             netcdf_file(unfinished, 'w', mmap=False, version=2) as data,
         ):
-            attributes = {
-                'Conventions': 'CF-1.11',
-                'title': f'{self.release.capitalize()} release over {" and ".join(self.axes)}',
-                'source': f'soft_throw_ros {soft_throw_ros.__version__}',
-                'release': self.release,
-                'density_ratio': self.density_ratio,
-                **{name.replace('.', '_'): value for name, value in rig_values(self.rig).items()},
-            }
-            for name, value in attributes.items():
-                setattr(data, name, value)
-            for name, values in zip(axes, arrays, strict=False):
-                data.createDimension(name, values.size)
-            for (name, label), values in zip(labels.items(), arrays, strict=True):
-                variable = data.createVariable(name, 'f8', axes if name in RESULTS else [name])
+            data.source = f'soft_throw_ros {soft_throw_ros.__version__}'
+            data.release, data.density_ratio = self.release, self.density_ratio
+            for name, value in rig_values(self.rig).items():
+                setattr(data, name.replace('.', '_'), value)
+
+            def write(name: str, values: Floats, dimensions: list[str], label: Any) -> None:
+                variable = data.createVariable(name, 'f8', dimensions)
                 variable[:] = values
-                variable.long_name = label.meaning
-                variable.units = label.unit or '1'
+                variable.long_name, variable.units = label.meaning, label.unit or '1'
+
+            for axis, (name, values) in zip(axes, self.axes.items(), strict=True):
+                data.createDimension(axis, values.size)
+                write(axis, values, [axis], AXES[name])
+            for name, label in RESULTS.items():
+                write(name, getattr(self, name), axes, label)
 
 
 def compute_landscape(
@@ -199,25 +163,13 @@ def compute_landscape(
     *,
     release: Release = 'first',
     density_ratio: float | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    run: Callable[..., Iterable[Floats]] = map,
 ) -> Landscape:
     r"""
-    Compute a landscape over two of `AXES`.
+    Compute a landscape over two of `AXES`, of which the ratios replace values of the rig.
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig of all throws, apart from the axes.
-    axes : mapping of str to array_like
-        Increasing values of two axes. x, C, mu and kappa replace the values of the rig, and go
-        with each other and with `_WITH_RATIOS`.
-    release : {'first', 'last'}
-        The first one, or the last one before the projectile falls back for good.
-    density_ratio : float, optional
-        Projectile over layer, for the axes x and C; that of the rig if not given. [-]
-    executor, progress : optional
-        Executor of blocks of throws, and a callback with the number of throws done.
+    `density_ratio` is that of projectile and layer, for the axes x and C; that of the rig if not
+    given. `run` maps a function over blocks of throws, as `Executor.map` does.
 
     Notes
     -----
@@ -227,8 +179,6 @@ def compute_landscape(
 
     Examples
     --------
-    Thickness and wave speed of the layer, by a coarse net:
-
     >>> landscape = compute_landscape(
     ...     Rig(), {'layer.thickness': [0.01, 0.015, 0.02], 'layer.wave_speed': [6.0, 9.0]}
     ... )
@@ -240,33 +190,22 @@ def compute_landscape(
     (0.015, 9.0)
 
     """
-    if len(axes) != 2:
-        raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
-    checked = {name: check_axis(name, values) for name, values in axes.items()}
-    _check_axes(*checked)
-    _check_release(rig, axes, release)
+    checked = _check(rig, axes, release)
     if density_ratio is None:
-        projectile = rig.projectile
-        density_ratio = projectile.mass / (rig.layer.section * projectile.length)
-        density_ratio /= rig.layer.density
+        projectile, layer = rig.projectile, rig.layer
+        density_ratio = projectile.mass / (layer.section * projectile.length * layer.density)
     checks.require_positive('density_ratio', density_ratio)
     first, second = checked.values()
     shape = (first.size, second.size)
     along = dict(zip(checked, (first[:, None], second), strict=True))
     changes = _changes(rig, along, density_ratio)
     cases = np.stack([np.broadcast_to(item, shape).ravel() for item in changes.values()])
-    threads = None if executor is None else 1
-    compute = functools.partial(_compute, rig, release, threads, tuple(changes))
+    compute = functools.partial(_compute, rig, release, tuple(changes))
     has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
     is_fast = rig.engine.motion is None and not has_cells
     size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
-    results = []
-    for result in (executor.map if executor else map)(compute, blocks):
-        results.append(result)
-        if progress is not None:
-            progress(result.shape[1])
-    phase, transfer = np.hstack(results).reshape(len(RESULTS), *shape)
+    phase, transfer = np.hstack(list(run(compute, blocks))).reshape(len(RESULTS), *shape)
     return Landscape(
         rig=rig,
         axes=checked,
@@ -277,26 +216,39 @@ def compute_landscape(
     )
 
 
-def _check_release(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> None:
-    """Refuse releases and axes that do not go with a rig."""
+def _check(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> dict[str, Floats]:
+    """Return the values of two axes of a rig, or refuse them."""
     if release not in get_args(Release):
         raise ValueError(f"release must be 'first' or 'last', got {release!r}")
+    if len(axes) != 2:
+        raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
+    for name in axes:
+        if name not in AXES:
+            raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
+    is_ratio = [name in _RATIOS for name in axes]
+    if len({_RATIOS.get(name, name) for name in axes}) == 1:
+        raise ValueError(f'the axes {" and ".join(axes)} are not independent; choose others')
+    if any(is_ratio) and not {*axes} <= {*_RATIOS, *_WITH_RATIOS}:
+        names = ', '.join([*_RATIOS, *_WITH_RATIOS])
+        raise ValueError(f'a ratio can be combined with {names}, got {" and ".join(axes)}')
     if rig.engine.motion and 'engine.damping_ratio' in axes:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
     if rig.layer.parts and release == 'last':
         raise ValueError('layer.stack needs the first release, got the last one')
-
-
-def _check_axes(first: str, second: str) -> None:
-    """Refuse two axes that are functions of each other."""
-    if {first, second} in _SAME:
-        raise ValueError(f'the axes {first} and {second} are not independent; choose others')
-    ratios = {name for same in _SAME for name in same}
-    for ratio, other in ((first, second), (second, first)):
-        if ratio in ratios and other not in ratios and other not in _WITH_RATIOS:
-            allowed = sorted(next(ratios - same for same in _SAME if ratio in same))
-            names = ', '.join([*allowed, *_WITH_RATIOS])
-            raise ValueError(f'the axis {ratio} can be combined with {names}, got {other}')
+    checked = {}
+    for name, values in axes.items():
+        array = checks.require_all(name, values, 'not_negative')
+        if array.ndim != 1 or not array.size or (np.diff(array) <= 0.0).any():
+            raise ValueError(f'{name} must be increasing numbers, got {array}')
+        for value in array[[0, -1]].tolist():
+            if name in TWIN.by_name:
+                TWIN.check_value(name, value)
+            else:
+                checks.require_positive(name, value)
+        if name == 'x':
+            checks.require_in_unit_interval(name, array[-1])
+        checked[name] = array
+    return checked
 
 
 def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dict[str, Floats]:
@@ -317,18 +269,15 @@ def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dic
     return {**changes, 'thickness': thickness, 'density': density}
 
 
-def _compute(
-    rig: Rig, release: Release, threads: int | None, names: Sequence[str], cases: Floats
-) -> Floats:
+def _compute(rig: Rig, release: Release, names: Sequence[str], cases: Floats) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
     if release == 'first':
         changes = dict(zip(names, cases, strict=True))
-        throws = throw_many(rig, changes, threads=threads)
+        throws = throw_many(rig, changes)
         frequency = changes.get('frequency', rig.engine.frequency)
         return np.stack([throws.ejection_time * frequency, throws.energy_transfer])
     rigs = (rig_with(rig, dict(zip(names, case, strict=True))) for case in cases.T.tolist())
-    releases = [_last(item) for item in rigs]
-    return np.array(list(zip(*releases, strict=True)))
+    return np.transpose([_last(item) for item in rigs])
 
 
 def _last(rig: Rig) -> tuple[float, float]:

@@ -32,42 +32,28 @@ import scipy  # its parts are imported where they are first used, which takes 0.
 
 Floats = NDArray[np.float64]
 
-_MIN_POINTS, _MAX_POINTS = 9, 512
-"""Bounds of the number of grid points along an axis that is free."""
-
-_MAX_CANDIDATES = 4
-"""Number of pattern searches, each from a local maximum of the grid."""
-
-_CANDIDATE_TOLERANCE = 0.1
-"""Part of the highest score that a candidate may lack while its patch is a grid step wide. [-]"""
-
-_SHARE = 32
-"""One of so many grid points is computed before the others, to exclude most of them."""
-
-_MAX_ROUNDS = 40
-"""Upper bound of the rounds of a pattern search, which usually needs 6 to 15."""
-
-_PATCH = np.linspace(-1.0, 1.0, 7)
-"""Points of a patch along an axis, in half widths."""
-
-_FAN = tuple(itertools.product((-1.0, 1.0), np.linspace(-1.0, 1.0, 15).tolist()))
-"""Far points: along a ridge in roots of half widths, and across it in half widths."""
-
-_SHRINK = 0.3
-"""Size of the next patch over that of a patch with its best point inside. [-]"""
-
-_EQUAL = 1e-9
-"""Relative difference of scores that count as equal; then the thinner layer is chosen. [-]"""
-
-_ROUNDING = 1e-13
-"""Relative difference of scores that may be rounding; a patch does not move for less. [-]"""
-
 Score: TypeAlias = Callable[[Floats, Floats, Floats | float], Floats]
 """
 Score by thickness and wave speed; 0 for layers that throw nothing or break a limit.
 
 Where the score is below the third argument, any number between them may be returned.
 """
+
+NEAR = 0.1  # part of the highest score that a layer may lack to be searched near [-]
+
+_POINTS = (9, 512)  # least and most grid points along an axis that is free
+_FIRST_POINTS = 4  # grid points computed before the others, to exclude most of them
+_SEARCHES = 4  # pattern searches, each from a local maximum of the grid
+_MAX_ROUNDS = 40  # of a pattern search, which usually takes 6 to 15
+_SHRINK = 0.3  # size of the next patch over that of a patch with its best point inside [-]
+_EQUAL = 1e-9  # relative difference of equal scores; then the thinner layer is chosen [-]
+_ROUNDING = 1e-13  # relative difference of scores for which a patch does not move [-]
+
+_PATCH = np.linspace(-1.0, 1.0, 7)
+"""Points of a patch along an axis, in half widths."""
+
+_FAN = list(itertools.product((-1.0, 1.0), np.linspace(-1.0, 1.0, 15).tolist()))
+"""Far points: along a ridge in roots of half widths, and across it in half widths."""
 
 
 class Box(NamedTuple):
@@ -97,6 +83,8 @@ def maximise(
     step: float,
     starts: Sequence[tuple[float, float]] = (),
     tolerance: float = 1e-5,
+    needed: float = 0.0,
+    rough: Score | None = None,
 ) -> Optimum | None:
     """
     Find the layer with the highest score.
@@ -113,19 +101,23 @@ def maximise(
         Thickness [m] and wave speed [m/s] of layers that start a search if they beat the grid.
     tolerance : float
         Relative error of thickness and wave speed. [-]
+    needed : float
+        Score below which no layer matters. [-]
+    rough : Score, optional
+        A faster upper bound of the score, which chooses the points of the grid to search near.
 
     Returns
     -------
     Optimum or None
-        None if all scores are 0. Of scores that are equal to 1e-9, the thinner layer.
+        None if no score is above `needed`. Of scores that are equal to 1e-9, the thinner layer.
 
     """
     low, high = np.log(np.array(box).T)
-    sizes = np.clip(np.ceil((high - low) / step).astype(int) + 1, _MIN_POINTS, _MAX_POINTS)
+    sizes = np.clip(np.ceil((high - low) / step).astype(int) + 1, *_POINTS)
     sizes = np.where(high > low, sizes, 1)
     spacing = (high - low) / np.maximum(sizes - 1, 1)
 
-    def at(points: Floats, needed: Floats | float = 0.0) -> Floats:
+    def at(points: Floats, needed: Floats | float = 0.0, score: Score = score) -> Floats:
         """Compute scores at points, the logarithms of thickness and wave speed."""
         thickness, wave_speed = (
             np.clip(np.exp(points[..., i].ravel()), *box[i]) for i in range(2)
@@ -134,37 +126,29 @@ def maximise(
         return score(thickness, wave_speed, needed).reshape(points.shape[:-1])
 
     axes = [np.linspace(low[i], high[i], sizes[i]) for i in range(2)]
-    grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1)
-    points = grid.reshape(-1, 2)
+    points = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
     scores = at(points, np.inf)
-    first = np.argsort(-scores)[: 1 + scores.size // _SHARE]
-    needed = (1.0 - _CANDIDATE_TOLERANCE) * at(points[first]).max()
-    is_near = scores >= needed
-    scores[is_near] = at(points[is_near], needed)
-    indices = _highest_maxima(scores.reshape(grid.shape[:-1]))
-    points, values = points[indices], scores[indices]
+    best = max(needed, at(points[np.argsort(-scores)[:_FIRST_POINTS]]).max())
+    is_near = scores >= (1.0 - NEAR) * best
+    scores[is_near] = at(points[is_near], score=rough or score)
+    around = scipy.ndimage.maximum_filter(scores.reshape(sizes), 3).ravel()
+    maxima = np.flatnonzero((scores >= around) & (scores > (1.0 - NEAR) * scores.max()))
+    points = points[maxima[np.argsort(-scores[maxima], kind='stable')[:_SEARCHES]]]
+    values = at(points)
     if starts:
         others = np.log(np.array(starts))
         scores = at(others)
         is_better = scores > values.max(initial=0.0)
         points = np.concatenate([points, others[is_better]])
         values = np.append(values, scores[is_better])
-    if not (values > 0.0).any():
-        return None
-    point, value = points[0], float(values[0])
     if (high > low).any():
-        point, value = _pattern_search(at, points, values, spacing, (low, high), tolerance)
-    thickness, wave_speed = (float(np.clip(np.exp(point[i]), *box[i])) for i in range(2))
-    return Optimum(thickness, wave_speed, value)
-
-
-def _highest_maxima(scores: Floats) -> NDArray[np.intp]:
-    """Return the flat indices of the highest grid points that no neighbour exceeds."""
-    around = scipy.ndimage.maximum_filter(scores, 3)
-    is_high = scores > (1.0 - _CANDIDATE_TOLERANCE) * scores.max()
-    maxima = np.flatnonzero((scores >= around) & is_high)
-    order = np.argsort(-scores.ravel()[maxima], kind='stable')
-    return maxima[order[:_MAX_CANDIDATES]]
+        points, values = _pattern_search(at, points, values, spacing, (low, high), tolerance)
+    if not values.max(initial=0.0) > needed:
+        return None
+    is_best = values >= (1.0 - _EQUAL) * values.max()
+    thinnest = np.flatnonzero(is_best)[points[is_best, 0].argmin()]
+    thickness, wave_speed = np.clip(np.exp(points[thinnest]), *np.transpose(box)).tolist()
+    return Optimum(thickness, wave_speed, float(values[thinnest]))
 
 
 def _pattern_search(
@@ -174,15 +158,15 @@ def _pattern_search(
     spacing: Floats,
     box: tuple[Floats, Floats],
     tolerance: float,
-) -> tuple[Floats, float]:
-    """Move patches to their best points and shrink them; return the best point and its score."""
+) -> tuple[Floats, Floats]:
+    """Move patches to their best points and shrink them; return the points and their scores."""
     is_free = spacing > 0.0
     near = np.array(list(itertools.product(*(_PATCH if free else (0.0,) for free in is_free))))
     far = np.array(_FAN if is_free.all() else []).reshape(-1, 2)
     is_edge = np.abs(np.concatenate([near, far])).max(axis=1) == 1.0
     widths = np.ones(len(points))
     for _ in range(_MAX_ROUNDS):
-        if widths.max() * spacing.max() < tolerance:
+        if widths.max(initial=0.0) * spacing.max() < tolerance:
             break
         scale = widths[:, None, None]
         moves = np.concatenate(
@@ -198,8 +182,6 @@ def _pattern_search(
         points = np.where(is_better[:, None], patches[rows, best], points)
         values = np.where(is_better, scores[rows, best], values)
         widths = np.where(is_better & is_edge[best], widths, _SHRINK * widths)
-        is_candidate = values >= (1.0 - _CANDIDATE_TOLERANCE * widths) * values.max()
+        is_candidate = values >= (1.0 - NEAR * widths) * values.max()
         points, values, widths = points[is_candidate], values[is_candidate], widths[is_candidate]
-    is_best = values >= (1.0 - _EQUAL) * values.max()
-    thinnest = np.flatnonzero(is_best)[points[is_best, 0].argmin()]
-    return points[thinnest], float(values[thinnest])
+    return points, values

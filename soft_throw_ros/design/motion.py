@@ -19,12 +19,10 @@ active, so the programme begins without limits of the strain, and adds the limit
 exceeds, until the solution keeps all limits.
 
 Pulses are quadratic B-splines. Their heights bound velocity, acceleration and jerk at all times.
-The height of the plate is a cubic spline that begins and ends at rest, without acceleration.
-The spacing of the pulses is a whole number of nanoseconds, the resolution of trajectory messages.
-A quintic then leads the plate back to its first height, so that a controller can repeat the
-motion. The exact stepper then simulates the throw to its end. A motion that meets the projectile
-again is rejected, and a motion that slightly exceeds a limit of the layer or the projectile is
-scaled down.
+The height of the plate is a cubic spline from rest to rest, with knots at whole nanoseconds, the
+resolution of trajectory messages. A quintic then leads the plate back to its first height. The
+exact stepper simulates the throw to its end. A motion that meets the projectile again is rejected,
+and one that slightly exceeds a limit of the layer or the projectile is scaled down.
 
 Loss and stacks are linear, too. For a neo-Hookean layer the programme uses the linear layer of
 the same modulus at rest, but the simulation uses the neo-Hookean layer. Programmes are solved for
@@ -63,7 +61,7 @@ from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
 from soft_throw_ros.core.throws import rig_with, SEARCH_CELLS, throw_many
-from soft_throw_ros.design.prediction import predict, PredictedThrow
+from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
 from soft_throw_ros.design.uncertainty import Uncertainties
 
@@ -72,53 +70,26 @@ Floats = NDArray[np.float64]
 Critical: TypeAlias = set[tuple[int, float, float]]
 """Strains that solutions exceeded: index of the height, time before the release [s], sign."""
 
-_COARSE, _FINE = (12, 120), (64, 300)
-"""Pulses per crossing of the wave, and largest number of pulses until T."""
-
-_WAITING_GAIN = 1e-3
-"""Relative gain of speed that does not justify a later release. [-]"""
-
-_FINER = 2
-"""Times per pulse at which the layer has to push the projectile."""
-
-_HEIGHTS = 9
-"""Points of the layer, from plate to projectile, at which the programme limits the strain."""
-
-_STRAIN_TOLERANCE = 2e-3
-"""Relative excess of a strain that adds a limit to the programme. [-]"""
-
-_STRAIN_STRIDE = 4
-"""Where the strain is too large for many pulses, every fourth gets a limit, beside the maxima."""
-
-_MAX_ROUNDS = 12
-"""Programmes solved in turn while limits of the strain are added; 3 to 6 are enough."""
-
-_SMOOTHING_LOSS = 5e-4
-"""Relative loss of speed that is accepted for a motion without brief pulses. [-]"""
-
-_SCALINGS = 5
-"""Most simulations that scale a motion down to the limits of its loads."""
-
-_LOAD_TOLERANCE = 1e-6
-"""Relative excess of a load that is tolerated. [-]"""
-
-_MIN_CONTACT_FORCE = 0.2
-"""Smallest force on the projectile in a programme, over the projectile's weight. [-]"""
-
-_KEPT_SPEED = 0.93
-"""Share of the speed that a motion keeps on other rigs, or is designed once more. [-]"""
-
-_MIN_WAVE_FORCE = 1e-3
-"""The same while the wave is in the layer, over the largest speed times the impedance. [-]"""
-
-_PROGRAMME_ERROR = 0.01
-"""Largest relative deficit of the simulated speed against the coarse programme. [-]"""
-
-_TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)
-"""Factors of the time of release that are tried in turn."""
-
-_OPTIMAL, _INFEASIBLE = 0, 2
-"""Statuses of `linprog` that need no other method."""
+_COARSE, _FINE = (12, 120), (64, 300)  # pulses per crossing of the wave, and until T at most
+_FINER = 2  # times per pulse at which the layer has to push the projectile
+_HEIGHTS = 9  # points of the layer, from plate to projectile, whose strain is limited
+_WAITING_GAIN = 1e-3  # relative gain of speed that does not justify a later release [-]
+_STRAIN_TOLERANCE = 2e-3  # relative excess of a strain that adds a limit to the programme [-]
+_STRAIN_STRIDE = 4  # of the pulses that get a limit of the strain, beside the maxima
+_MAX_ROUNDS = 12  # programmes in turn while limits of the strain are added; 3 to 6 are enough
+_SMOOTHING_LOSS = 5e-4  # relative loss of speed for a motion without brief pulses [-]
+_SCALINGS = 5  # most simulations that scale a motion down to the limits of its loads
+_LOAD_TOLERANCE = 1e-6  # relative excess of a load that is tolerated [-]
+_MIN_CONTACT_FORCE = 0.2  # smallest force on the projectile over its weight [-]
+_MIN_WAVE_FORCE = 1e-3  # the same in the contact, over the largest speed times impedance [-]
+_KEPT_SPEED = 0.93  # share of the speed that a motion keeps on other rigs [-]
+_PROGRAMME_ERROR = 0.01  # relative deficit of the simulated speed against the programme [-]
+_TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # of the time of release, tried in turn
+_OPTIMAL, _INFEASIBLE = 0, 2  # statuses of `linprog` that need no other method
+_PROGRAMME_TIME = 60.0  # limit of the time of a programme, which takes a second [s]
+_ROUNDING = 1e-12  # relative room below the limits of the plate [-]
+_RETURN_SHARE = 0.25  # peak speed, acceleration and jerk of the way back, over the motion's [-]
+_NO_RETURN = 1e-9  # distance from the first height that is rounding [m]
 
 _METHODS = {'highs-ipm': 300, 'highs-ds': 20000}
 """
@@ -128,20 +99,8 @@ The simplex method may take minutes where the jerk is limited; the interior-poin
 iterations, but does not always converge.
 """
 
-_PROGRAMME_TIME = 60.0
-"""Limit of the time of a programme, which takes a second. [s]"""
-
-_ROUNDING = 1e-12
-"""Relative room below the limits of the plate for rounding. [-]"""
-
-_RETURN_SHARE = 0.25
-"""Peak speed, acceleration and jerk of the way back, over those of the motion. [-]"""
-
 _QUINTIC_PEAKS = (1.875, 10.0 / math.sqrt(3.0), 60.0)
 """Peak speed, acceleration and jerk of a quintic from rest to rest, of height and duration 1."""
-
-_NO_RETURN = 1e-9
-"""Distance from the first height that is rounding. [m]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,10 +150,8 @@ class PlateLimits:
 class Pulses(NamedTuple):
     """A motion of the plate: a series of quadratic B-splines in its velocity."""
 
-    step: float
-    """Time between neighbours. [s]"""
-    heights: Floats
-    """Coefficients of the B-splines. [m/s]"""
+    step: float  # time between neighbours [s]
+    heights: Floats  # coefficients of the B-splines [m/s]
 
     def motion(self) -> SampledMotion:
         """Return the motion, without the rest before and after it."""
@@ -274,22 +231,34 @@ def find_best_motion(
 class MotionDesign(PredictedThrow):
     """The best motion of the plate, and its throw."""
 
-    rig: Rig
-    """The rig with the best motion."""
-    present: Rig
-    """The rig as it is."""
-    limits: PlateLimits
-    """Limits of the actuator."""
-    now: PredictedThrow | None
-    """Throw of the rig as it is; None if it does not throw."""
-    worst: PredictedThrow | None
-    """Slowest throw of the best motion within the uncertainties; None if a rig does not throw."""
+    rig: Rig  # the rig with the best motion
+    present: Rig  # the rig as it is
+    limits: PlateLimits  # limits of the actuator
+    now: PredictedThrow | None  # throw of the rig as it is; None if it does not throw
+    worst: PredictedThrow | None  # slowest throw within the uncertainties; None without a throw
 
     @property
     def motion(self) -> SampledMotion:
         """Designed motion of the plate."""
         assert self.rig.engine.motion is not None
         return self.rig.engine.motion
+
+    @property
+    def summary(self) -> str:
+        """A sentence with the gain of energy, and the way down of the plate."""
+        now, motion = self.now, self.motion
+        text = f'the present motion throws nothing, the best one {self.ejection_speed:.4g} m/s'
+        if now is not None:
+            gain = gain_text(self.kinetic_energy / now.kinetic_energy - 1.0)
+            text = (
+                f'with the same motor, {gain} by the best motion (ejection speed '
+                f'{now.ejection_speed:.4g} -> {self.ejection_speed:.4g} m/s)'
+            )
+        lowest = int(motion.states[:, 0].argmin())
+        depth, time = -motion.states[lowest, 0], motion.times[lowest]
+        if depth > 0.01 * self.limits.travel:
+            text += f'; the plate goes down first, by {1e3 * depth:.2g} mm in {1e3 * time:.2g} ms'
+        return text
 
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with `now.` and `worst.` before values of other throws."""
@@ -335,11 +304,11 @@ def design_motion(
 def _corners(rig: Rig, uncertainties: Uncertainties) -> list[dict[str, float]]:
     """Return the changes to the slowest and to the fastest layer and projectile."""
     offsets = np.array([[-1.0, 1.0, 1.0, 0.0, 0.0], [1.0, -1.0, -1.0, 0.0, 0.0]])
-    changes = uncertainties.variants(rig, offsets).changes(
-        rig.layer.thickness, rig.layer.wave_speed
-    )
-    names = ('mass', 'thickness', 'wave_speed')
-    return [{name: float(changes[name][n]) for name in names} for n in range(len(offsets))]
+    variants, layer = uncertainties.variants(rig, offsets), rig.layer
+    return [
+        {'wave_speed': layer.wave_speed + speed, 'thickness': layer.thickness + size, 'mass': mass}
+        for speed, size, mass, *_ in variants.tolist()
+    ]
 
 
 def _design(

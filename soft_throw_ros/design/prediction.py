@@ -15,36 +15,21 @@ from soft_throw_ros.core.throws import throw_many
 class PredictedThrow:
     """First release of a throw, and its loads, with the rig's damping, gravity and loss."""
 
-    thickness: float
-    """Thickness of the layer. [m]"""
-    wave_speed: float
-    """Wave speed of the layer. [m/s]"""
-    density: float
-    """Density of the layer. [kg/m3]"""
-    youngs_modulus: float
-    """Young's modulus of the layer. [Pa]"""
-    loss_tangent: float
-    """Loss tangent of the layer. [-]"""
-    mass_ratio: float
-    r""":math:`\mu`. [-]"""
-    speed_ratio: float
-    r""":math:`\kappa = c_s / (L_s f)`. [-]"""
-    ejection_time: float
-    """:math:`t_e`. [s]"""
-    ejection_speed: float
-    """:math:`V_e`. [m/s]"""
-    energy_transfer: float
-    r""":math:`\alpha = (V_e / V_p^*)^2`. [-]"""
-    peak_strain: float
-    """Largest magnitude of the strain anywhere in the layer. [-]"""
-    peak_acceleration: float
-    """Largest magnitude of the projectile's acceleration. [m/s2]"""
-    peak_plate_force: float
-    """Largest magnitude of the layer's force on the plate. [N]"""
-    plate_work: float
-    """Work of the plate up to the release, which an actuator has to deliver. [J]"""
-    kinetic_energy: float
-    """Kinetic energy of the projectile at the release. [J]"""
+    thickness: float  # of the layer [m]
+    wave_speed: float  # of the layer [m/s]
+    density: float  # of the layer [kg/m3]
+    youngs_modulus: float  # of the layer [Pa]
+    loss_tangent: float  # of the layer [-]
+    mass_ratio: float  # projectile over layer mass [-]
+    speed_ratio: float  # crossings of the layer per plate period [-]
+    ejection_time: float  # since the start of the plate's motion [s]
+    ejection_speed: float  # [m/s]
+    energy_transfer: float  # square of the ejection speed over the largest of the plate [-]
+    peak_strain: float  # largest magnitude anywhere in the layer [-]
+    peak_acceleration: float  # of the projectile, largest magnitude [m/s2]
+    peak_plate_force: float  # of the layer on the plate, largest magnitude [N]
+    plate_work: float  # up to the release, which an actuator has to deliver [J]
+    kinetic_energy: float  # of the projectile at the release [J]
 
     def values(self) -> dict[str, float | str | bool]:
         """Return all that is one value by its name."""
@@ -85,3 +70,10 @@ def predict(rig: Rig) -> PredictedThrow:
         **{name: float(getattr(throws, name)) for name in throws._fields if name != 'status'},
         kinetic_energy=0.5 * rig.projectile.mass * float(throws.ejection_speed) ** 2,
     )
+
+
+def gain_text(gain: float) -> str:
+    """Describe a relative gain of energy."""
+    if gain >= 0.95:
+        return f'{1.0 + gain:.3g} times the energy'
+    return f'{100.0 * abs(gain):.2g} % {"more" if gain >= 0.0 else "less"} energy'

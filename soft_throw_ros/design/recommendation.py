@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 import math
 from typing import get_args, Literal, NamedTuple, TypeAlias
 
@@ -19,9 +20,9 @@ from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throws import require_uniform, SEARCH_CELLS, STRONG_GRAVITY
-from soft_throw_ros.design.maximise import Box, maximise, Optimum
-from soft_throw_ros.design.prediction import predict, PredictedThrow
-from soft_throw_ros.design.score import Limits, Objective, peak, Score
+from soft_throw_ros.design.maximise import Box, maximise, NEAR, Optimum
+from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
+from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score
 from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
@@ -32,23 +33,12 @@ TOLERATED_LOSS = 0.02
 MAX_STUCK_FRACTION = 0.05
 """Share of throws without a release, within the uncertainties, of a layer to recommend. [-]"""
 
-_CHANGES = np.geomspace(1e-3, 0.5, 24)
-"""Relative changes of a parameter that are tried for its tolerance, 30 % apart. [-]"""
-
-_EQUAL = 1e-9
-"""Relative difference of scores that count as equal; then the present layer is kept. [-]"""
-
-_COARSE_ERROR = 2e-3
-"""Relative error of scores with `SEARCH_CELLS`; a layer that is worse is searched again. [-]"""
-
-_NEARBY = 0.03
-"""Relative half width of the second search, in thickness and wave speed. [-]"""
-
-_MAX_CANDIDATES = 5
-"""Number of layers of the library that a recommendation lists."""
-
-_ALTERNATIVES = ('now', 'by_thickness', 'by_wave_speed')
-"""Names of the throws that a recommendation is compared with."""
+_SMALLEST_CHANGE, _LARGEST_CHANGE = 2e-3, 0.5  # relative tolerances of a layer [-]
+_HALVINGS = 7  # of the interval in which a tolerance ends, a factor of 2
+_EQUAL = 1e-9  # relative difference of equal scores; then the present layer is kept [-]
+_COARSE_ERROR = 2e-3  # relative error of scores with `SEARCH_CELLS` [-]
+_NEARBY = 0.03  # relative half width of a search with all cells [-]
+_MAX_CANDIDATES = 5  # layers of the library that are compared with all cells
 
 
 class LibraryCandidate(NamedTuple):
@@ -63,40 +53,70 @@ class LibraryCandidate(NamedTuple):
 class Recommendation(PredictedThrow):
     """Throw of the recommended layer, and throws to compare it with."""
 
-    rig: Rig
-    """The rig with the recommended layer."""
-    vary: Vary
-    """Part of the layer that was allowed to change."""
-    layer: str
-    """Name of the recommended layer in the library, if it was picked there."""
-    score: float
-    """Energy transfer that counts for the objective. [-]"""
-    stuck_fraction: float
-    """Share of the throws within the uncertainties that do not release the projectile. [-]"""
-    now: PredictedThrow | None
-    """The rig as it is; None if it does not throw."""
-    now_score: float
-    """Score of the rig as it is, 0 if it does not throw. [-]"""
-    now_stuck_fraction: float
-    """The stuck fraction of the rig as it is. [-]"""
-    by_thickness: PredictedThrow | None
-    """The best layer if only the thickness may change; None if none throws within the limits."""
-    by_wave_speed: PredictedThrow | None
-    """The same for the wave speed."""
-    candidates: tuple[LibraryCandidate, ...]
-    """Layers of the library that came near, if one was to be picked; the best first."""
-    tolerances: Mapping[str, float]
-    """Changes of thickness [m] and wave speed [m/s], up or down, that cost `TOLERATED_LOSS`."""
+    rig: Rig  # the rig with the recommended layer
+    present: Rig  # the rig as it is
+    vary: Vary  # part of the layer that was allowed to change
+    layer: str  # name of the recommended layer in the library, if it was picked there
+    score: float  # energy transfer that counts for the objective [-]
+    stuck_fraction: float  # share of throws within the uncertainties without a release [-]
+    now: PredictedThrow | None  # the rig as it is; None if it does not throw
+    now_score: float  # score of the rig as it is, 0 if it does not throw [-]
+    now_stuck_fraction: float  # the same share of the rig as it is [-]
+    by_thickness: PredictedThrow | None  # the best layer if only the thickness may change
+    by_wave_speed: PredictedThrow | None  # the best layer if only the wave speed may change
+    candidates: tuple[LibraryCandidate, ...]  # from the library, the best first
+    tolerances: Mapping[str, float]  # changes up or down that cost `TOLERATED_LOSS` [SI]
 
     @property
     def gain(self) -> float:
         """Relative gain of the score, infinite without a score of the present layer [-]."""
         return self.score / self.now_score - 1.0 if self.now_score > 0.0 else math.inf
 
+    @property
+    def summary(self) -> str:
+        """A sentence with the new layer, the gain of energy, the tolerances, and doubts."""
+        name = 'alpha' if math.isclose(self.score, self.energy_transfer) else 'worst alpha'
+        text = f'keep your layer: none within the limits is better ({name} {self.score:.2f})'
+        if self.rig.layer != self.present.layer:
+            text = f'{self._changes()}: the present layer throws nothing'
+            if self.now_score:
+                text = f'{self._changes()}: {gain_text(self.gain)}{self._excuse()}'
+            text += f' ({name} {self.now_score:.2f} -> {self.score:.2f})'
+        if self.stuck_fraction > MAX_STUCK_FRACTION:
+            text = f'no release in {100.0 * self.stuck_fraction:.2g} % of all cases; {text}'
+        thickness, wave_speed = self.tolerances['thickness'], self.tolerances['wave_speed']
+        text += f'; +-{1e3 * thickness:.2g} mm or +-{wave_speed:.2g} m/s costs 2 %'
+        if self.peak_strain >= 1.0:
+            text += f'; no layer can be compressed by {100.0 * self.peak_strain:.0f} %'
+        return text
+
+    def _changes(self) -> str:
+        """Name the parameters that change, with their old and new values."""
+        old, changes = self.present.layer, [f'layer {self.layer}'] if self.layer else []
+        if self.vary != 'wave_speed':
+            changes.append(f'thickness {1e3 * old.thickness:.4g} -> {1e3 * self.thickness:.4g} mm')
+        if self.vary in ('wave_speed', 'both'):
+            changes.append(
+                f'wave speed {old.wave_speed:.4g} -> {self.wave_speed:.4g} m/s, that is modulus '
+                f'{1e-3 * old.youngs_modulus:.4g} -> {1e-3 * self.youngs_modulus:.4g} kPa'
+            )
+        return ' and '.join(changes)
+
+    def _excuse(self) -> str:
+        """Say why a layer is recommended that throws with less energy."""
+        if self.gain >= 0.0:
+            return ''
+        if self.now_stuck_fraction > MAX_STUCK_FRACTION:
+            share = 100.0 * self.now_stuck_fraction
+            return f', but the present layer has no release in {share:.2g} %'
+        return ', because the present layer exceeds the limits'
+
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
         groups: dict[str, Mapping[str, float]] = {
-            name: vars(throw) for name in _ALTERNATIVES if (throw := getattr(self, name))
+            name: vars(throw)
+            for name in ('now', 'by_thickness', 'by_wave_speed')
+            if (throw := getattr(self, name))
         }
         groups['tolerance'] = self.tolerances
         groups['candidate'] = {item.layer: item.score for item in self.candidates}
@@ -169,13 +189,13 @@ def recommend(
         spaces, [item.rig.layer for items in by.values() for item in items]
     )
     candidates = tuple(
-        LibraryCandidate(item.space.name, item.rig.layer.thickness, item.score)
+        LibraryCandidate(item.name, item.rig.layer.thickness, item.score)
         for item in ranked
         if vary == 'library'
     )
     box = Box(limits.thickness, limits.wave_speed) if vary == 'library' else spaces[0].box
-    present = search.evaluate(_Space(rig, box), rig)
-    if present.score > 0.0:
+    present = search.evaluate(rig)
+    if present.score > 0.0 and box.contains(rig.layer.thickness, rig.layer.wave_speed):
         is_best = not ranked or present.score >= (1.0 - _EQUAL) * ranked[0].score
         ranked = [present, *ranked] if is_best else [*ranked, present]
     if not ranked:
@@ -190,19 +210,22 @@ def recommend(
 
     best, stuck = ranked[0], stuck_fraction_of(ranked[0])
     if stuck > MAX_STUCK_FRACTION:
-        others = [*ranked[1:], *search._replace(uncertainties=uncertainties).rank(spaces)]
-        for other in sorted(others, key=lambda item: -item.score):
+        safe = search._replace(objective=partial(robust, uncertainties=uncertainties))
+        others = [search.evaluate(item.rig, item.name) for item in safe.rank(spaces)]
+        for other in sorted([*ranked[1:], *others], key=lambda item: -item.score):
             if (share := stuck_fraction_of(other)) <= MAX_STUCK_FRACTION:
                 best, stuck = other, share
                 break
     score = Score(rig, search.objective, cancelled=cancelled)
     now_score = float(score(rig.layer.thickness, rig.layer.wave_speed)[0])
     throws = {name: predict(items[0].rig) for name, items in by.items() if items}
+    score = Score(best.rig, search.objective, cells=SEARCH_CELLS, cancelled=cancelled)
     return Recommendation(
         **vars(predict(best.rig)),
         rig=best.rig,
+        present=rig,
         vary=vary,
-        layer=best.space.name,
+        layer=best.name,
         score=best.score,
         stuck_fraction=stuck,
         now=predict(rig) if now_score > 0.0 else None,
@@ -211,27 +234,30 @@ def recommend(
         by_thickness=throws.get('thickness'),
         by_wave_speed=throws.get('wave_speed'),
         candidates=candidates,
-        tolerances=_tolerances(best.rig, search.objective, cancelled),
+        tolerances={
+            name: _tolerance(score, best.rig.layer, name) for name in ('thickness', 'wave_speed')
+        },
     )
 
 
-def _tolerances(
-    rig: Rig, objective: Objective, cancelled: Cancelled | None
-) -> dict[str, float]:
-    """Return the changes of thickness and wave speed that cost `TOLERATED_LOSS` [SI]."""
-    score = Score(rig, objective, cells=SEARCH_CELLS, cancelled=cancelled)
-    layer, tolerances = rig.layer, {}
-    least = (1.0 - TOLERATED_LOSS) * float(score(layer.thickness, layer.wave_speed)[0])
-    for name in ('thickness', 'wave_speed'):
-        values = {'thickness': layer.thickness, 'wave_speed': layer.wave_speed}
-        changes = np.append(0.0, _CHANGES)
-        for _ in range(3):  # each time between the last one that is tolerated and the next one
-            values[name] = getattr(layer, name) * (1.0 + np.append(-changes, changes))
-            is_bad = (score(**values, needed=least) < least).reshape(2, -1).any(axis=0)
-            last = max(int(is_bad.argmax()) - 1, 0) if is_bad.any() else changes.size - 2
-            changes = np.linspace(changes[last], changes[last + 1], 9)
-        tolerances[name] = getattr(layer, name) * float(changes[0])
-    return tolerances
+def _tolerance(score: Score, layer: Layer, name: str) -> float:
+    """Return the change of a value of a layer, up or down, that costs `TOLERATED_LOSS` [SI]."""
+    values = np.array([layer.thickness, layer.wave_speed])
+    is_changed = np.array([name == 'thickness', name == 'wave_speed'])
+    least = (1.0 - TOLERATED_LOSS) * float(score(*values)[0])
+
+    def is_tolerated(change: float) -> bool:
+        ends = [values * (1.0 + sign * change * is_changed) for sign in (-1.0, 1.0)]
+        thickness, wave_speed = np.transpose(ends)
+        return bool((score(thickness, wave_speed, least) >= least).all())
+
+    low, high = 0.0, _SMALLEST_CHANGE
+    while high < _LARGEST_CHANGE and is_tolerated(high):
+        low, high = high, 1.4 * high
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_tolerated(middle) else (low, middle)
+    return float(getattr(layer, name)) * low
 
 
 class _Space(NamedTuple):
@@ -272,28 +298,12 @@ def _spaces(
     return spaces
 
 
-def _grid_step(space: _Space, limits: Limits) -> float:
-    """
-    Return the step of the grid of a search, in logarithms [-].
-
-    A stepper takes thirty times as long as the closed form. Under strong gravity the maxima are
-    too narrow for its coarse grid, with limits of loads or not.
-    """
-    step, gravity = 0.06, space.rig.gravity_ratio
-    if STRONG_GRAVITY < gravity < 1.0:
-        step = 0.09
-    elif gravity < 1.0 and (space.rig.layer.needs_cells or limits.of_loads):
-        step = 0.12
-    has_one_axis = any(low == high for low, high in space.box)
-    return 0.1 * step if has_one_axis else step
-
-
 class _Candidate(NamedTuple):
-    """The best layer of a space."""
+    """A rig with the best layer of a space, its score, and its name in the library."""
 
-    space: _Space
     rig: Rig
     score: float
+    name: str
 
 
 class _Search(NamedTuple):
@@ -302,62 +312,72 @@ class _Search(NamedTuple):
     objective: Objective
     limits: Limits
     cancelled: Cancelled | None
-    uncertainties: Uncertainties | None = None
-
-    def evaluate(self, space: _Space, rig: Rig) -> _Candidate:
-        """Score a layer of a space with all cells; 0 outside the space."""
-        layer = (rig.layer.thickness, rig.layer.wave_speed)
-        is_inside = space.box.contains(*layer)
-        return _Candidate(space, rig, float(self._score(space)(*layer)[0]) if is_inside else 0.0)
 
     def rank(self, spaces: list[_Space], starts: Sequence[Layer] = ()) -> list[_Candidate]:
         """
         Find the best layers of some spaces, the best first; `starts` are layers to search near.
 
-        All spaces are searched coarsely, and the best of them once more.
+        All spaces are searched with few cells, and the best of them once more.
         """
-        optima = [
-            (space, best)
-            for space in spaces
-            if (best := self._search(space, starts)) is not None
-        ]
-        optima = sorted(optima, key=lambda optimum: -optimum[1].score)[:_MAX_CANDIDATES]
-        candidates = [self._finish(space, best) for space, best in optima]
+        optima: list[tuple[_Space, Optimum]] = []
+        for space in spaces:
+            has_cells = space.rig.layer.needs_cells
+            layers = [(layer.thickness, layer.wave_speed) for layer in starts]
+            score = self._score(space.rig, SEARCH_CELLS if has_cells else None)
+            optimum = maximise(
+                score,
+                space.box,
+                rough=partial(score, stages=2),
+                step=self._grid_step(space),
+                starts=[layer for layer in layers if space.box.contains(*layer)],
+                tolerance=5e-4 if has_cells else 1e-4,
+                needed=(1.0 - NEAR) * max((item.score for _, item in optima), default=0.0),
+            )
+            if optimum is not None:
+                optima.append((space, optimum))
+        optima = sorted(optima, key=lambda item: -item[1].score)[:_MAX_CANDIDATES]
+        candidates = [self._finish(*item) for item in optima]
         return sorted(
             (item for item in candidates if item.score > 0.0), key=lambda item: -item.score
         )
 
-    def _score(self, space: _Space, cells: int | None = None) -> Score:
-        """Return the score of layers of a space."""
-        return Score(
-            space.rig, self.objective, self.limits, uncertainties=self.uncertainties,
-            cells=cells, cancelled=self.cancelled,
-        )
+    def evaluate(self, rig: Rig, name: str = '') -> _Candidate:
+        """Score the layer of a rig with all cells."""
+        score = self._score(rig)(rig.layer.thickness, rig.layer.wave_speed)
+        return _Candidate(rig, float(score[0]), name)
 
-    def _search(self, space: _Space, starts: Sequence[Layer]) -> Optimum | None:
-        """Find the best layer of a space, coarsely and with few cells if it has loss."""
-        has_cells = space.rig.layer.needs_cells
-        first = [(layer.thickness, layer.wave_speed) for layer in starts]
-        return maximise(
-            self._score(space, SEARCH_CELLS if has_cells else None),
-            space.box,
-            step=_grid_step(space, self.limits),
-            starts=[layer for layer in first if space.box.contains(*layer)],
-            tolerance=5e-4 if has_cells else 1e-4,
-        )
+    def _score(self, rig: Rig, cells: int | None = None) -> Score:
+        return Score(rig, self.objective, self.limits, cells=cells, cancelled=self.cancelled)
 
-    def _finish(self, space: _Space, best: Optimum) -> _Candidate:
+    def _grid_step(self, space: _Space) -> float:
+        """
+        Return the step of the grid of a search, in logarithms [-].
+
+        A stepper takes thirty times as long as the closed form. Under strong gravity the maxima
+        are too narrow for its coarse grid, with limits of loads or not.
+        """
+        step, gravity = 0.06, space.rig.gravity_ratio
+        if STRONG_GRAVITY < gravity < 1.0:
+            step = 0.09
+        elif gravity < 1.0 and (space.rig.layer.needs_cells or self.limits.of_loads):
+            step = 0.12
+        has_one_axis = any(low == high for low, high in space.box)
+        return (0.2 if space.rig.layer.needs_cells else 0.1) * step if has_one_axis else step
+
+    def _finish(self, space: _Space, optimum: Optimum) -> _Candidate:
         """Score a layer with all cells, and search near it if its score is lower than it was."""
-        layer = replace(space.rig.layer, thickness=best.thickness, wave_speed=best.wave_speed)
-        exact = self.evaluate(space, replace(space.rig, layer=layer))
-        if not layer.needs_cells or exact.score >= (1.0 - _COARSE_ERROR) * best.score:
+        def with_layer(thickness: float, wave_speed: float, _score: float) -> Rig:
+            layer = replace(space.rig.layer, thickness=thickness, wave_speed=wave_speed)
+            return replace(space.rig, layer=layer)
+
+        exact = self.evaluate(with_layer(*optimum), space.name)
+        if exact.score >= (1.0 - _COARSE_ERROR) * optimum.score:
             return exact
         nearby = Box(*(
             (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
-            for (low, high), value in zip(space.box, best, strict=False)
+            for (low, high), value in zip(space.box, optimum, strict=False)
         ))
         best = maximise(
-            self._score(space), nearby, step=_NEARBY, starts=[best[:2]], tolerance=1e-3
-        ) or best._replace(score=0.0)
-        layer = replace(layer, thickness=best.thickness, wave_speed=best.wave_speed)
-        return _Candidate(space, replace(space.rig, layer=layer), best.score)
+            self._score(space.rig), nearby, step=_NEARBY, starts=[optimum[:2]], tolerance=1e-3
+        )
+        return exact if best is None else _Candidate(with_layer(*best), best.score, space.name)

@@ -17,12 +17,17 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import throw_many
-from soft_throw_ros.design.uncertainty import CORNERS, Uncertainties, Variants
+from soft_throw_ros.design.uncertainty import (
+    changes_of,
+    CORNERS,
+    Uncertainties,
+    variant_of,
+)
 
 Floats = NDArray[np.float64]
 
-Objective: TypeAlias = Callable[[Rig], Variants]
-"""The throws of a rig that score its layer: the score is their lowest energy transfer."""
+Objective: TypeAlias = Callable[[Rig], Floats]
+"""The throws of a rig that score its layer, as variants; the lowest energy transfer counts."""
 
 _STAGES = (slice(0, 1), slice(1, 5), slice(5, None))
 """Throws of a layer in stages; a layer that is worse than another is not computed to the end."""
@@ -30,26 +35,14 @@ _STAGES = (slice(0, 1), slice(1, 5), slice(5, None))
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """
-    Limits of a layer and of its throws.
+    """Limits of a layer and of its throws."""
 
-    Parameters
-    ----------
-    thickness_min, thickness_max, wave_speed_min, wave_speed_max : float
-        Range of the layer. [m], [m/s]
-    max_strain : float
-        Largest magnitude of the strain anywhere in the layer. [-]
-    max_acceleration : float
-        Largest magnitude of the projectile's acceleration. [m/s2]
-
-    """
-
-    thickness_min: float = 1e-3
-    thickness_max: float = 50e-3
-    wave_speed_min: float = 1.0
-    wave_speed_max: float = 50.0
-    max_strain: float = math.inf
-    max_acceleration: float = math.inf
+    thickness_min: float = 1e-3  # [m]
+    thickness_max: float = 50e-3  # [m]
+    wave_speed_min: float = 1.0  # [m/s]
+    wave_speed_max: float = 50.0  # [m/s]
+    max_strain: float = math.inf  # largest magnitude anywhere in the layer [-]
+    max_acceleration: float = math.inf  # of the projectile, largest magnitude [m/s2]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -76,12 +69,12 @@ class Limits:
         return min(self.max_strain, self.max_acceleration) < math.inf
 
 
-def peak(rig: Rig) -> Variants:
+def peak(rig: Rig) -> Floats:
     """Return the throw of a rig itself: the most energy from one throw."""
-    return Variants.of(rig)
+    return variant_of(rig)
 
 
-def robust(rig: Rig, *, uncertainties: Uncertainties | None = None) -> Variants:
+def robust(rig: Rig, *, uncertainties: Uncertainties | None = None) -> Floats:
     """
     Return the throws at the corners of the uncertainties: the most energy in the worst case.
 
@@ -91,24 +84,20 @@ def robust(rig: Rig, *, uncertainties: Uncertainties | None = None) -> Variants:
     return (uncertainties or Uncertainties()).variants(rig, CORNERS)
 
 
-def versatile(
-    rig: Rig, *, masses: Sequence[float], frequencies: Sequence[float]
-) -> Variants:
+def versatile(rig: Rig, *, masses: Sequence[float], frequencies: Sequence[float]) -> Floats:
     """
     Return the throws of each mass [kg] at each frequency [Hz]: the most energy in the worst.
 
     Amplitude and damping of the plate, and the layer's loss tangent, are those of the rig at
     every frequency.
     """
-    mass, frequency = (
-        values.ravel()
-        for values in np.meshgrid(
-            checks.require_all('masses', masses, 'positive'),
-            checks.require_all('frequencies', frequencies, 'positive'),
-        )
+    grid = np.meshgrid(
+        checks.require_all('masses', masses, 'positive'),
+        checks.require_all('frequencies', frequencies, 'positive'),
     )
-    others = (np.broadcast_to(item, mass.shape) for item in Variants.of(rig)[2:])
-    return Variants(mass, frequency, *others)
+    variants = np.repeat(variant_of(rig), grid[0].size, axis=0)
+    variants[:, 2:4] = np.transpose([values.ravel() for values in grid])
+    return variants
 
 
 OBJECTIVES: Mapping[str, Callable[[Settings], Objective]] = {
@@ -138,8 +127,6 @@ class Score:
     limits : Limits, optional
         Limits of the loads, which hold for every throw that counts; the search itself keeps
         those of thickness and wave speed.
-    uncertainties : Uncertainties, optional
-        Errors at whose corners the projectile has to leave, too.
     cells, cancelled : optional
         Arguments of `throw_many`.
 
@@ -151,7 +138,6 @@ class Score:
         objective: Objective,
         limits: Limits | None = None,
         *,
-        uncertainties: Uncertainties | None = None,
         cells: int | None = None,
         cancelled: Cancelled | None = None,
     ) -> None:
@@ -160,59 +146,48 @@ class Score:
         self._cells = cells
         self._cancelled = cancelled
         self._variants = objective(rig)
-        self._counted = self._variants.mass.size
-        if uncertainties is not None:
-            others = uncertainties.variants(rig, CORNERS)
-            pairs = zip(self._variants, others, strict=True)
-            self._variants = Variants(*map(np.concatenate, pairs))
-        self._order = np.arange(self._variants.mass.size)
+        self._order = np.arange(len(self._variants))
 
     def __call__(
-        self, thickness: ArrayLike, wave_speed: ArrayLike, needed: ArrayLike = 0.0
+        self,
+        thickness: ArrayLike,
+        wave_speed: ArrayLike,
+        needed: ArrayLike = 0.0,
+        stages: int = len(_STAGES),
     ) -> Floats:
         """
-        Compute the lowest energy transfer of the throws that count.
+        Compute the lowest energy transfer of the throws that count, shape (n,).
 
-        Parameters
-        ----------
-        thickness, wave_speed : array_like, shape (n,)
-            Thicknesses and wave speeds of the layers. [m], [m/s]
-        needed : array_like, shape (n,)
-            Scores below which a layer does not matter, so that some throws are enough. [-]
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            0 for layers that throw nothing or exceed a limit; where the score is below `needed`,
-            any number between them. [-]
-
+        It is 0 for layers that throw nothing or exceed a limit. Where it is below `needed`, it may
+        be any number between them, because some throws of a layer are enough. Fewer stages give an
+        upper bound from the throws that are most often the worst.
         """
         thickness, wave_speed = np.broadcast_arrays(*np.atleast_1d(thickness, wave_speed))
         scores = np.full(thickness.shape, math.inf)
-        for variants in map(self._order.__getitem__, _STAGES):
+        for numbers in map(self._order.__getitem__, _STAGES[:stages]):
             rows = np.flatnonzero(scores >= needed)
-            if variants.size and rows.size:
-                transfers = self._transfers(thickness[rows], wave_speed[rows], variants)
+            if numbers.size and rows.size:
+                transfers = self._transfers(thickness[rows], wave_speed[rows], numbers)
                 scores[rows] = np.minimum(scores[rows], transfers.min(axis=1))
-        if variants.size and rows.size:  # begin with the throw that is most often the worst
-            worst = np.bincount(variants[transfers.argmin(axis=1)], minlength=self._order.size)
+        is_last = stages == len(_STAGES)
+        if is_last and numbers.size and rows.size:  # begin with the most frequent worst throw
+            worst = np.bincount(numbers[transfers.argmin(axis=1)], minlength=self._order.size)
             self._order = self._order[np.argsort(-worst[self._order], kind='stable')]
         return scores
 
     def _transfers(
-        self, thickness: Floats, wave_speed: Floats, variants: NDArray[np.intp]
+        self, thickness: Floats, wave_speed: Floats, numbers: NDArray[np.intp]
     ) -> Floats:
         """Return the energy transfers of some throws of each layer, 0 beyond a limit [-]."""
-        limits, chosen = self._limits, Variants(*(item[variants] for item in self._variants))
+        limits = self._limits
+        variants = self._variants[numbers]
         throws = throw_many(
-            self._rig, chosen.changes(thickness[:, None], wave_speed[:, None]),
+            self._rig, changes_of(variants, thickness[:, None], wave_speed[:, None]),
             loads=limits.of_loads, cells=self._cells, cancelled=self._cancelled,
         )
         transfers: Floats = np.nan_to_num(throws.energy_transfer)
-        is_counted = variants < self._counted
         if limits.of_loads:
             is_within = throws.peak_strain <= limits.max_strain
             is_within &= throws.peak_acceleration <= limits.max_acceleration
-            transfers[is_counted & ~is_within] = 0.0
-        transfers[~is_counted & (transfers > 0.0)] = math.inf
+            transfers[~is_within] = 0.0
         return transfers

@@ -37,53 +37,12 @@ Floats = NDArray[np.float64]
 COVERAGE = 0.95
 """Part of the throws that lies in an `Interval`."""
 
-_SAMPLE = 1000
-"""Number of throws of a prediction."""
-
-_FEW = 200
-"""Number of throws that estimate a share without a release to 1 %."""
-
-_JUMP = 0.1
-"""Gap without any throw that counts as a jump, in parts of the range of ejection times. [-]"""
-
-_ROOT = 1.1347241384015194
-"""Root of x^6 = x + 1, for the five uncertain values."""
-
-
 CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
 """All combinations of the largest errors of the five uncertain values, up and down."""
 
-
-class Variants(NamedTuple):
-    """
-    Throws of rigs that differ from a nominal one: arrays of one shape.
-
-    Mass [kg], frequency [Hz] and damping ratio are absolute; the errors [m], [m/s] are added to
-    thickness and wave speed of the layer.
-    """
-
-    mass: Floats
-    frequency: Floats
-    damping_ratio: Floats
-    thickness_error: Floats
-    wave_speed_error: Floats
-
-    @classmethod
-    def of(cls, rig: Rig) -> Variants:
-        """Return the single nominal throw of a rig."""
-        engine = rig.engine
-        values = (rig.projectile.mass, engine.frequency, engine.damping_ratio, 0.0, 0.0)
-        return cls(*(np.array([value]) for value in values))
-
-    def changes(self, thickness: Floats | float, wave_speed: Floats | float) -> dict[str, Floats]:
-        """Return the changes of the rig for a thickness and a wave speed."""
-        return {
-            'mass': self.mass,
-            'frequency': self.frequency,
-            'damping_ratio': self.damping_ratio,
-            'thickness': thickness + self.thickness_error,
-            'wave_speed': wave_speed + self.wave_speed_error,
-        }
+_SAMPLE, _FEW = 1000, 200  # throws of a prediction, and of a share without a release
+_JUMP = 0.1  # part of the range of ejection times that is a jump if it has no throw [-]
+_ROOT = 1.1347241384015194  # of x^6 = x + 1, for the five uncertain values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +72,8 @@ class Uncertainties:
         """Return the uncertainties that the settings of the twin describe."""
         return cls(**{item.name: settings[f'uncertainty.{item.name}'] for item in fields(cls)})
 
-    def variants(self, rig: Rig, offsets: Floats) -> Variants:
-        """Return throws of rigs with errors: shares from -1 to 1, shape (n, 5), as the fields."""
+    def variants(self, rig: Rig, offsets: Floats) -> Floats:
+        """Return `variants` of a rig with errors: shares from -1 to 1, shape (n, 5)."""
         for name, uncertain in (
             ('thickness', rig.layer.thickness),
             ('wave_speed', rig.layer.wave_speed),
@@ -126,21 +85,36 @@ class Uncertainties:
                     f'uncertainty.{name} must be below the {name.replace("_", " ")} itself, '
                     f'{uncertain:g}, got {value:g}'
                 )
-        wave_speed, thickness, mass, frequency, damping = offsets.T
-        damping_ratio = rig.engine.damping_ratio + self.damping_ratio * damping
-        return Variants(
-            mass=rig.projectile.mass * (1.0 + self.mass * mass),
-            frequency=rig.engine.frequency + self.frequency * frequency,
-            damping_ratio=np.clip(damping_ratio, 0.0, 0.999),
-            thickness_error=self.thickness * thickness,
-            wave_speed_error=self.wave_speed * wave_speed,
-        )
+        errors = np.array(list(vars(self).values()))
+        errors[2] *= rig.projectile.mass
+        variants: Floats = variant_of(rig) + offsets * errors
+        variants[:, 4] = np.clip(variants[:, 4], 0.0, 0.999)
+        return variants
 
 
-def quasi_random_offsets(count: int) -> Floats:
-    """Return points that fill the cube from -1 to 1 evenly, the centre first: (count, 5)."""
-    steps = _ROOT ** -np.arange(1.0, len(fields(Uncertainties)) + 1.0)
-    return 2.0 * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0) - 1.0
+def variant_of(rig: Rig) -> Floats:
+    """
+    Return the nominal variant of a rig, shape (1, 5).
+
+    A variant has errors of the layer's wave speed [m/s] and thickness [m], and values of mass
+    [kg], frequency [Hz] and damping ratio [-].
+    """
+    engine = rig.engine
+    return np.array([[0.0, 0.0, rig.projectile.mass, engine.frequency, engine.damping_ratio]])
+
+
+def changes_of(
+    variants: Floats, thickness: Floats | float, wave_speed: Floats | float
+) -> dict[str, Floats]:
+    """Return the changes of a rig for `throw_many`: variants of layers."""
+    speed_error, thickness_error, mass, frequency, damping_ratio = variants.T
+    return {
+        'wave_speed': wave_speed + speed_error,
+        'thickness': thickness + thickness_error,
+        'mass': mass,
+        'frequency': frequency,
+        'damping_ratio': damping_ratio,
+    }
 
 
 class Interval(NamedTuple):
@@ -152,9 +126,7 @@ class Interval(NamedTuple):
     @classmethod
     def of(cls, values: Floats) -> Interval:
         """Leave out as much at one end as at the other."""
-        tail = 0.5 * (1.0 - COVERAGE)
-        low, high = np.quantile(values, [tail, 1.0 - tail])
-        return cls(float(low), float(high))
+        return cls(*np.quantile(values, [0.5 - 0.5 * COVERAGE, 0.5 + 0.5 * COVERAGE]).tolist())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,6 +153,22 @@ class PredictionUncertainty:
             else:
                 flat[name] = value
         return flat
+
+    def __str__(self) -> str:
+        time, speed, transfer = (
+            f'{scale * low:{digits}} to {scale * high:{digits}}'
+            for (low, high), scale, digits in (
+                (self.ejection_time, 1e3, '.3f'),
+                (self.ejection_speed, 1.0, '.4f'),
+                (self.energy_transfer, 1.0, '.3f'),
+            )
+        )
+        text = f'{time} ms, {speed} m/s, alpha {transfer}'
+        if self.jumps:
+            text += ', with a jump between'
+        if self.stuck_fraction > 0.0:
+            text += f'; no release in {100.0 * self.stuck_fraction:.2g} % of all cases'
+        return text
 
 
 def prediction_uncertainty(
@@ -234,7 +222,9 @@ def stuck_fraction(
 def _throws(
     rig: Rig, uncertainties: Uncertainties, count: int, cancelled: Cancelled | None
 ) -> Throws:
-    """Compute some throws all over the uncertainties."""
-    variants = uncertainties.variants(rig, quasi_random_offsets(count))
-    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
+    """Compute throws that fill the uncertainties evenly, the nominal one first."""
+    steps = _ROOT ** -np.arange(1.0, CORNERS.shape[1] + 1.0)
+    offsets = 2.0 * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0) - 1.0
+    variants = uncertainties.variants(rig, offsets)
+    changes = changes_of(variants, rig.layer.thickness, rig.layer.wave_speed)
     return throw_many(rig, changes, cells=SEARCH_CELLS, cancelled=cancelled)

@@ -63,19 +63,11 @@ class Ejection(NamedTuple):
 
 def ejection_of(result: RigFit) -> Ejection:
     r"""
-    Compute the first release of a fitted rig.
+    Compute the first release of a fitted rig; raise FitError if there is none.
 
-    Raises
-    ------
-    FitError
-        If the projectile does not leave the layer.
-
-    Notes
-    -----
-    Errors are the deviations of rigs that are drawn from the covariance of the fit, since
-    :math:`t_e` and :math:`\alpha` jump and have no derivative there, and the systematic errors of
-    `FLOORS`, such as that of a layer that sticks and releases the projectile later.
-
+    Errors are the deviations of rigs that are drawn from the covariance of the fit and the floors
+    of its parameters, since :math:`t_e` and :math:`\alpha` jump and have no derivative there, and
+    the systematic errors of the release.
     """
     releases = result.releases(_DRAWS)
     is_released = ~np.isnan(releases.time)
@@ -88,7 +80,7 @@ def ejection_of(result: RigFit) -> Ejection:
     columns = {
         'ejection.time': releases.time,
         'ejection.speed': releases.speed,
-        'engine.amplitude': releases.peak_plate_speed,  # which is proportional to it
+        'ejection.peak_plate_speed': releases.peak_plate_speed,
         'ejection.energy_transfer': releases.energy_transfer,
     }
 
@@ -98,7 +90,7 @@ def ejection_of(result: RigFit) -> Ejection:
         for name, column in columns.items():
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
-            estimates.append(with_floor(name, Estimate(value, error)))
+            estimates.append(with_floor(name, Estimate(value, error), result.growth))
         time, speed, plate_speed, energy_transfer = estimates
         share = float(chosen.sum() / is_released.sum())
         return Release(time, speed, plate_speed, energy_transfer, count, share)

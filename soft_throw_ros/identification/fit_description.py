@@ -1,27 +1,27 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Treatments of the parameters of a fit: free, fixed or known with an error, for all throws or some.
+Treatments of the parameters of a fit: free, fixed or known with an error.
 
-Command line, YAML file and Python share them.
+Command line, YAML file and Python share them. `ParameterLayout` puts the values in an order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
+from functools import cached_property
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throws import rig_with
 from soft_throw_ros.identification.least_squares import Estimate, FitError
-from soft_throw_ros.identification.tracks import names_of
+from soft_throw_ros.identification.tracks import ThrowTracks
 
 ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
 LOSS = 'layer.loss_tangent'
@@ -29,11 +29,14 @@ LAYER = ('layer.wave_speed', 'layer.thickness', LOSS)
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
 
+START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
+"""Parameters of each throw: the time of its start, and the heights of its bodies at rest."""
+
 DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.loss_tangent')
 """Parameters whose defaults belong to another rig; the default of the loss is none."""
 
 NUISANCE_PARAMETERS = {
-    'layer.stiffening': 0.0,
     'plate.drift': 0.0,
     'projectile.drift': 0.0,
     'projectile.scale': 1.0,
@@ -42,30 +45,14 @@ NUISANCE_PARAMETERS = {
 """
 Nuisance parameters of a bench, and their values without it.
 
-`stiffening` is the increase of the wave speed with the speed of the plate, to which the strain is
-proportional. `drift` is the drift of heights over a record, over the amplitude. `scale` is the
+`drift` is the drift of heights over a record, over the amplitude. `scale` is the
 measured over the true height of a projectile, and `delay` the delay of its measurement [s].
 """
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
 
-Heights = Literal['own', 'common', 'absolute']
-"""
-From where heights count: each track from a zero of its own; both from the same; or both from the
-plate's position at rest.
-"""
-
-Reference = Literal['face', 'centre']
-"""Point of the projectile whose heights a track has: its lower face, or its centre."""
-
-HEIGHTS: tuple[Heights, ...] = ('own', 'common', 'absolute')
-REFERENCES: tuple[Reference, ...] = ('face', 'centre')
-
-_KEYS = ('free', 'fixed', 'prior', 'per_throw')
-
-_MAX_NAMES = 8
-"""Names of throws that a message lists, so that it stays readable."""
+_KEYS = ('free', 'fixed', 'prior', 'per_throw', 'topic')
 
 
 class Treatment(NamedTuple):
@@ -104,19 +91,13 @@ DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
     'layer.wave_speed': FREE,
     'layer.thickness': Treatment(True, error=1e-4),
     'layer.diameter': Treatment(True, error=1e-4),
-    'layer.stiffening': Treatment(True, error=0.4),
     'projectile.mass': Treatment(True, error=0.01, is_relative=True),
     'projectile.scale': Treatment(True, error=0.005),
     'projectile.delay': Treatment(True, error=1e-4),
     'plate.drift': Treatment(True, error=0.02, is_per_throw=True),
     'projectile.drift': Treatment(True, error=0.02, is_per_throw=True),
 }
-"""
-Default treatments; errors of lengths and mass are those of the paper.
-
-With 0.4, the wave speed of a layer that is 10 % stiffer at its largest strain is off by about one
-error.
-"""
+"""Default treatments; errors of lengths and mass are those of the paper."""
 
 IDEAL_BENCH: Mapping[str, Treatment] = {
     name: FIXED for name in DEFAULTS if name not in DEFAULT_FREE
@@ -127,12 +108,7 @@ IDEAL_BENCH: Mapping[str, Treatment] = {
 @dataclass(frozen=True)
 class FitDescription:
     """
-    The treatments of all parameters of a fit.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown.
+    The treatments of all parameters of a fit; raise ValueError for an unknown name.
 
     Examples
     --------
@@ -145,30 +121,14 @@ class FitDescription:
 
     parameters: Mapping[str, Treatment] = field(default_factory=dict)
     """Treatments of some parameters; the others have their `DEFAULTS`."""
-    heights: Heights = 'own'
-    """Origin of the heights, see `Heights`."""
-    reference: Reference = 'face'
-    """Point whose heights tracks of projectiles have; it matters unless `heights` is 'own'."""
-    throws: Mapping[str, Mapping[str, Treatment]] = field(default_factory=dict)
-    """
-    Treatments for some throws, by names, or patterns of names, of throws or of their files.
-
-    The throws of a pattern share the values of these parameters.
-    """
     topic: str | None = None
     """Topic to read from bags; needed if several topics have a plate."""
     assumed: tuple[str, ...] = ()
     """Parameters that are held at the values of another rig, because nobody stated them."""
 
     def __post_init__(self) -> None:
-        for name in (*self.parameters, *(n for item in self.throws.values() for n in item)):
+        for name in self.parameters:
             check_name(name)
-        for name, value, choices in (
-            ('heights', self.heights, HEIGHTS),
-            ('reference', self.reference, REFERENCES),
-        ):
-            if value not in choices:
-                raise ValueError(f'{name} must be one of {", ".join(choices)}, got {value!r}')
 
     @classmethod
     def from_file(cls, path: str | Path, base: FitDescription | None = None) -> FitDescription:
@@ -176,77 +136,36 @@ class FitDescription:
         Read a description from a YAML file.
 
         It is a mapping with the keys `free` and `per_throw` (lists of names), `fixed` (names to
-        values), `prior` (names to values and standard errors), `heights`, `reference`, `topic`,
-        and `throws` (names of throws to mappings with the first four keys). All keys are optional;
+        values), `prior` (names to values and standard errors) and `topic`. All keys are optional;
         the defaults are those of `base`.
 
-        Raises
-        ------
-        ValueError
-            Naming the file and the value, if something is wrong.
-
+        Raise ValueError, naming the file and the value, if something is wrong.
         """
-        description = base or cls()
-        tree = read_yaml(path)
+        description, tree = base or cls(), read_yaml(path)
         try:
-            description = description.change(
-                _read_treatments(tree, description, ('heights', 'reference', 'topic', 'throws'))
-            )
-            throws = {
-                throw: _read_treatments(dict(_items(throw, item)), description)
-                for throw, item in _items('throws', tree.get('throws', {}))
-            }
-            texts: dict[str, Any] = {
-                key: str(tree[key]) for key in ('heights', 'reference', 'topic') if key in tree
-            }
-            return replace(description, throws={**description.throws, **throws}, **texts)
+            description = description.change(_read_treatments(tree, description))
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
+        return replace(description, topic=str(tree['topic'])) if 'topic' in tree else description
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
         return replace(self, parameters={**self.parameters, **changes})
 
-    def assume(self, stated: Collection[str], throws: Iterable[str]) -> FitDescription:
-        """Hold the parameters that some throw needs and that nobody stated, see `assumed`."""
-        used = [(name, self.treatment(name, throw)) for throw in throws
-                for name in DEFAULT_IS_ANOTHER_RIG if name not in stated]
-        assumed = {name: FIXED for name, treatment in used
-                   if treatment.value is None and not treatment.is_free}
-        return replace(self.change(assumed), assumed=tuple(assumed))
-
-    def treatment(self, name: str, throw: str | None = None) -> Treatment:
-        """Return the treatment of a parameter; of a throw, if its name is given."""
-        own = {} if throw is None else self._treatments_of(throw)
-        return own.get(name) or self.parameters.get(name) or DEFAULTS[name]
-
-    def _treatments_of(self, throw: str) -> dict[str, Treatment]:
-        """Return the treatments that hold for a throw only."""
-        treatments: dict[str, Treatment] = {}
-        for pattern, own in self.throws.items():
-            if _matches(throw, pattern):
-                treatments |= own
-        return treatments
-
-    def check_throws(self, throws: Sequence[str]) -> None:
-        """Raise `FitError` if a name or pattern of `throws` matches none of the given throws."""
-        for pattern in self.throws:
-            if not any(_matches(throw, pattern) for throw in throws):
-                shown = [*throws[:_MAX_NAMES], *['...'] * (len(throws) > _MAX_NAMES)]
-                raise FitError(
-                    f'no throw matches {pattern!r}, which stands below `throws`; the throws are: '
-                    f'{", ".join(shown) or "none"}'
-                )
-
-    def group(self, name: str, throw: str, number: int) -> Hashable:
-        """Return a key that is equal for throws that share a parameter; None if all do."""
-        if self.treatment(name, throw).is_per_throw:
-            return number
-        patterns = [
-            pattern for pattern, own in self.throws.items()
-            if name in own and _matches(throw, pattern)
+    def assume(self, stated: Collection[str]) -> FitDescription:
+        """Hold the parameters that a fit needs and that nobody stated, see `assumed`."""
+        treatments = {
+            name: self.treatment(name) for name in DEFAULT_IS_ANOTHER_RIG if name not in stated
+        }
+        assumed = [
+            name for name, treatment in treatments.items()
+            if treatment.value is None and not treatment.is_free
         ]
-        return patterns[-1] if patterns else None
+        return replace(self.change(dict.fromkeys(assumed, FIXED)), assumed=tuple(assumed))
+
+    def treatment(self, name: str) -> Treatment:
+        """Return the treatment of a parameter."""
+        return self.parameters.get(name, DEFAULTS[name])
 
     def is_free(self, name: str) -> bool:
         """Return whether a parameter is fitted without a prior."""
@@ -254,29 +173,26 @@ class FitDescription:
 
     def searches(self, name: str) -> bool:
         """Whether a parameter is fitted if the tracks show it: nothing is said about it."""
-        return not any(name in item for item in (self.parameters, *self.throws.values()))
+        return name not in self.parameters
 
-    def value(self, name: str, rig: Rig, throw: str | None = None) -> float:
+    def value(self, name: str, rig: Rig) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
-        value = self.treatment(name, throw).value
-        if value is not None:
-            return value
-        if name in NUISANCE_PARAMETERS:
-            return NUISANCE_PARAMETERS[name]
-        return values_of(rig, [name])[name]
+        value = self.treatment(name).value
+        if value is None:
+            value = NUISANCE_PARAMETERS.get(name)
+        return values_of(rig, [name])[name] if value is None else value
 
-    def known(self, name: str, rig: Rig, throw: str) -> Estimate | None:
+    def known(self, name: str, rig: Rig) -> Estimate | None:
         """Return the prior of a parameter; None if it has none."""
-        treatment, value = self.treatment(name, throw), self.value(name, rig, throw)
+        treatment, value = self.treatment(name), self.value(name, rig)
         if treatment.error is None:
             return None
         return Estimate(value, treatment.error * (abs(value) if treatment.is_relative else 1.0))
 
-    def prepare(self, rig: Rig, throw: str | None = None) -> Rig:
+    def prepare(self, rig: Rig) -> Rig:
         """Return a rig with the values of the description; raise FitError for invalid ones."""
-        values = {name: self.treatment(name, throw).value for name in PARAMETERS}
         try:
-            return changed_rig(rig, {n: value for n, value in values.items() if value is not None})
+            return changed_rig(rig, {name: self.value(name, rig) for name in PARAMETERS})
         except ValueError as error:
             raise FitError(str(error)) from None
 
@@ -290,16 +206,17 @@ def parse_error(text: str, value: str) -> Treatment:
     return Treatment(True, error=0.01 * error if is_relative else error, is_relative=is_relative)
 
 
-def _read_treatments(
-    tree: Mapping[str, Any], base: FitDescription, other_keys: Sequence[str] = ()
-) -> dict[str, Treatment]:
-    """Return the treatments of a mapping, which may have other keys."""
+def _read_treatments(tree: Mapping[str, Any], base: FitDescription) -> dict[str, Treatment]:
+    """Return the treatments of a fit file."""
     for name in tree:
-        if name not in (keys := (*_KEYS, *other_keys)):
-            raise ValueError(f'must be one of {", ".join(keys)}, got {name!r}')
+        if name not in _KEYS:
+            raise ValueError(f'must be one of {", ".join(_KEYS)}, got {name!r}')
     treatments = dict.fromkeys(_names(tree.get('free', [])), FREE)
     for key in ('fixed', 'prior'):
-        for name, value in _items(key, tree.get(key, {})):
+        values = tree.get(key, {})
+        if not isinstance(values, dict):
+            raise ValueError(f'{key} must be a mapping, got {values!r}')
+        for name, value in values.items():
             check_name(name)
             treatments[name] = _known(name, value, has_error=key == 'prior')
     for name in _names(tree.get('per_throw', [])):
@@ -336,11 +253,6 @@ def check_name(name: str) -> None:
         raise ValueError(f'a parameter must be one of {", ".join(DEFAULTS)}, got {name!r}')
 
 
-def _matches(throw: str, pattern: str) -> bool:
-    """Return whether a name or pattern is that of a throw, or of the file that it is from."""
-    return any(name == pattern or fnmatchcase(name, pattern) for name in names_of(throw))
-
-
 def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
     """Return the values of some `PARAMETERS` of a rig."""
     return {name: float(attrgetter(name)(rig)) for name in names}
@@ -351,8 +263,55 @@ def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
     return rig_with(rig, {name.rpartition('.')[2]: value for name, value in values.items()})
 
 
-def _items(name: object, value: object) -> Iterator[tuple[str, object]]:
-    """Yield the items of a mapping, or raise ValueError."""
-    if not isinstance(value, dict):
-        raise ValueError(f'{name} must be a mapping, got {value!r}')
-    return ((str(key), item) for key, item in value.items())
+@dataclass(frozen=True)
+class ParameterLayout:
+    """The order of the values of a fit, first those that all throws share; made by `of`."""
+
+    values: tuple[tuple[str, int | None], ...]
+    """Parameter of each value, and the number of its throw, None if all throws share it."""
+    throws: int
+    """Number of throws."""
+
+    @classmethod
+    def of(cls, throws: Sequence[ThrowTracks], description: FitDescription) -> ParameterLayout:
+        """Return the layout of a fit."""
+        thrown = [number for number, throw in enumerate(throws) if throw.projectile is not None]
+        shared, own = [], []
+        for name in DEFAULTS:
+            of_plate = name.startswith(('engine', 'plate'))
+            measured = range(len(throws)) if of_plate else thrown
+            if not measured or not description.treatment(name).is_varied:
+                continue
+            if description.treatment(name).is_per_throw:
+                own += [(name, number) for number in measured]
+            else:
+                shared.append((name, None))
+        zeros = [
+            (name, number) for number in range(len(throws)) for name in OWN
+            if name != PROJECTILE_ZERO or number in thrown
+        ]
+        return cls((*shared, *own, *zeros), len(throws))
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.indices
+
+    @cached_property
+    def indices(self) -> dict[str, dict[int, int]]:
+        """Indices of each parameter among the values, by throw."""
+        indices: dict[str, dict[int, int]] = {}
+        for index, (name, throw) in enumerate(self.values):
+            throws = range(self.throws) if throw is None else [throw]
+            indices.setdefault(name, {}).update(dict.fromkeys(throws, index))
+        return indices
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the values; of those of one of several throws with its number from 1."""
+        return tuple(
+            name if throw is None or self.throws == 1 else f'{name}[{throw + 1}]'
+            for name, throw in self.values
+        )
+
+    def indices_of(self, name: str) -> list[int]:
+        """Return the indices of a parameter among the values, of all throws."""
+        return sorted(set(self.indices[name].values()))

@@ -69,10 +69,11 @@ def _contradictions(fit: Fit) -> Iterator[str]:
 
 def _mismatches(fit: Fit) -> Iterator[str]:
     if fit.is_mismatch:
-        worst = max(fit.residuals, key=lambda residual: residual.rms / residual.track.noise)
+        ratios = [float(np.sqrt(np.mean(residual.usual**2))) for residual in fit.residuals]
+        worst = fit.residuals[int(np.argmax(ratios))]
         start, end = worst.worst_part
         yield (
-            f'the residuals of {worst.name} are {worst.rms / worst.track.noise:.2g} times the '
+            f'the residuals of {worst.name} are {max(ratios):.2g} times the '
             f'noise: the model leaves out something that is seen most from {start:.4g} s to '
             f'{end:.4g} s; the errors of all results include it'
         )

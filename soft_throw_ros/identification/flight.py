@@ -22,20 +22,10 @@ _FOLLOWED = 0.1
 
 def flight_speed(track: Track, *, gravity: float) -> Estimate:
     """
-    Return the speed of the projectile at its release.
+    Return the speed of a projectile at its release, time 0 of its track in flight [m/s].
 
-    Parameters
-    ----------
-    track : Track
-        Heights during the flight; time 0 is the release.
-    gravity : float
-        Acceleration of gravity. [m/s2]
-
-    Returns
-    -------
-    Estimate
-        Median slope of the heights without the fall by gravity, which tolerates outliers in up to
-        29 % of the samples (Theil-Sen), and its error by the scatter of the heights. [m/s]
+    It is the median slope of the heights without the fall by gravity, which tolerates outliers in
+    up to 29 % of the samples (Theil-Sen), with an error by the scatter of the heights.
 
     Examples
     --------
@@ -54,24 +44,11 @@ def flight_speed(track: Track, *, gravity: float) -> Estimate:
 
 def motion_delay(track: Track, motion: PlateMotion) -> float:
     """
-    Return the delay of a plate behind its commanded motion, to first order.
+    Return the delay of a plate behind its commanded motion, to first order [s].
 
-    Parameters
-    ----------
-    track : Track
-        Heights of the plate; time 0 is the commanded start.
-    motion : PlateMotion
-        The commanded motion.
-
-    Returns
-    -------
-    float
-        Median of the differences of height over the velocity, where the plate is fast. [s]
-
-    Raises
-    ------
-    TrackError
-        If the plate did not follow the motion.
+    Time 0 of the track is the commanded start. The delay is the median of the differences of
+    height over the velocity, where the plate is fast. Raise TrackError if the plate did not follow
+    the motion.
 
     Examples
     --------

@@ -47,13 +47,9 @@ class ProjectilePath(NamedTuple):
 
 class ThrowSimulator:
     """
-    Simulate throws until a deadline in processor time; raise `DeadlineExceeded` after it.
+    Simulate throws until a deadline; raise `DeadlineExceeded` after it.
 
-    Parameters
-    ----------
-    seconds : float
-        Processor time of this thread from now to the deadline. [s]
-
+    The deadline is in seconds of the processor time of this thread, from now.
     """
 
     def __init__(self, seconds: float = math.inf) -> None:
@@ -62,25 +58,11 @@ class ThrowSimulator:
 
     def follow(self, rig: Rig, moments: Floats, *, by_cells: bool = False) -> ProjectilePath:
         """
-        Follow a throw.
+        Follow a throw at times since the start of the plate, before which all is at rest [s].
 
-        Parameters
-        ----------
-        rig : Rig
-            Rig to simulate.
-        moments : ndarray, shape (n,)
-            Times since the start of the plate, in any order; before it all is at rest. [s]
-        by_cells : bool
-            Whether to use cells also without internal loss. All rigs that a fit of the loss
-            compares need the same model.
-
-        Raises
-        ------
-        FitError
-            If the model refuses the rig, or a single simulation would take too long.
-        DeadlineExceeded
-            If the deadline has passed.
-
+        `by_cells` uses cells also without internal loss: all rigs that a fit of the loss compares
+        need the same model. Raise FitError if the model refuses the rig, or a single simulation
+        would take too long.
         """
         key = rig, by_cells, moments.tobytes()
         if key not in self._cache:

@@ -26,10 +26,11 @@ from soft_throw_ros.identification.fit_description import (
     LAYER,
     LOSS,
     PARAMETERS,
+    PROJECTILE_ZERO,
+    START,
     values_of,
 )
 from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
-from soft_throw_ros.identification.parameter_layout import PROJECTILE_ZERO, START
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import Track
 
@@ -50,7 +51,6 @@ _WINDOWS = (0.35, 0.7, 2.0)
 _INITIAL_LOSS = 0.05
 """Initial loss tangent of a fit of a stated loss. [-]"""
 
-_MIN_THICKNESS = 1e-4  # smallest thickness of the search [m]
 _MAX_THROWS = 3  # largest number of throws in the search
 _MAX_SAMPLES = 60  # largest number of samples of a track in a window
 _MAX_MINIMA = 2  # largest number of minima of a window
@@ -142,7 +142,7 @@ def _is_separate(fit: Fit, other: Fit) -> bool:
     """Return whether a fit is another minimum, and not on the slope of the same one."""
     way = other.values - fit.values
     parabola = float(way @ np.linalg.lstsq(fit.covariance, way, rcond=1e-14)[0])
-    return parabola > _MIN_SEPARATION + 2.0 * (other.chi2 - fit.chi2)
+    return parabola > _MIN_SEPARATION + 2.0 * abs(other.chi2 - fit.chi2)
 
 
 def _best_of_grid(model: RigModel) -> list[Rig]:
@@ -179,9 +179,7 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
     """Return the sum of squares in each window for any zero of heights; infinity if impossible."""
     totals = [0.0] * len(_WINDOWS)
     for number, body, track in model.projectiles:
-        throw = model.throws[number].name
-        searched = [n for n in LAYER if model.description.treatment(n, throw).value is None]
-        changed = changed_rig(model.rig_of(start, number), values_of(rig, searched))
+        changed = changed_rig(model.rig_of(start, number), values_of(rig, LAYER))
         since = (track.time - model.value(start, START, number)) * rig.engine.frequency
         chosen = [_spread(np.flatnonzero(since <= window)) for window in _WINDOWS]
         union = np.unique(np.concatenate(chosen))
@@ -189,7 +187,7 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
             path = model.trajectory(start, number, body, track.time[union], changed)
         except FitError:
             return [math.inf] * len(_WINDOWS)
-        residual = (track.position[union] - path.height) / track.noise
+        residual = (track.position[union] - path.height) / track.deviations[union]
         for window, some in enumerate(chosen):
             if some.size:
                 part = residual[np.searchsorted(union, some)]
@@ -228,19 +226,4 @@ def _thicknesses(model: RigModel) -> list[float]:
     """Return the thicknesses of the grid [m]."""
     if not model.description.is_free('layer.thickness'):
         return [model.rig.layer.thickness]
-    if model.description.heights == 'own':
-        return [factor * model.rig.layer.thickness for factor in _THICKNESSES]
-    half = 0.5 * model.rig.projectile.length if model.description.reference == 'centre' else 0.0
-    gaps = []
-    for throw, _, track in model.projectiles:
-        resting = track.position[track.time <= model.plates[throw].start_time]
-        lowest = resting if resting.size else track.position[:1]
-        gaps.append(float(np.median(lowest)) - model.plates[throw].offset - half)
-    gap = float(np.mean(gaps))
-    if gap <= _MIN_THICKNESS:
-        raise FitError(
-            f'the resting projectile must be higher than the plate by the thickness of the '
-            f'layer, got {gap + half:.4g} m of which {half:.4g} m belong to the projectile; '
-            'is the reference right, and do heights count from the same zero?'
-        )
-    return [gap]
+    return [factor * model.rig.layer.thickness for factor in _THICKNESSES]

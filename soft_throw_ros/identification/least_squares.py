@@ -5,7 +5,8 @@ Least squares with a robust loss, by SciPy, with standard errors.
 
 Notes
 -----
-Residuals are weighted by the noise of each track, which is estimated once from the track alone.
+Residuals are weighted by the noise of each track, which is estimated once from the track alone,
+and by the errors of its times, which count where a body is fast.
 Huber's loss is quadratic up to `_LIMIT` times the noise and linear beyond, so that outliers
 hardly matter. If a model leaves more than noise, the limit grows with the median residual. The
 covariance of the values is multiplied by chi squared per degree of freedom if that is above 1, or
@@ -76,7 +77,7 @@ class TrackResidual:
     fitted: Floats
     """Heights of the model at the same times [m]."""
     limit: float
-    """Residual of an outlier. [m]"""
+    """Residual of an outlier. [standard deviations of the sample]"""
 
     @property
     def values(self) -> Floats:
@@ -86,14 +87,19 @@ class TrackResidual:
     @property
     def outliers(self) -> list[Outlier]:
         """Samples beyond the limit."""
-        is_far = np.abs(self.values) > self.limit
+        is_far = np.abs(self.scaled) > self.limit
         pairs = zip(self.track.time[is_far].tolist(), self.values[is_far].tolist(), strict=True)
         return [Outlier(*pair) for pair in pairs]
 
     @property
+    def scaled(self) -> Floats:
+        """Residuals over the standard deviations of the samples."""
+        return self.values / self.track.deviations
+
+    @property
     def rms(self) -> float:
         """Root of the mean square of the residuals within the limit [m]."""
-        return float(np.sqrt(np.mean(self._usual**2)))
+        return float(np.sqrt(np.mean(self.values[np.abs(self.scaled) <= self.limit] ** 2)))
 
     @property
     def worst_part(self) -> tuple[float, float]:
@@ -104,8 +110,9 @@ class TrackResidual:
         return float(times[0]), float(times[-1])
 
     @property
-    def _usual(self) -> Floats:
-        return self.values[np.abs(self.values) <= self.limit]
+    def usual(self) -> Floats:
+        """Scaled residuals within the limit."""
+        return self.scaled[np.abs(self.scaled) <= self.limit]
 
 
 class Alternative(NamedTuple):
@@ -187,8 +194,10 @@ class Fit:
 
     @property
     def is_mismatch(self) -> bool:
-        """Whether the residuals are larger than noise explains, whose estimate has an error."""
-        return self.reduced_chi2 > 1.0 + _MISMATCH / math.sqrt(self.dof)
+        """Whether the residuals but outliers are larger than noise and its error explain."""
+        usual = np.concatenate([residual.usual for residual in self.residuals])
+        dof = max(1, usual.size - self.values.size)
+        return float(usual @ usual) / dof > 1.0 + _MISMATCH / math.sqrt(dof)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,24 +222,10 @@ def fit_tracks(
     max_evaluations: int = 100,
 ) -> Fit:
     """
-    Fit a model to tracks, from a sufficiently close start.
+    Fit a model to tracks with names, from a sufficiently close start.
 
-    Parameters
-    ----------
-    model : FitModel
-        The model of the tracks.
-    start : ndarray, shape (n,)
-        Initial values of the free parameters.
-    tracks : sequence of (str, Track)
-        Tracks with their names, in the order of the predictions of the model.
-    max_evaluations : int
-        Largest number of evaluations of the model in one run of the solver.
-
-    Raises
-    ------
-    FitError
-        If there are not more samples than parameters.
-
+    The tracks are in the order of the predictions of the model. Raise FitError if there are not
+    more samples than parameters.
     """
     sizes = [track.time.size for _, track in tracks]
     samples = sum(sizes)
@@ -239,7 +234,7 @@ def fit_tracks(
             f'{samples} samples are too few for {start.size} parameters: {", ".join(model.names)}'
         )
     position = np.concatenate([track.position for _, track in tracks])
-    noise = np.repeat([track.noise for _, track in tracks], sizes)
+    noise = np.concatenate([track.deviations for _, track in tracks])
     known = np.array(list(model.known), dtype=np.intp)
     means, errors = np.array(list(model.known.values()), dtype=np.float64).reshape(-1, 2).T
 
@@ -294,7 +289,7 @@ def fit_tracks(
         chi2=chi2,
         dof=dof,
         residuals=tuple(
-            TrackResidual(name=name, track=track, fitted=fitted, limit=limit * track.noise)
+            TrackResidual(name=name, track=track, fitted=fitted, limit=limit)
             for (name, track), fitted in zip(tracks, heights, strict=True)
         ),
         known=dict(model.known),

@@ -58,21 +58,10 @@ class PlateFit:
 
 def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
     """
-    Fit the plate's motion to its track.
+    Fit the plate's motion to a track with its rest, its rise, and some of the settling.
 
-    Parameters
-    ----------
-    track : Track
-        Track of a plate that rests, jumps up once, and settles. The track must contain the rise,
-        and may end before the plate settles.
-    offset : float, optional
-        Height of the plate at rest; fitted if not given. [m]
-
-    Raises
-    ------
-    FitError
-        If the track does not look like such a motion; the message describes the difference.
-
+    `offset` is the height at rest, fitted if None [m]. Raise FitError if the track does not look
+    like such a motion; the message describes the difference.
     """
     free = len(NAMES) if offset is None else len(NAMES) - 1
     fixed = () if offset is None else (offset,)

@@ -40,6 +40,7 @@ from soft_throw_ros.identification.fit_description import (
     LAYER,
     LOSS,
     PARAMETERS,
+    START,
     values_of,
 )
 from soft_throw_ros.identification.forward import (
@@ -54,16 +55,16 @@ from soft_throw_ros.identification.layer_search import (
     LayerCandidate,
 )
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
-from soft_throw_ros.identification.parameter_layout import START
 from soft_throw_ros.identification.plate_fit import fit_plate, PlateFit
-from soft_throw_ros.identification.rig_model import plate_speed, RigModel
-from soft_throw_ros.identification.systematics import FLOORS, with_floor
+from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.systematics import FLOORS, growth_by, plate_speed, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
 
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
+_STIFFENING = 0.4  # error of the wave speed at rest over `plate_speed`, to which strain is close
 _PRIOR_SHARE = 0.5  # error over that of its prior, above which a value rests on the prior
 _MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
 _INITIAL_LOSSES = (0.03, 0.1)  # loss tangents that are tried if none is stated
@@ -82,9 +83,9 @@ class RigFit:
     model: RigModel
     fit: Fit
     """
-    Fit of all varied parameters. Each throw adds its `start_time` and, unless fixed, the heights
-    at rest `plate_offset` and `projectile_offset`. The name of a parameter that only some throws
-    share ends with the number of its first throw in brackets, from 1.
+    Fit of all varied parameters. Each throw adds its `start_time` and the heights at rest
+    `plate_offset` and `projectile_offset`. The name of a value of one of several throws ends with
+    its number in brackets, from 1.
     """
     is_complete: bool = True
     """Whether other minima and a loss were tried within the time of the fit."""
@@ -104,55 +105,40 @@ class RigFit:
 
     def terms(self) -> dict[str, Estimate]:
         """Return the other shared parameters, without starts and heights at rest."""
-        shared = {name for name, key in self.model.layout.groups if key is None}
+        shared = {name for name, throw in self.model.layout.values if throw is None}
         return {n: self.fit[n] for n in self.fit.names if n in shared and n not in PARAMETERS}
 
     def estimate(self, name: str) -> Estimate:
-        """
-        Return a fitted parameter of the rig, the mean if each throw has its own.
-
-        The wave speed is that of the squeezed layer, at the amplitude of the throws.
-        """
-        weights = self._weights(name)
-        stiffening = self.model.layout.indices.get('layer.stiffening', {}).get(0)
-        if name == 'layer.wave_speed' and stiffening is not None:
-            weights[stiffening] = plate_speed(self.rig)
-        return self._estimate(name, values_of(self.rig, [name])[name], weights)
+        """Return a fitted parameter of the rig, the mean if each throw has its own."""
+        indices = self.model.layout.indices_of(name)
+        error = math.sqrt(float(self.fit.covariance[np.ix_(indices, indices)].mean()))
+        found = Estimate(values_of(self.rig, [name])[name], error)
+        known = [self.fit.known[index] for index in indices if index in self.fit.known]
+        # A value that rests on its prior has the error of the prior
+        is_prior = any(error > _PRIOR_SHARE * prior.error for prior in known)
+        return found if is_prior else with_floor(name, found, self.growth)
 
     def rest_wave_speed(self) -> Estimate:
-        """Return the wave speed of the layer at rest [m/s]."""
-        weights = self._weights('layer.wave_speed')
-        return self._estimate('layer.wave_speed', float(weights @ self.fit.values), weights)
+        """Return the wave speed of the layer at rest, which may be stiffer in a throw [m/s]."""
+        speed, error = self.estimate('layer.wave_speed')
+        return Estimate(speed, math.hypot(error, _STIFFENING * plate_speed(self.rig.engine)))
+
+    @cached_property
+    def growth(self) -> float:
+        """Factor of the floors of systematic errors, by other motions of the plates."""
+        pairs = zip(self.model.series, self.fit.residuals, strict=True)
+        return max(
+            growth_by(residual, self.rig.engine, self.start_time(series.throw).value)
+            for series, residual in pairs if series.body == 'plate'
+        )
 
     def budget(self, name: str) -> dict[str, float]:
         """Return the contributions of noise, priors and systematic errors to an error [SI]."""
         budget = self.fit.budget(name)
         floor = FLOORS.get(name.partition('[')[0])
         if floor is not None and self.fit.names.index(name) not in self.fit.known:
-            budget['systematic'] = floor.of(self.fit[name].value)
+            budget['systematic'] = self.growth * floor.of(self.fit[name].value)
         return budget
-
-    def _weights(self, name: str) -> Floats:
-        """Return the weights of the fitted values in a parameter, or in the mean over throws."""
-        layout = self.model.layout
-        indices = layout.indices_of(name)
-        if not layout.is_per_throw(name):
-            indices = indices[:1]
-        weights = np.zeros_like(self.fit.values)
-        weights[indices] = 1.0 / len(indices)
-        return weights
-
-    def _estimate(self, name: str, value: float, weights: Floats) -> Estimate:
-        """Return a value with its error as a weighted sum of the fitted values."""
-        error = math.sqrt(float(weights @ self.fit.covariance @ weights))
-        priors = [
-            self.fit.known[index] for index in self.model.layout.indices_of(name)
-            if index in self.fit.known
-        ]
-        # A value that rests on its prior has the error of the prior
-        is_prior = any(error > _PRIOR_SHARE * prior.error for prior in priors)
-        found = Estimate(value, error)
-        return found if is_prior else with_floor(name, found)
 
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
@@ -169,6 +155,10 @@ class RigFit:
         steps = fit.errors * rng.multivariate_normal(  # of correlations, since units differ
             np.zeros(fit.values.size), fit.correlation, count, method='eigh'
         )
+        for index, (name, _) in enumerate(self.model.layout.values):
+            if name in FLOORS and index not in fit.known:
+                floor = self.growth * FLOORS[name].of(float(fit.values[index]))
+                steps[:, index] += floor * rng.standard_normal(count)
         rigs = [self.rig]
         for values in fit.values + steps:
             with contextlib.suppress(ValueError):
@@ -207,7 +197,6 @@ def fit_rig(
     if not throws:
         raise FitError('there is no throw to fit to')
     description = description or FitDescription()
-    description.check_throws([throw.name for throw in throws])
     free = [name for name in LAYER if description.is_free(name)]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
@@ -219,7 +208,8 @@ def fit_rig(
         others: list[LayerCandidate] = []
         if free:
             on_progress('searching the layers')
-            model, others = _find_layers(model, free)
+            others = find_layers(model)
+            model = replace(model, initial={**model.initial, **others[0].values})
         on_progress('fitting')
         result = _fit_until_landing(model)
     except DeadlineExceeded:
@@ -246,36 +236,16 @@ def _fit_plates(
 ) -> RigModel:
     """Fit the plates alone, which no layer changes; return the whole model."""
     throws = tuple(_with_noise(throws))
-    plates = tuple(_fit_plate(throw, description) for throw in throws)
-    rig = _with_engine_of(plates, description.prepare(rig), description)
+    plates = tuple(map(_fit_plate, throws))
+    engine = np.mean([plate.fit.values[:3] for plate in plates], axis=0)
+    pairs = zip(ENGINE, engine.tolist(), strict=True)
+    rig = changed_rig(
+        description.prepare(rig),
+        {name: value for name, value in pairs if description.is_free(name)},
+    )
     without = tuple(replace(throw, projectile=None) for throw in throws)
     alone = RigModel(without, rig, description, simulator, plates)
     return replace(alone, throws=throws, initial=alone.fit(alone.start()).by_name)
-
-
-def _find_layers(
-    model: RigModel, free: Sequence[str]
-) -> tuple[RigModel, list[LayerCandidate]]:
-    """Return start values for the layer of each throw, and all candidates if all share it."""
-    groups: dict[object, list[int]] = {}
-    for number, throw in enumerate(model.throws):
-        if throw.projectile is not None:
-            group = model.description.group('layer.wave_speed', throw.name, number)
-            groups.setdefault(group, []).append(number)
-    initial, layout = dict(model.initial), model.layout
-    for numbers in groups.values():
-        throws = tuple(
-            throw if number in numbers else replace(throw, projectile=None)
-            for number, throw in enumerate(model.throws)
-        )
-        candidates = find_layers(replace(model, throws=throws))
-        if len(groups) == 1:
-            return replace(model, initial=initial | candidates[0].values), candidates
-        for name, value in values_of(candidates[0].rig, free).items():
-            for number, index in layout.indices.get(name, {}).items():
-                if number in numbers:
-                    initial[layout.names[index]] = value
-    return replace(model, initial=initial), []
 
 
 def _with_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
@@ -297,24 +267,12 @@ def _with_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     return [throw.apply(with_noise) for throw in throws]
 
 
-def _fit_plate(throw: ThrowTracks, description: FitDescription) -> PlateFit:
+def _fit_plate(throw: ThrowTracks) -> PlateFit:
     """Fit the plate of a throw; an error names the throw."""
     try:
-        return fit_plate(throw.plate, offset=0.0 if description.heights == 'absolute' else None)
+        return fit_plate(throw.plate)
     except FitError as error:
         raise FitError(f'{throw.name}: {error}') from None
-
-
-def _with_engine_of(plates: Sequence[PlateFit], rig: Rig, description: FitDescription) -> Rig:
-    """Return the rig with the weighted means of the plates as free engine parameters."""
-    values = {}
-    for index, name in enumerate(ENGINE):
-        if description.is_free(name):
-            weights = [1.0 / max(plate.fit.errors[index], 1e-100) ** 2 for plate in plates]
-            values[name] = float(
-                np.average([plate.fit.values[index] for plate in plates], weights=weights)
-            )
-    return changed_rig(rig, values)
 
 
 def _fit_until_landing(model: RigModel) -> RigFit:

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 import math
 from typing import NamedTuple
 
@@ -20,7 +20,11 @@ from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
     NUISANCE_PARAMETERS,
+    ParameterLayout,
     PARAMETERS,
+    PLATE_ZERO,
+    PROJECTILE_ZERO,
+    START,
     values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
@@ -30,12 +34,6 @@ from soft_throw_ros.identification.least_squares import (
     fit_tracks,
     FitError,
     FitModel,
-)
-from soft_throw_ros.identification.parameter_layout import (
-    ParameterLayout,
-    PLATE_ZERO,
-    PROJECTILE_ZERO,
-    START,
 )
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
@@ -95,8 +93,8 @@ class RigModel:
     -----
     The fitted values form a vector, see `layout`: first the values that all throws share, then the
     values of one or some throws. Derivatives by parameters of the rig are forward differences, one
-    simulation each; those by density and diameter follow from that by the mass, and that by the
-    stiffening from that by the wave speed. All others need no simulation.
+    simulation each; those by density and diameter follow from that by the mass. All others need
+    no simulation.
 
     """
 
@@ -104,7 +102,7 @@ class RigModel:
     rig: Rig
     description: FitDescription
     simulator: ThrowSimulator
-    plates: tuple[PlateFit, ...] = ()
+    plates: tuple[PlateFit, ...]
     """Fits of the plates alone, throw by throw."""
     initial: Mapping[str, float] = field(default_factory=dict)
     """Start values from an earlier fit or a search, by the names of the values."""
@@ -112,16 +110,8 @@ class RigModel:
     @property
     def by_cells(self) -> bool:
         """Whether the layer needs cells, or its loss is fitted."""
-        return any(
-            rig.layer.needs_cells
-            or self.description.treatment('layer.loss_tangent', throw.name).is_varied
-            for rig, throw in zip(self.rigs, self.throws, strict=True)
-        )
-
-    @cached_property
-    def rigs(self) -> list[Rig]:
-        """Rig of each throw, with the values of the description."""
-        return [self.description.prepare(self.rig, throw.name) for throw in self.throws]
+        is_varied = self.description.treatment('layer.loss_tangent').is_varied
+        return is_varied or self.rig.layer.needs_cells
 
     @cached_property
     def series(self) -> list[Series]:
@@ -152,9 +142,8 @@ class RigModel:
     def known(self) -> dict[int, Estimate]:
         """Priors by the indices of the values."""
         priors = {
-            index: self.description.known(name, self.rigs[throw], self.throws[throw].name)
-            for index, ((name, _), (throw, *_)) in enumerate(self.layout.groups.items())
-            if name in DEFAULTS
+            index: self.description.known(name, self.rig)
+            for index, (name, _) in enumerate(self.layout.values) if name in DEFAULTS
         }
         return {index: known for index, known in priors.items() if known is not None}
 
@@ -163,31 +152,17 @@ class RigModel:
         index = self.layout.indices.get(name, {}).get(throw)
         if index is not None:
             return float(values[index])
-        if name in NUISANCE_PARAMETERS:
-            return self.description.value(name, self.rigs[throw], self.throws[throw].name)
-        return 0.0
+        return self.description.value(name, self.rig) if name in NUISANCE_PARAMETERS else 0.0
 
     def rig_of(self, values: Floats, throw: int | None = None) -> Rig:
-        """
-        Return the rig of a throw, with the wave speed of its layer at the strain of the throw.
-
-        By default, return the rig of the first throw with the mean of the values per throw.
-        """
-        number = 0 if throw is None else throw
-        changes = {}
-        for name, indices in self.layout.indices.items():
-            if name in PARAMETERS and number in indices:
-                if throw is None and self.layout.is_per_throw(name):
-                    changes[name] = float(np.mean(values[self.layout.indices_of(name)]))
-                else:
-                    changes[name] = float(values[indices[number]])
-        rig = changed_rig(self.rigs[number], changes)
-        stiffening = self.value(values, 'layer.stiffening', number)
-        if stiffening:
-            speed = rig.layer.wave_speed + stiffening * plate_speed(rig)
-            low, high = _BOUNDS['layer.wave_speed']
-            rig = changed_rig(rig, {'layer.wave_speed': min(max(speed, low), high)})
-        return rig
+        """Return the rig of a throw, or by default that with the means of values per throw."""
+        layout = self.layout
+        return changed_rig(self.rig, {
+            name: float(np.mean(values[layout.indices_of(name)])) if throw is None
+            else float(values[by_throw[throw]])
+            for name, by_throw in layout.indices.items()
+            if name in PARAMETERS and (throw is None or throw in by_throw)
+        })
 
     def tracks(self) -> list[tuple[str, Track]]:
         """All tracks with their names."""
@@ -214,31 +189,23 @@ class RigModel:
         """
         rig = rig or self.rig_of(values, throw)
         since = time - self.value(values, START, throw)
-        rest, scale = self.value(values, PLATE_ZERO, throw), 1.0
+        drift = self.value(values, f'{body}.drift', throw) * self._drift(throw, time)
         if body == 'plate':
             motion = Underdamped.of(rig.engine)
-            travel, velocity = motion.position(since), motion.velocity(since)
-        else:
-            scale = self.value(values, 'projectile.scale', throw)
-            delay = self.value(values, 'projectile.delay', throw)
-            path = self.simulator.follow(rig, since - delay, by_cells=self.by_cells)
-            travel, velocity = path.position - rig.rest_height, path.velocity
-            rest += scale * self._rest_above_plate(rig)
-            if self.description.heights == 'own':
-                rest = self.value(values, PROJECTILE_ZERO, throw)
-        drift = self.value(values, f'{body}.drift', throw) * self._drift(throw, time)
-        return Trajectory(rest + scale * travel + drift, scale * velocity)
+            rest = self.value(values, PLATE_ZERO, throw)
+            return Trajectory(rest + motion.position(since) + drift, motion.velocity(since))
+        scale = self.value(values, 'projectile.scale', throw)
+        delay = self.value(values, 'projectile.delay', throw)
+        path = self.simulator.follow(rig, since - delay, by_cells=self.by_cells)
+        rest = self.value(values, PROJECTILE_ZERO, throw)
+        height = rest + scale * (path.position - rig.rest_height) + drift
+        return Trajectory(height, scale * path.velocity)
 
     def _drift(self, throw: int, time: Floats) -> Floats:
         """Return the heights of a drift by the amplitude, none in the middle of a record [m]."""
         plate = self.throws[throw].plate
         share = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
         return np.asarray(share * self.rig.engine.amplitude)
-
-    def _rest_above_plate(self, rig: Rig) -> float:
-        """Height of the point of a resting projectile that is seen, above the plate [m]."""
-        is_centre = self.description.reference == 'centre'
-        return rig.rest_height + (0.5 * rig.projectile.length if is_centre else 0.0)
 
     def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
         """Return the derivatives of `predict` by all or some parameters."""
@@ -247,90 +214,73 @@ class RigModel:
         for series in self.series:
             rows = slice(begin, begin + series.track.time.size)
             begin = rows.stop
-            names = [name for name, throws in self.layout.indices.items()
-                     if series.throw in throws and (not only or name in only)]
-            for name, slope in self._slopes(values, series, names).items():
-                jacobian[rows, self.layout.indices[name][series.throw]] = slope
+            indices = {
+                name: throws[series.throw] for name, throws in self.layout.indices.items()
+                if series.throw in throws and (not only or name in only)
+            }
+            for name, slope in self._slopes(values, series, indices).items():
+                jacobian[rows, indices[name]] = slope
         return jacobian
 
     def _slopes(
-        self, values: Floats, series: Series, names: Sequence[str]
+        self, values: Floats, series: Series, names: Collection[str]
     ) -> dict[str, Floats | float]:
         """Return the derivatives of one track by some parameters, without those that are 0."""
         throw, body, track = series
         rig = self.rig_of(values, throw)
         now = self.trajectory(values, throw, body, track.time)
-        scale = self.value(values, 'projectile.scale', throw)
-        is_own = self.description.heights == 'own'
         slopes: dict[str, Floats | float] = {
             START: -now.velocity, f'{body}.drift': self._drift(throw, track.time)
         }
-        if body == 'plate' or not is_own:
+        if body == 'plate':
             slopes[PLATE_ZERO] = 1.0
-        if body == 'projectile':
-            zero = self.value(values, PROJECTILE_ZERO if is_own else PLATE_ZERO, throw)
+        else:
+            zero = self.value(values, PROJECTILE_ZERO, throw)
             drift = self.value(values, 'projectile.drift', throw) * slopes['projectile.drift']
+            scale = self.value(values, 'projectile.scale', throw)
             slopes |= {
                 PROJECTILE_ZERO: 1.0,
                 'projectile.delay': -now.velocity,
                 'projectile.scale': (now.height - zero - drift) / scale,
             }
-        simulated: dict[str, Floats] = {}
 
+        @cache
         def by(name: str) -> Floats:
-            if name not in simulated:
-                value = values_of(rig, [name])[name]
-                step = _STEPS.get(name, 0.0) or _STEP * value
-                if value + step > _BOUNDS[name][1]:
-                    step = -step
-                moved = changed_rig(rig, {name: value + step})
-                change = self.trajectory(values, throw, body, track.time, moved).height
-                simulated[name] = (change - now.height) / step
-            return simulated[name]
+            value = values_of(rig, [name])[name]
+            step = _STEPS.get(name, _STEP * value)
+            if value + step > _BOUNDS[name][1]:
+                step = -step
+            moved = changed_rig(rig, {name: value + step})
+            change = self.trajectory(values, throw, body, track.time, moved).height
+            return np.asarray((change - now.height) / step)
 
-        stiffening = self.value(values, 'layer.stiffening', throw)
         for name in names:
-            if name == 'layer.stiffening' and body == 'projectile':
-                slopes[name] = plate_speed(rig) * by('layer.wave_speed')
-            elif name in _MASS_POWERS and body == 'projectile':
-                value = values_of(rig, [name])[name]
-                slopes[name] = (
-                    _MASS_POWERS[name] * rig.projectile.mass / value * by('projectile.mass')
-                )
-            elif name in ENGINE or (name in PARAMETERS and body == 'projectile'):
-                slopes[name] = by(name)
-                if stiffening and body == 'projectile' and name in ENGINE[::2]:
-                    # the wave speed of the squeezed layer changes, too
-                    rate = stiffening * plate_speed(rig) / values_of(rig, [name])[name]
-                    slopes[name] += rate * by('layer.wave_speed')
+            if name in ENGINE or (name in PARAMETERS and body == 'projectile'):
+                power = _MASS_POWERS.get(name)
+                if power is None:
+                    slopes[name] = by(name)
+                else:
+                    ratio = rig.projectile.mass / values_of(rig, [name])[name]
+                    slopes[name] = power * ratio * by('projectile.mass')
         return {name: slope for name, slope in slopes.items() if name in names}
 
     def start(self, before: Fit | None = None) -> Floats:
         """Return start values, from a fit of fewer or more parameters, `initial` or the plates."""
         values = np.zeros(len(self.layout.names))
-        for name, by_throw in self.layout.indices.items():
-            for throw, index in by_throw.items():
-                if name in PARAMETERS:
-                    values[index] = values_of(self.rigs[throw], [name])[name]
-                elif name in NUISANCE_PARAMETERS:
-                    values[index] = self.description.value(name, self.rig, self.throws[throw].name)
-        for throw, plate in enumerate(self.plates):
+        fitted = before.by_name if before else self.initial
+        for index, (name, throw) in enumerate(self.layout.values):
+            plate, projectile = self.plates[throw or 0], self.throws[throw or 0].projectile
             engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
             own = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
-            for index, ((name, key), throws) in enumerate(self.layout.groups.items()):
-                if key is not None and throw in throws and name in own:
-                    values[index] = own[name]
-        fitted = before.by_name if before else self.initial
-        for index, name in enumerate(self.layout.names):
-            values[index] = fitted.get(name, values[index])
-        for index, (name, (throw, *_)) in enumerate(
-            (name, throws) for (name, _), throws in self.layout.groups.items()
-        ):
-            if name == PROJECTILE_ZERO and self.layout.names[index] not in fitted:
-                track = self.throws[throw].projectile
-                assert track is not None
-                height = self.trajectory(values, throw, 'projectile', track.time).height
-                values[index] = float(np.median(track.position - height))
+            if self.layout.names[index] in fitted:
+                values[index] = fitted[self.layout.names[index]]
+            elif throw is not None and name in own:
+                values[index] = own[name]
+            elif name in DEFAULTS:
+                values[index] = self.description.value(name, self.rig)
+            elif projectile is not None:  # its zero is the last value of a throw
+                path = self.trajectory(values, throw or 0, 'projectile', projectile.time)
+                values[index] = float(np.median(projectile.position - path.height))
         return values
 
     def fit(
@@ -341,7 +291,7 @@ class RigModel:
         only: Sequence[str] | None = None,
     ) -> Fit:
         """Fit all values, or only some parameters, by `fit_tracks`."""
-        names = [name for name, _ in self.layout.groups]
+        names = [name for name, _ in self.layout.values]
         free = [index for index, name in enumerate(names) if not only or name in only]
         low, high = np.transpose([_BOUNDS.get(names[index], _UNBOUNDED) for index in free])
 
@@ -388,8 +338,3 @@ class RigModel:
         )
         landing = self.simulator.landing_time(rig, max(longest, 0.0), by_cells=self.by_cells)
         return IN_FLIGHT * landing
-
-
-def plate_speed(rig: Rig) -> float:
-    """Return the speed of the plate to which `layer.stiffening` refers [m/s]."""
-    return 2.0 * math.pi * rig.engine.frequency * rig.engine.amplitude

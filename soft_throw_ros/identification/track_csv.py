@@ -37,28 +37,12 @@ def read_csv(
     time_unit: str = 's',
 ) -> dict[str, Track]:
     """
-    Read tracks from lines of text.
+    Read tracks of bodies, of which the first must be there, from the lines of a named text.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        Lines with a time and the heights of bodies, see `read_columns`. The labels are `t` or
-        `time`, and `COLUMN_NAMES`, with units in brackets. A height that is empty or nan is
-        missing.
-    name : str
-        Name of the text in errors.
-    bodies : sequence of str
-        Bodies to read. The first must be there, the others may be missing altogether.
-    unit : str
-        Unit of heights whose labels have none, one of `UNITS`.
-    time_unit : str
-        Unit of a time whose label has none, one of `TIME_UNITS`.
-
-    Raises
-    ------
-    TrackError
-        With the number of the line, if something is wrong.
-
+    Lines have a time and heights, see `read_columns`. The labels are `t` or `time`, and
+    `COLUMN_NAMES`, with units in brackets, by default `unit` of `UNITS` and `time_unit` of
+    `TIME_UNITS`. A height that is empty or nan is missing. Raise TrackError with the number of the
+    line, if something is wrong.
     """
     columns = {'time': Column(('t', 'time'), TIME_UNITS, time_unit, MAX_TIME)} | {
         body: Column(COLUMN_NAMES[body], UNITS, unit, MAX_HEIGHT, may_have_gaps=True)

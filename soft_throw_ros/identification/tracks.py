@@ -10,12 +10,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 import math
-import re
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.ndimage import (
+    maximum_filter1d,
+    median_filter,
+    minimum_filter1d,
+    uniform_filter1d,
+)
 from scipy.signal import spectrogram
 from soft_throw_ros.configuration.csv_rows import MIN_STEP
 from soft_throw_ros.core import checks
@@ -32,10 +36,14 @@ MAX_TIME, MAX_HEIGHT = 1e12, 1e6
 
 _NOISE_SIGMAS = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
 _MIN_STEP = 1e-5  # smallest step of rounded heights that matters, over their range
-_SPIKE_LIMIT = 8.0  # deviation of a spike from the cubic through neighbours [usual deviations]
-_SPIKE_SIDES = np.array([np.arange(-8, -2), np.arange(3, 9)])  # offsets of the usual samples
-_SPIKE_SHARE = 1e-4  # smallest usual deviation, as a share of the range of heights
-_SPIKE_ROUNDS = 4  # number of passes, since spikes may be neighbours
+_NOISE_ROUNDS = 4  # number of selections of slow samples, which show the noise alone
+_SLOW = 0.5  # largest error by the time of a slow sample [noise]
+_FEWEST_SLOW = 40  # smallest number of slow samples, from which the noise is known to 11 %
+_SPEED_SAMPLES = 5  # samples in a mean height from which the speed is computed
+
+_SPIKE_LIMIT = 8.0  # deviation of a spike from the cubic through neighbours [noise]
+_SPIKE_SHARE = 1e-4  # smallest deviation of a spike, as a share of the range of heights
+_USUAL = 17  # number of samples whose median deviation is usual
 _MAX_SPIKE_SHARE = 0.1  # share of spikes above which they are part of the motion
 
 _MIN_STILL = 3  # smallest number of equal heights that may stand still
@@ -51,8 +59,7 @@ _SEEN_AFTER = 2.0  # shortest record after the start of the last throw [plate pe
 _REST = 0.5  # shortest rest of the plate between two throws [plate periods]
 _SMOOTHING = 0.125  # window of the mean that shows rest [plate periods]
 
-_FLIGHT_NOISE = 3.0
-"""Residual of a parabola over the noise, beyond which a flight is not free. [-]"""
+_FLIGHT_NOISE = 3.0  # residual of a parabola beyond which a flight is not free [noise]
 
 _MIN_SIGNAL_TO_NOISE = 25.0  # smallest power of an oscillation over the noise at its frequency
 _SEGMENT = 2**15  # samples of one spectrum
@@ -68,14 +75,8 @@ class Track:
     """
     Measured heights of one body.
 
-    Raises
-    ------
-    TrackError
-        If the series do not fit, are shorter than `FEWEST`, are not finite, beyond `MAX_TIME` or
-        `MAX_HEIGHT`, or do not increase.
-    ValueError
-        If the noise is not finite and positive.
-
+    Raise TrackError if the series do not fit, are shorter than `FEWEST`, are not finite, beyond
+    `MAX_TIME` or `MAX_HEIGHT`, or do not increase.
     """
 
     time: Floats
@@ -84,6 +85,8 @@ class Track:
     """Heights, upwards from any zero, shape (n,). [m]"""
     known_noise: float | None = None
     """Standard deviation of the positions, estimated if None. [m]"""
+    stamp_error: float = 0.0
+    """Standard deviation of the times. [s]"""
 
     def __post_init__(self) -> None:
         time = np.asarray(self.time, dtype=np.float64)
@@ -111,7 +114,18 @@ class Track:
     @cached_property
     def noise(self) -> float:
         """Standard deviation of the positions, known or estimated [m]."""
-        return self.known_noise or noise_of(self.time, self.position)
+        return self.known_noise or noise_of(self.time, self.position, self._stamp_noise)
+
+    @cached_property
+    def deviations(self) -> Floats:
+        """Standard deviation of each sample: its noise, and the error of its time [m]."""
+        return np.asarray(np.hypot(self.noise, self._stamp_noise))
+
+    @property
+    def _stamp_noise(self) -> Floats:
+        """Error of the times, times the speed of the smoothed track [m]."""
+        smooth = uniform_filter1d(self.position, _SPEED_SAMPLES)
+        return np.asarray(self.stamp_error * np.abs(np.gradient(smooth, self.time)))
 
     @property
     def interval(self) -> float:
@@ -133,10 +147,7 @@ class Track:
         samples on either side, where a body turns.
         """
         time, height = self.time, self.position
-        extent = float(np.ptp(height))
-        steps = np.diff(np.unique(height))
-        steps = steps[steps > _MIN_STEP * extent]
-        step = max(float(steps.min()) if steps.size else extent, self.noise)
+        step = max(_smallest_step(height) or float(np.ptp(height)), self.noise)
         rest = float(np.median(height[:_MIN_STILL]))
         edges = np.flatnonzero(np.diff(height)) + 1
         flags = np.zeros(height.size, dtype=bool)
@@ -168,35 +179,24 @@ class Track:
                 f'{FEWEST} are needed; the track goes from {self.time[0]:g} s '
                 f'to {self.time[-1]:g} s'
             )
-        return replace(self, time=self.time[inside], position=self.position[inside])
+        return self.where(inside)
 
     def without_spikes(self) -> Track:
         """
         Remove single samples that jump, without a model of the motion.
 
         A spike deviates from the cubic through the two samples on either side by much more than
-        the noise, and than the samples before and after. So kinks of the motion, and motions with
-        many such deviations, remain.
+        the noise, and than the samples around. So motions with many such deviations remain.
         """
-        least = max(self.noise, _SPIKE_SHARE * float(np.ptp(self.position)))
-        kept = np.arange(self.time.size)
-        for _ in range(_SPIKE_ROUNDS):
-            deviation = np.abs(_beside_neighbours(self.time[kept], self.position[kept])[0])
-            largest = maximum_filter1d(deviation, 5)
-            peaks = np.flatnonzero((deviation > _SPIKE_LIMIT * least) & (deviation >= largest))
-            sides = np.clip(peaks[:, None] + _SPIKE_SIDES[:, None, :], 0, kept.size - 1)
-            usual = np.median(deviation[sides], axis=-1).max(axis=0)
-            spikes = peaks[deviation[peaks] > _SPIKE_LIMIT * usual]
-            if not spikes.size:
-                break
-            if spikes[0] == 2:  # it is unknown which of the first two is the spike
-                spikes = np.append([0, 1], spikes)
-            if spikes[-1] == kept.size - 3:
-                spikes = np.append(spikes, [kept.size - 2, kept.size - 1])
-            kept = np.delete(kept, spikes)
-        if kept.size < max(FEWEST, (1.0 - _MAX_SPIKE_SHARE) * self.time.size):
+        deviation = np.abs(_beside_neighbours(self.time, self.position)[0])
+        usual = np.maximum(self.noise, median_filter(deviation, _USUAL, mode='nearest'))
+        usual = np.maximum(usual, _SPIKE_SHARE * float(np.ptp(self.position)))
+        is_spike = (deviation > _SPIKE_LIMIT * usual) & (
+            deviation >= maximum_filter1d(deviation, _SPEED_SAMPLES)
+        )
+        if self.time.size - is_spike.sum() < max(FEWEST, self.time.size * (1 - _MAX_SPIKE_SHARE)):
             return self
-        return self if kept.size == self.time.size else self.where(kept)
+        return self.where(~is_spike) if is_spike.any() else self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,37 +217,43 @@ class ThrowTracks:
 
     def apply(self, change: Callable[[Track], Track]) -> ThrowTracks:
         """Change both tracks alike."""
-        projectile = self.projectile and change(self.projectile)
-        return replace(self, plate=change(self.plate), projectile=projectile)
+        return replace(
+            self, plate=change(self.plate), projectile=self.projectile and change(self.projectile)
+        )
 
 
-def noise_of(time: Floats, position: Floats) -> float:
+def noise_of(time: Floats, position: Floats, stamp_noise: Floats | None = None) -> float:
     r"""
     Estimate the standard deviation of white noise on a smooth motion [m].
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Times of the samples; intervals may differ, for example where samples are missing. [s]
-    position : ndarray, shape (n,)
-        [m]
 
     Notes
     -----
     The estimate uses the deviation of each sample from the cubic through the two samples on either
     side, over the deviation for unit noise. A motion of n even samples per period contributes its
     amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`. Deviations beyond five median deviations, at
-    kinks and jumps, are excluded. The result is at least :math:`1 / \sqrt{12}` of the smallest
-    step, the error of rounded heights, and never 0.
+    kinks and jumps, are excluded, and samples whose errors by the times `stamp_noise` [m] are not
+    small. The result is at least :math:`1 / \sqrt{12}` of the smallest step, the error of rounded
+    heights, and never 0.
 
     """
     deviation, spread = _beside_neighbours(time, position)
-    noise = _rms_without_outliers((deviation / spread)[2:-2])
-    extent = float(np.ptp(position))
+    scatter = (deviation / spread)[2:-2]
+    step = _smallest_step(position) / math.sqrt(12.0)
+    least = max(step, 1e-9 * float(np.ptp(position)), 1e-15)
+    noise = max(_rms_without_outliers(scatter), least)
+    if stamp_noise is None or not stamp_noise.any():
+        return noise
+    slowest = np.argsort(stamp_noise[2:-2], kind='stable')
+    for _ in range(_NOISE_ROUNDS):
+        count = max(_FEWEST_SLOW, int(np.sum(stamp_noise[2:-2] < _SLOW * noise)))
+        noise = max(_rms_without_outliers(scatter[slowest[:count]]), least)
+    return noise
+
+
+def _smallest_step(position: Floats) -> float:
+    """Return the smallest step of rounded heights, 0 for a single height [m]."""
     steps = np.diff(np.unique(position))
-    steps = steps[steps > _MIN_STEP * extent]
-    step = float(steps.min()) if steps.size else 0.0
-    return max(noise, step / math.sqrt(12.0), 1e-9 * extent, 1e-15)
+    return float(min(steps[steps > _MIN_STEP * np.ptp(position)], default=0.0))
 
 
 def _rms_without_outliers(values: Floats) -> float:
@@ -277,14 +283,6 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
     return deviation, np.sqrt(variance)
 
 
-def names_of(throw: str) -> tuple[str, ...]:
-    """Return the name of a throw, of its part of a record, and of the record."""
-    names = [throw]
-    while match := re.fullmatch(r'(.+), (?:part|throw) \d+', names[-1]):
-        names.append(match[1])
-    return tuple(names)
-
-
 def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
     """
     Cut a record where the plate was not seen for long, as between sessions or clocks.
@@ -298,10 +296,15 @@ def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
     if not breaks.size or not pieces:
         return [record]
     parts = [record.between(float(piece[0]), float(piece[-1])) for piece in pieces]
+    return _numbered(parts, 'part')
+
+
+def _numbered(parts: list[ThrowTracks], word: str) -> list[ThrowTracks]:
+    """Add numbers to the names of several parts."""
     if len(parts) == 1:
         return parts
     return [
-        replace(part, name=f'{record.name}, part {number}') for number, part in enumerate(parts, 1)
+        replace(part, name=f'{part.name}, {word} {number}') for number, part in enumerate(parts, 1)
     ]
 
 
@@ -319,12 +322,7 @@ def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
 
     """
     parts = [record.between(*span) for span in find_throws(record.plate)]
-    if len(parts) < 2:
-        return parts or [record]
-    return [
-        replace(part, name=f'{record.name}, throw {number}')
-        for number, part in enumerate(parts, 1)
-    ]
+    return _numbered(parts or [record], 'throw')
 
 
 def find_throws(plate: Track) -> list[tuple[float, float]]:
@@ -380,26 +378,18 @@ def dominant_period(plate: Track) -> float:
 
 def fall_acceleration(plate: Track, projectile: Track) -> float | None:
     """
-    Fit the acceleration of a freely falling projectile [m/s2].
+    Return the acceleration of a freely falling projectile [m/s2], None if no flight is seen.
 
-    Returns
-    -------
-    float or None
-        Positive if it is downwards; None if no free flight is seen.
-
-    Notes
-    -----
-    From a parabola through the heights of the projectile while it is farther from the plate than
-    half of its largest distance, if the parabola leaves little more than noise.
-
+    It is positive downwards, and that of a parabola through the heights while they are farther
+    from the plate than half of their largest distance.
     """
     rest = np.interp(projectile.time, plate.time, plate.position - plate.position[0])
     distance = projectile.position - projectile.position[0] - rest
     highest = int(np.argmax(distance))
     near = np.flatnonzero(distance < 0.5 * distance[highest])
-    before, after = near[near < highest], near[near > highest]
-    begin = int(before[-1]) + 1 if before.size else 0
-    flight = slice(begin, int(after[0]) if after.size else distance.size)
+    flight = slice(
+        max(near[near < highest] + 1, default=0), min(near[near > highest], default=distance.size)
+    )
     time, height = projectile.time[flight], projectile.position[flight]
     if time.size < FEWEST or distance[highest] < 2.0 * float(np.ptp(plate.position)):
         return None

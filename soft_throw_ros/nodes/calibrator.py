@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 import math
 import threading
@@ -38,7 +39,7 @@ from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.flight import flight_speed, motion_delay
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
-from soft_throw_ros.identification.tracks import ThrowTracks
+from soft_throw_ros.identification.tracks import ThrowTracks, Track
 from soft_throw_ros.nodes.conversions import (
     msg_to_motion,
     msg_to_throw_result,
@@ -56,16 +57,14 @@ from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-_MOST_MISFIT = 25.0  # chi squared per degree of freedom; errors of stamps alone reach 10
+_STAMP_ERROR = 'measured.stamp_error'  # parameter of the twin
 _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
 _AFTER = 6.5  # length of the track from the start of the throw on [plate periods]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
 _RELEASE_TIME_ERROR = 1e-4  # standard error of a release, by delays of the sensors [s]
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
-# The twin keeps these parameters. Stiffening is fixed because the twin has one amplitude and a
-# linear layer.
-_KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'layer.stiffening', 'projectile.mass')
+_KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'projectile.mass')  # of the twin
 _DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 _OF_COMMAND = ('engine.motion', 'engine.motion_file', 'recommendation.vary')
@@ -259,14 +258,20 @@ class Calibrator(RunnableNode):
 
     def _identify(self, tracks: list[ThrowTracks], rig: Rig) -> None:
         """Identify the rig and apply the result."""
-        self._apply_fit(fit_rig(tracks, rig, _DESCRIPTION))
+        stamp_error = get_parameters(self._get_of_twin, [_STAMP_ERROR])[_STAMP_ERROR]
+
+        def with_error(track: Track) -> Track:
+            return replace(track, stamp_error=float(stamp_error))
+
+        throws = [item.apply(with_error) for item in tracks]
+        self._apply_fit(fit_rig(throws, rig, _DESCRIPTION))
 
     def _apply_fit(self, rig_fit: RigFit) -> None:
         """Set the fitted parameters of the twin, and give the rig the recommended layer."""
         fit, warnings = rig_fit.fit, fit_warnings(rig_fit.fit)
         for warning in warnings:
             self.get_logger().warning(warning)
-        if fit.reduced_chi2 > _MOST_MISFIT:
+        if fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
         if not fit.is_converged:
             raise ValueError('the fit stopped at its limit before it converged')

@@ -9,16 +9,16 @@ There are thousands of messages per second; draining the queue costs a tenth of 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-import math
+from collections.abc import Callable, Iterator
 
+import numpy as np
 from rclpy.node import Node
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
-from soft_throw_ros.storage.cdr import JointStateReader, JointValues, MessageError
+from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
 from soft_throw_ros.twin.plate_estimator import FARTHEST
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.session import Session
 
 MAX_MESSAGE_SIZE = 2**14
@@ -54,7 +54,7 @@ class Measurement:
         self._is_warned = False
         self._names: tuple[str, ...] = ()  # of a message without the plate
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
-        self._read = JointStateReader().read
+        self._reader = JointStateReader()
 
     def read_messages(self) -> None:
         """
@@ -64,9 +64,8 @@ class Measurement:
         """
         messages = self._subscription.drain(MAX_DATA_RATE / self._session.rate)
         if self._session.is_measured:
-            samples = self._samples([message.data for message in messages])
-            if samples:
-                samples = self._by_our_clock(samples)
+            for samples in self._samples([message.data for message in messages]):
+                self._correct_stamps(samples)
                 self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
             if not self._is_warned and self._session.sample_counts.refused['out of range']:
                 self._is_warned = True
@@ -94,16 +93,14 @@ class Measurement:
         """Unsubscribe."""
         self._subscription.close()
 
-    def _by_our_clock(self, samples: list[Sample]) -> list[Sample]:
+    def _correct_stamps(self, samples: Samples) -> None:
         """Correct the stamps of samples by the offset of the sensor's clock."""
-        clock, now = self.clock, self._now()
+        now = self._now()
         if now != self._arrival_ns:
             self._observe(now)
             self._arrival_ns, self._arrived = now, []
-        self._arrived += [sample.stamp_ns for sample in samples]
-        if not clock.offset_ns:
-            return samples
-        return [sample._replace(stamp_ns=sample.stamp_ns + clock.offset_ns) for sample in samples]
+        self._arrived += samples.stamps.tolist()
+        samples.stamps += self.clock.offset_ns
 
     def _observe(self, now: int) -> None:
         """
@@ -118,40 +115,42 @@ class Measurement:
         if self.clock.observe(self._arrived, arrival):
             self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
 
-    def _samples(self, datas: list[bytes]) -> list[Sample]:
-        """Decode messages; refuse and count those that are not valid."""
-        samples, refused = [], self._session.sample_counts.refused
-        for data in datas:
-            if len(data) > MAX_MESSAGE_SIZE:
-                refused['too large'] += 1
-                continue
-            try:
-                values = self._read(data)
-            except MessageError:
-                refused['unreadable'] += 1
-                continue
-            sample = _to_sample(values, self._joints)
-            if sample is not None:
-                samples.append(sample)
-                continue
-            refused['names'] += 1
-            if values.names != self._names:  # log the joints of refused messages once
-                self._names = values.names
-                self._logger.warning(
-                    f'measured messages have the joints {list(values.names)!r:.200}, and the '
-                    f'heights of joint_names.plate {self._joints[0]!r} are missing'
-                )
-        return samples
+    def _samples(self, datas: list[bytes]) -> Iterator[Samples]:
+        """Decode messages, all alike at once; refuse and count those that are not valid."""
+        refused = self._session.sample_counts.refused
+        small = [data for data in datas if len(data) <= MAX_MESSAGE_SIZE]
+        if len(small) < len(datas):
+            refused['too large'] += len(datas) - len(small)
+        try:
+            batches = [self._reader.read_all(small)] if small else []
+        except MessageError:
+            batches = []
+            for data in small:
+                try:
+                    batches.append(self._reader.read_all([data]))
+                except MessageError:
+                    refused['unreadable'] += 1
+        for values in batches:
+            samples = _to_samples(values, self._joints)
+            if samples is None:
+                refused['names'] += len(values.stamps)
+                if values.names != self._names:  # log the joints of refused messages once
+                    self._names = values.names
+                    self._logger.warning(
+                        f'measured messages have the joints {list(values.names)!r:.200}, and the '
+                        f'heights of joint_names.plate {self._joints[0]!r} are missing'
+                    )
+            else:
+                yield samples
 
 
-def _to_sample(values: JointValues, joints: tuple[str, str]) -> Sample | None:
-    """Return the sample in a message; None without the plate, the first of the joints."""
-    stamp_ns, names, position, *_ = values
-    plate, projectile = joints
-    if plate not in names or len(position) != len(names):
+def _to_samples(values: JointStates, joints: tuple[str, str]) -> Samples | None:
+    """Return the samples in messages; None without the plate, the first of the joints."""
+    names, position = values.names, values.position
+    if joints[0] not in names or position.shape[1] != len(names):
         return None
-    return Sample(
-        stamp_ns,
-        position[names.index(plate)],
-        position[names.index(projectile)] if projectile in names else math.nan,
-    )
+    heights = np.full((len(position), 2), np.nan)
+    for column, joint in enumerate(joints):
+        if joint in names:
+            heights[:, column] = position[:, names.index(joint)]
+    return Samples(values.stamps, heights)

@@ -11,7 +11,6 @@ from pathlib import Path
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.commands.design_texts import summary_of
 from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
@@ -73,7 +72,7 @@ class RecommendationState:
         """Return the recommendation, or the reason why there is none, in one line."""
         if self.best is None:
             return f'no recommendation: {self.reason}'
-        return summary_of(self.best, self.rig, self.config.settings)
+        return self.best.summary
 
     def to_status(self, node_name: str) -> DiagnosticStatus:
         """Return a diagnostic status with the recommendation and its rig."""

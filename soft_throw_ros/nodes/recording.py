@@ -9,7 +9,7 @@ One thread takes the received messages every few milliseconds; another one write
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 import threading
@@ -115,11 +115,10 @@ class Recording:
         self._thread.join()
         self.writer.flush()  # first, since the process may be killed soon
         self.subscriptions.close()
-        losses = self.losses()
-        self._note('losses', {'total': sum(losses.values()), **losses})
-        if refused := self.subscriptions.refused:
-            self._note('not recorded', refused)
-        self.writer.close()
+        losses, refused = self.losses(), self.subscriptions.refused
+        counts = {'total': sum(losses.values()), **losses}
+        notes = {'losses': {topic: str(count) for topic, count in counts.items()}}
+        self.writer.close(notes | ({'not recorded': refused} if refused else {}))
 
     def summary(self) -> str:
         """Return a sentence with the numbers of recorded and lost messages."""
@@ -163,10 +162,6 @@ class Recording:
             is_last = self._is_stopping.wait(_DRAIN_TIME)
             self.writer.put(self.subscriptions.drain())
 
-    def _note(self, name: str, values: Mapping[str, object]) -> None:
-        """Add named values to the metadata of the bag."""
-        texts = {key: str(value) for key, value in values.items()}
-        self.writer.call(lambda bag: bag.add_metadata(name, texts))
 
 
 def first_few(names: Sequence[str]) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 import math
 import os
 from pathlib import Path
@@ -32,9 +31,6 @@ from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 CHUNK_SIZE = 256 * 2**10
 """A chunk that has grown beyond this is compressed and written. [bytes]"""
 
-PROFILE = 'ros2'
-LIBRARY = f'soft_throw_ros {__version__}'
-
 
 class BagWriter:
     """
@@ -47,9 +43,8 @@ class BagWriter:
 
     `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
     whether to try again, which is False by default. After any BagError the bag can only be closed.
-    `saved_size` is the size of all data handed to the operating system [bytes]; `counts` are the
-    numbers of messages in the bag at the last flush. The folder is locked (`flock`) while it is
-    written.
+    `counts` are the numbers of messages in the bag at the last flush. The folder is locked
+    (`flock`) while it is written.
     """
 
     def __init__(
@@ -63,17 +58,17 @@ class BagWriter:
         sync: bool = False,
     ) -> None:
         self.folder = Path(folder)
+        self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
+        self.counts: Counter[Channel] = Counter()
+        self._written: Counter[Channel] = Counter()  # accepted by `write`
         self._distribution = distribution
         self._compression = CompressionType[compression.upper()]
         self._max_size = max_size or math.inf
         self._max_duration = round(max_duration * 1e9) or math.inf
         self._sync = sync
-        self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
-        self.saved_size = 0
+        self._is_closed = False
         self._error = ''  # after which the bag can only be closed
-        self._files: list[_FileInformation] = []
-        self._written: Counter[Channel] = Counter()  # accepted by `write`
-        self.counts: Counter[Channel] = Counter()
+        self._files: list[_File] = []
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
@@ -82,7 +77,6 @@ class BagWriter:
             raise BagError(f'{folder}: {error.strerror}') from None
         # Only `is_being_written` can hold the lock of a new folder, and for a moment
         self._lock = lock_folder(self.folder)
-        self._disk: _RawFile | None = None
         try:
             self._begin_file()
         except BagError:
@@ -96,6 +90,16 @@ class BagWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def saved_size(self) -> int:
+        """Size of all data handed to the operating system [bytes]."""
+        return sum(file.size for file in self._files)
+
+    @property
+    def lost(self) -> Counter[Channel]:
+        """Numbers of messages not saved before the end, by channel."""
+        return self._written - self.counts if self._is_closed else Counter()
+
     def write(self, message: Message) -> None:
         """
         Write a message, and with its channel's first one the channel.
@@ -103,33 +107,26 @@ class BagWriter:
         BagError is raised if the bag is closed, or the disk does not take a chunk; ValueError, if
         a time is negative or too large for ROS.
         """
-        channel, data, log_time, publish_time, sequence = message
         if not message.has_valid_times:
             raise ValueError(
-                f'{channel.topic}: times must be at least 0 and below 2**63 ns, '
-                f'got {log_time} and {publish_time}'
+                f'{message.channel.topic}: times must be at least 0 and below 2**63 ns, '
+                f'got {message.log_time} and {message.publish_time}'
             )
-        disk, information = self._open_disk(), self._files[-1]
-        is_long = log_time - information.first >= self._max_duration
-        if is_long or disk.size > self._max_size:
+        file = self._file()
+        is_long = message.log_time - file.first >= self._max_duration
+        if is_long or file.size > self._max_size:
             self.split()
-            information = self._files[-1]
-        number = self._ids.get(channel) or self._define(channel)
-        self._writer.add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
-        information.count += 1
-        information.first = min(information.first, log_time)
-        information.last = max(information.last, log_time)
-        self._written[channel] += 1
+            file = self._file()
+        file.add(message)
+        self._written[message.channel] += 1
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write named texts."""
-        self._open_disk()
-        self._writer.add_metadata(name, dict(values))
+        self._file().writer.add_metadata(name, dict(values))
 
     def split(self) -> None:
         """Continue in a new file, unless the present one is empty."""
-        self._open_disk()
-        if self._files[-1].count:
+        if self._file().count:
             self._finish_file()
             self._begin_file()
 
@@ -139,9 +136,9 @@ class BagWriter:
 
         BagError is raised if the disk does not take them.
         """
-        disk = self._open_disk()
-        self._writer.flush()
-        self._mark_saved(disk)
+        file = self._file()
+        file.writer.flush()
+        self._mark_saved(file)
 
     def close(self) -> None:
         """
@@ -149,27 +146,21 @@ class BagWriter:
 
         BagError is raised if that fails; the bag is closed all the same, with all that was saved.
         """
-        if self._disk is None:
-            return
-        try:
-            self.flush()
-            self._finish_file()
-            self._write_metadata()
-        finally:
-            self._close_files()
+        if not self._is_closed:
+            try:
+                self.flush()
+                self._finish_file()
+                self._write_metadata()
+            finally:
+                self._close_files()
 
-    @property
-    def lost(self) -> Counter[Channel]:
-        """Numbers of messages not saved before the end, by channel."""
-        return self._written - self.counts if self._disk is None else Counter()
-
-    def _open_disk(self) -> _RawFile:
+    def _file(self) -> _File:
         """Return the present file; raise BagError if the bag is closed or has failed."""
-        if self._disk is None:
+        if self._is_closed:
             raise BagError(f'{self.folder} is closed')
         if self._error:
             raise BagError(self._error)
-        return self._disk
+        return self._files[-1]
 
     def _try(self, path: Path, act: Callable[..., Any], *args: object) -> Any:
         """Act on the disk, again and again as long as `wait_for_disk` returns True."""
@@ -182,58 +173,28 @@ class BagWriter:
                     self._error = reason
                     raise BagError(reason) from None
 
-    def _save(self, disk: _RawFile, data: bytes) -> None:
-        """Write data to a file, waiting for the disk."""
-        rest = memoryview(data)
-        while rest:
-            count = self._try(disk.path, os.write, disk.descriptor, rest)
-            self.saved_size += count
-            rest = rest[count:]
-
-    def _mark_saved(self, disk: _RawFile) -> None:
+    def _mark_saved(self, file: _File) -> None:
         """Note that all messages so far are written."""
         if self._sync:
-            self._try(disk.path, os.fsync, disk.descriptor)
+            self._try(file.path, os.fsync, file.descriptor)
         self.counts = self._written.copy()
-
-    def _define(self, channel: Channel) -> int:
-        """Define a channel in the present file, and return its number."""
-        schema = channel.type, channel.schema_encoding, channel.schema.encode()
-        if schema not in self._schemas:
-            self._schemas[schema] = self._writer.register_schema(*schema)
-        metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
-        self._ids[channel] = number = self._writer.register_channel(
-            channel.topic, 'cdr', self._schemas[schema], metadata
-        )
-        return number
 
     def _begin_file(self) -> None:
         """Begin the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        self._disk = _RawFile(path, self._try(path, os.open, path, flags, 0o666), self._save)
-        self._files.append(_FileInformation(path.name))
-        self._writer = Writer(
-            self._disk,  # type: ignore[arg-type]  # all that a writer needs of a stream
-            chunk_size=CHUNK_SIZE,
-            compression=self._compression,
-        )
-        self._writer.start(PROFILE, LIBRARY)
-        self._ids: dict[Channel, int] = {}
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._files.append(_File(path, self._try, self._compression))
         for channel in self._written:
-            self._define(channel)
+            self._files[-1].define(channel)
         self._write_metadata()
 
     def _finish_file(self) -> None:
         """Write the end of the present file."""
-        disk = self._open_disk()
+        file = self._file()
         information = {'serialized_metadata': dump_yaml(self._information())}
-        self._writer.add_metadata('rosbag2', information)
-        self._writer.finish()
-        self._mark_saved(disk)
-        os.close(disk.descriptor)
-        disk.descriptor = -1
+        file.writer.add_metadata('rosbag2', information)
+        file.writer.finish()
+        self._mark_saved(file)
+        file.close()
 
     def _write_metadata(self) -> None:
         path = self.folder / METADATA_FILE
@@ -242,9 +203,9 @@ class BagWriter:
             self._try(self.folder, os.fsync, self._lock)  # that there are such files
 
     def _close_files(self) -> None:
-        if self._disk is not None and self._disk.descriptor >= 0:
-            os.close(self._disk.descriptor)
-        self._disk = None
+        self._is_closed = True
+        for file in self._files[-1:]:
+            file.close()
         os.close(self._lock)
 
     def _information(self) -> dict[str, object]:
@@ -272,10 +233,10 @@ class BagWriter:
             ],
             'compression_format': '',
             'compression_mode': '',
-            'relative_file_paths': [file.name for file in self._files],
+            'relative_file_paths': [file.path.name for file in self._files],
             'files': [
                 {
-                    'path': file.name,
+                    'path': file.path.name,
                     'starting_time': {'nanoseconds_since_epoch': file.first},
                     'duration': {'nanoseconds': max(file.last - file.first, 0)},
                     'message_count': file.count,
@@ -287,37 +248,67 @@ class BagWriter:
         }
 
 
-@dataclass
-class _FileInformation:
-    """What rosbag2 expects to know of a file."""
-
-    name: str
-    count: int = 0  # of messages
-    first: int = LATEST  # log time [ns]
-    last: int = 0  # the same
-
-
-class _RawFile:
+class _File:
     """
-    A file as the stream of a `Writer`.
+    An MCAP file of the bag, and the stream of its `writer`.
 
-    Nothing is buffered here, so that the size of all written records is known.
+    Nothing is buffered below the writer, so that the size of all written records is known. `act`
+    repeats a call that the disk refuses.
     """
 
     def __init__(
-        self, path: Path, descriptor: int, save: Callable[[_RawFile, bytes], None]
+        self, path: Path, act: Callable[..., Any], compression: CompressionType
     ) -> None:
         self.path = path
-        self.descriptor = descriptor
+        self.count = 0  # of messages
+        self.first, self.last = LATEST, 0  # log times of messages [ns]
         self.size = 0  # [bytes]
-        self._save = save
+        self._act = act
+        self._ids: dict[Channel, int] = {}
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self.descriptor = act(path, os.open, path, flags, 0o666)
+        self.writer = Writer(
+            self,  # type: ignore[arg-type]  # all that a writer needs of a stream
+            chunk_size=CHUNK_SIZE,
+            compression=compression,
+        )
+        self.writer.start('ros2', f'soft_throw_ros {__version__}')
 
     def write(self, data: bytes) -> None:
-        self._save(self, data)
-        self.size += len(data)
+        """Write data, waiting for the disk."""
+        rest = memoryview(data)
+        while rest:
+            count = self._act(self.path, os.write, self.descriptor, rest)
+            self.size += count
+            rest = rest[count:]
 
     def tell(self) -> int:
         return self.size
 
     def flush(self) -> None:
         """Do nothing, because nothing is buffered."""
+
+    def define(self, channel: Channel) -> int:
+        """Define a channel and its type, and return the number of the channel."""
+        schema = channel.type, channel.schema_encoding, channel.schema.encode()
+        if schema not in self._schemas:
+            self._schemas[schema] = self.writer.register_schema(*schema)
+        metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
+        self._ids[channel] = number = self.writer.register_channel(
+            channel.topic, 'cdr', self._schemas[schema], metadata
+        )
+        return number
+
+    def add(self, message: Message) -> None:
+        """Add a message, and its channel if that is new."""
+        channel, data, log_time, publish_time, sequence = message
+        number = self._ids.get(channel) or self.define(channel)
+        self.writer.add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
+        self.count += 1
+        self.first, self.last = min(self.first, log_time), max(self.last, log_time)
+
+    def close(self) -> None:
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+            self.descriptor = -1

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throws import throw_many
-from soft_throw_ros.recording.timeseries import Values
+from soft_throw_ros.recording.rerun_text import Values
 from soft_throw_ros.twin.results import Floats
 
 Bytes = NDArray[np.uint8]
@@ -31,18 +31,20 @@ Marks = Iterable[tuple[str, float, float]]
 DPI = 100
 """Resolution of the images for Rerun, in pixels per inch, which suits a window of usual size."""
 
-_FRAME_SIZE = 6.2, 1.9
-"""Width and height of the frame around the strain of a throw. [inch]"""
+_STRAIN_SIZE = 6.2, 1.9
+"""Width and height of the strain of a throw. [inch]"""
 
-FRAME_BOX = 50, 28, 490, 117
+STRAIN_BOX = 50, 28, 490, 117
 """Left and upper edge, width and height of the strain within its frame. [pixel]"""
 
-_BAR_BOX = 550, 28, 12, 117
-"""The same of the bar of colours. [pixel]"""
+_STRAIN_AXES, _BAR_AXES = (
+    (left / 620, 45 / 190, width / 620, 117 / 190) for left, width in ((50, 490), (550, 12))
+)
+"""The same of the strain and of its bar of colours, from the lower edge, over the frame."""
 
 _BACKGROUND, _TEXT, _LINE = '#0d1011', 'white', '#b0b0b0'
 
-STYLE: dict[Any, Any] = {
+_STYLE: dict[Any, Any] = {
     'axes.edgecolor': _LINE,
     'axes.labelcolor': _TEXT,
     'figure.facecolor': _BACKGROUND,
@@ -66,9 +68,6 @@ _MAP_COUNTS = {'thickness': 160, 'wave_speed': 100}
 
 _TIME_BUDGET = 1.0
 """The finest map is chosen that needs no longer: too heavy a projectile takes minutes. [s]"""
-
-_SAME = 0.01
-"""Largest relative difference of two layers that share a mark. [-]"""
 
 
 class MapAxis(NamedTuple):
@@ -125,26 +124,33 @@ def draw_map(
 
 
 @functools.lru_cache(maxsize=16)
-def strain_frame(duration: float, thickness: float, limit: float) -> bytes:
+def strain_frame(
+    duration: float, thickness: float, limit: float, ejection_time: float | None
+) -> bytes:
     """
     Draw the axes around the strain of a throw, and the bar of its colours, as PNG.
 
-    The strain itself is another image, in `FRAME_BOX`: many throws have the same frame, and to
-    draw one takes 100 ms. The axes end at `duration` [ms] and `thickness` [mm], the colours at
-    `limit` [%] to either side.
+    The strain itself is another image, in `STRAIN_BOX`, since many throws have the same frame, and
+    one takes 100 ms. The axes end at `duration` [s] and `thickness` [m], the colours at `limit`.
     """
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=_FRAME_SIZE)
-        panel = _add_axes(figure, FRAME_BOX)
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=_STRAIN_SIZE)
+        panel = figure.add_axes(_STRAIN_AXES)
         panel.set(
-            xlim=(0.0, duration), ylim=(0.0, thickness), xlabel='t (ms)', ylabel='y (mm)'
+            xlim=(0.0, 1e3 * duration), ylim=(0.0, 1e3 * thickness),
+            xlabel='t (ms)', ylabel='y (mm)',
         )
-        image = ScalarMappable(Normalize(-limit, limit), _SIGNED)
-        figure.colorbar(image, cax=_add_axes(figure, _BAR_BOX), label='ε (%)')
+        if ejection_time is not None:
+            panel.text(
+                ejection_time / duration, 1.04, f'tₑ {1e3 * ejection_time:.2f} ms', ha='center',
+                transform=panel.transAxes,
+            )
+        colours = ScalarMappable(Normalize(-100.0 * limit, 100.0 * limit), _SIGNED)
+        figure.colorbar(colours, cax=figure.add_axes(_BAR_AXES), label='ε (%)')
         return to_png(figure)
 
 
-def energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
+def _energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
     """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
     layer = Layer(density=rig.layer.density, diameter=rig.layer.diameter)
     rig = replace(rig, engine=replace(rig.engine, motion=None), layer=layer)
@@ -158,36 +164,32 @@ def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Fig
     The limits in the settings of the twin select the layers. The marks use the values of
     `~/recommendation` for this rig, which may be empty, so that they agree with the table.
     """
-    layers = [('now', 'now.', (rig.layer.thickness, rig.layer.wave_speed))]
+    layers = {'now': (rig.layer.thickness, rig.layer.wave_speed)}
     match [recommendation.get(name) for name in _MAP_COUNTS]:
         case float(thickness), float(wave_speed):
-            if np.allclose(layers[0][2], (thickness, wave_speed), rtol=_SAME):
-                layers = [('now, as recommended', *layers[0][1:])]
-            else:
-                layers.append(('recommended', '', (thickness, wave_speed)))
-    marks = []
-    for name, prefix, layer in layers:
-        alpha = recommendation.get(f'{prefix}energy_transfer')
+            layers['recommended'] = thickness, wave_speed
+    marks, limits = [], {}
+    for name, layer in layers.items():
+        alpha = recommendation.get('now.energy_transfer' if name == 'now' else 'energy_transfer')
         if not isinstance(alpha, float):
-            alpha = float(energy_transfer(rig, *np.array(layer)))
+            alpha = float(_energy_transfer(rig, *np.array(layer)))
         text = f'α {alpha:.3f}' if alpha > 0.0 else 'no release'
         marks.append((f'{name}: {text}', 1e3 * layer[0], layer[1]))
-    limits = {}
     for column, axis in enumerate(_MAP_COUNTS):
         low, high = (settings[f'recommendation.{axis}_{limit}'] for limit in ('min', 'max'))
-        marked = [layer[column] for *_, layer in layers]
+        marked = [layer[column] for layer in layers.values()]
         limits[axis] = min(low, *marked), max(high, *marked)
     for coarseness in (8, 4, 2, 1):
         begin = time.monotonic()
         thicknesses, wave_speeds = (
             np.geomspace(*limits[axis], count // coarseness) for axis, count in _MAP_COUNTS.items()
         )
-        transfer = energy_transfer(rig, thicknesses[:, None], wave_speeds)
+        transfer = _energy_transfer(rig, thicknesses[:, None], wave_speeds)
         if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # duration of the next grid
             break
     axes = MapAxis('Lₛ (mm)', 1e3 * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
     title = 'α, lossless' if rig.layer.loss_tangent else 'α'
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(_STYLE):
         figure = Figure(figsize=_MAP_SIZE, layout='constrained')
         draw_map(figure.subplots(), axes, transfer, label=title, marks=marks)
         figure.legend(
@@ -208,9 +210,3 @@ def to_png(figure: Figure, *, dpi: float = DPI) -> bytes:
     output = io.BytesIO()
     figure.savefig(output, format='png', dpi=dpi, metadata={'Software': None})
     return output.getvalue()
-
-
-def _add_axes(figure: Figure, box: tuple[int, int, int, int]) -> Any:
-    """Return new axes in a box of the frame: left and upper edge, width and height [pixel]."""
-    x, y, width, height = np.divide(box, np.multiply(DPI, 2 * _FRAME_SIZE))
-    return figure.add_axes((x, 1.0 - y - height, width, height))

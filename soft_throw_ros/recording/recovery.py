@@ -13,8 +13,8 @@ from mcap import records as mcap
 from mcap.stream_reader import breakup_chunk, StreamReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.bag_lock import is_being_written
-from soft_throw_ros.storage.bag_reader import BagFolder
-from soft_throw_ros.storage.mcap_records import (
+from soft_throw_ros.storage.bag_reader import (
+    BagFolder,
     check_size,
     make_channel,
     make_message,
@@ -71,18 +71,27 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
 
 def _copy(path: Path, writer: BagWriter) -> str:
     """Copy a file up to its end or the first damage; return a description of the remainder."""
-    end, copier = 0, _Copier(writer)  # end of the last whole record
+    schemas: dict[int, mcap.Schema] = {}
+    channels: dict[int, Channel] = {}
+    count = end = 0  # messages, and the end of the last whole record
     with open_mcap(path) as stream:
         size = path.stat().st_size
         reader = StreamReader(stream, emit_chunks=True, record_size_limit=MAX_RECORD)
         try:
             for record in reader.records:
-                if isinstance(record, mcap.Chunk):
-                    check_size(record.uncompressed_size)
-                    for item in breakup_chunk(record, validate_crc=True):
-                        copier.add(item)
-                else:
-                    copier.add(record)
+                for item in _unpack(record):
+                    match item:
+                        case mcap.Schema():
+                            schemas[item.id] = item
+                        case mcap.Channel() if item.schema_id in schemas:
+                            channels[item.id] = make_channel(item, schemas)
+                        case mcap.Message():
+                            writer.write(make_message(item, channels))
+                            count += 1
+                        case mcap.Metadata() if item.name != 'rosbag2':
+                            writer.add_metadata(item.name, item.metadata)
+                        case mcap.Statistics():
+                            _check_complete(item, count)
                 end = stream.tell()
         except BagError as error:
             raise BagError(f'{path}: {error}') from None
@@ -93,27 +102,15 @@ def _copy(path: Path, writer: BagWriter) -> str:
     return ''
 
 
-class _Copier:
-    """Copies the records of a file into a bag."""
+def _unpack(record: mcap.McapRecord) -> list[mcap.McapRecord]:
+    """Return the records of a chunk, or any other record alone."""
+    if not isinstance(record, mcap.Chunk):
+        return [record]
+    check_size(record.uncompressed_size)
+    return breakup_chunk(record, validate_crc=True)
 
-    def __init__(self, writer: BagWriter) -> None:
-        self._writer = writer
-        self._schemas: dict[int, mcap.Schema] = {}
-        self._channels: dict[int, Channel] = {}
-        self._count = 0  # of messages
 
-    def add(self, record: mcap.McapRecord) -> None:
-        """Copy a message or a metadata record; raise ValueError if messages are missing."""
-        match record:
-            case mcap.Schema():
-                self._schemas[record.id] = record
-            case mcap.Channel() if record.schema_id in self._schemas:
-                self._channels[record.id] = make_channel(record, self._schemas)
-            case mcap.Message():
-                self._count += 1
-                self._writer.write(make_message(record, self._channels))
-            case mcap.Metadata() if record.name != 'rosbag2':
-                self._writer.add_metadata(record.name, record.metadata)
-            case mcap.Statistics() if record.message_count > self._count:
-                missing = record.message_count - self._count
-                raise ValueError(f'{missing} messages are missing before the index')
+def _check_complete(statistics: mcap.Statistics, count: int) -> None:
+    """Raise ValueError if a file had more messages than were read before its index."""
+    if statistics.message_count > count:
+        raise ValueError(f'{statistics.message_count - count} messages are missing')

@@ -9,7 +9,11 @@ import math
 from typing import Any, NamedTuple
 
 from soft_throw_ros.core.rig import STANDARD_GRAVITY
-from soft_throw_ros.recording.timeseries import Values
+
+Values = Mapping[str, float | str]
+"""Named values of a message DiagnosticArray."""
+
+NO_VALUES: Values = {}
 
 NO_RECOMMENDATION = 'There is no recommendation for this rig yet.'
 

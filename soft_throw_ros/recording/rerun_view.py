@@ -1,9 +1,15 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Twins in Rerun: the rig to scale, series, waves in the layer, the best layer, and words."""
+"""
+Twins in Rerun: the rig to scale, series, waves in the layer, the best layer, and texts.
+
+All times are stamps. A message without a stamp (a line of the journal or of the log) was published
+right after the state message of its step, and gets the stamp of this state message.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from functools import partial
@@ -17,6 +23,7 @@ import rerun.blueprint as rrb
 from soft_throw_ros.configuration.interface import (
     FIELD_POINTS,
     JOINT_STATE,
+    JOINTS,
     Topic,
     TWIN_TOPICS,
 )
@@ -24,12 +31,23 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
-from soft_throw_ros.recording import timeseries as series
-from soft_throw_ros.recording.charts import Bytes
-from soft_throw_ros.recording.rerun_layout import BLACK, BLUE, Colour, GREY, RED, WHITE
-from soft_throw_ros.recording.timeseries import Floats, Stamps, ThrowStart, Values
-from soft_throw_ros.storage.cdr import decode, stamp_of
-from soft_throw_ros.storage.message import Message
+from soft_throw_ros.recording.rerun_layout import BLUE, Colour, GREY, RED, WHITE
+from soft_throw_ros.recording.twin_journal import (
+    DECODING_ERRORS,
+    identify,
+    Stamps,
+    ThrowStart,
+    TwinJournal,
+)
+from soft_throw_ros.storage.cdr import (
+    decode,
+    JointStateReader,
+    JointStates,
+    MessageError,
+    stamp_of,
+)
+from soft_throw_ros.storage.message import Message, SECOND
+from soft_throw_ros.twin.results import Floats, Phase
 
 _MILLI, _MICRO = 1e3, 1e6
 
@@ -44,8 +62,13 @@ _PLATE_WIDTH = 1.5
 _STEP_BACK = 1_000_000_000
 """Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
 
-_DEFAULT_STRAIN = 0.2
-"""Upper end of the colours of strain before the first throw. [-]"""
+_KEPT_BATCHES = 200
+"""Number of batches of states that are kept for the field of a throw, which comes later. [-]"""
+
+_LARGEST = 1e6
+"""Largest plausible number in SI units; damaged bytes exceed it."""
+
+_LAST_TIME = 2**62  # [ns]
 
 
 class Canvas:
@@ -63,10 +86,7 @@ class Canvas:
         self.throw = throw
         self.is_live = is_live
         self.delay = 0
-
-    def style(self, path: str, style: rr.AsComponents) -> None:
-        """Set the style of an entity, for all times."""
-        self.stream.log(path, style, static=True)
+        self.is_drawn = False  # topics with these names may belong to another machine
 
     def draw(self, path: str, stamp: int, *content: rr.AsComponents, stays: bool = False) -> None:
         """
@@ -74,6 +94,7 @@ class Canvas:
 
         In a live view, content that `stays` is kept for viewers that connect much later.
         """
+        self.is_drawn = True
         stamp += self.delay
         self.stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
         if self.throw is not None:
@@ -82,8 +103,7 @@ class Canvas:
 
     def columns(self, path: str, stamps: Stamps, columns: Iterable[rr.ComponentColumn]) -> None:
         """Draw rows of a quantity that changes with every step."""
-        if not stamps.size:
-            return
+        self.is_drawn = True
         stamps = stamps + self.delay
         indexes = [rr.TimeColumn(layout.STAMP, timestamp=stamps.astype('datetime64[ns]'))]
         if self.throw is not None:
@@ -113,18 +133,17 @@ class Scene:
         self._is_picture = is_picture
         self._canvas = Canvas(stream, throw, is_live=is_live)
         self._twins: dict[str, _TwinView] = {}
-        self._has_log = False
         self._arranged: object = None
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing has come that could be drawn."""
-        return not any(twin.is_drawn for twin in self._twins.values())
+        return not self._drawn_twins()
 
     @property
     def span(self) -> tuple[float, float]:
         """Stamps of the first and the last state of all twins [ns]."""
-        first, last = zip(*(twin.reader.span for twin in self._twins.values()), strict=True)
+        first, last = zip(*(twin.span for twin in self._twins.values()), strict=True)
         return min(first), max(last)
 
     def show(self, messages: Iterable[Message]) -> None:
@@ -135,73 +154,20 @@ class Scene:
             if topic is None:
                 continue
             is_state = topic == TWIN_TOPICS.joint_states
-            back = self._twin(node).step_back(message) if is_state else 0
+            goes_back = is_state and self._twin(node).goes_back(message)
             # Earlier messages belong to the former rig, or to the former repetition
-            if back or topic == TWIN_TOPICS.journal:
-                self._read(node, waiting.pop(node, {}))
-            if back:
-                self._twin(node).begin_again(back)
+            if topic == TWIN_TOPICS.journal or goes_back:
+                self._draw(node, waiting.pop(node, {}))
             waiting.setdefault(node, {}).setdefault(topic, []).append(message)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
-            self._read(node, groups)
+            self._draw(node, groups)
         if self._canvas.is_live:
             self.arrange()
 
-    def _read(self, node: str, groups: Mapping[Topic, Sequence[Message]]) -> None:
-        """Draw messages of one node, or messages that belong to no node."""
-        readers: Mapping[Topic, Callable[..., None]] = {
-            _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
-        }
-        if node:
-            twin = self._twin(node)
-            readers = {topic: partial(twin.show, topic) for topic in series.READERS}
-        for topic, read in readers.items():
-            messages = groups.get(topic, ())
-            at_once = [messages] if messages and topic.type == JOINT_STATE else messages
-            for data in at_once:
-                self._attempt(read, data)
-
-    def _twin(self, node: str) -> _TwinView:
-        if node not in self._twins:
-            self._twins[node] = _TwinView(node, copy(self._canvas))
-        return self._twins[node]
-
-    def _attempt(self, read: Callable[..., None], data: Message | Sequence[Message]) -> None:
-        """Read messages at once, or individually if one is damaged or different."""
-        try:
-            read(data)
-        except series.DECODING_ERRORS as error:
-            if not isinstance(data, Message) and len(data) > 1:
-                for message in data:
-                    self._attempt(read, [message])
-                return
-            message = data if isinstance(data, Message) else data[0]
-            self.damaged += 1
-            self.damage = self.damage or f'{message.channel.topic}: {error}'
-
-    def _draw_line(self, message: Message) -> None:
-        """Show a line of the log at the time of the twin, whose clock may be another one."""
-        line = decode(message)
-        known = (twin.shown_stamp(message) for twin in self._twins.values() if twin.is_drawn)
-        stamp = next(known, series.to_ns(line.stamp))
-        level = next(name for bound, name in _LEVELS if line.level >= bound)
-        self._has_log = True
-        columns = rr.TextLog.columns(text=[f'{line.name}: {line.msg}'], level=[level])
-        self._canvas.columns(layout.LOG, np.array([stamp]), columns)
-
-    def _draw_diagnostics(self, message: Message) -> None:
-        """Show diagnostics of a measured track, from a twin or from its calibrator."""
-        for stamp, status, values in series.read_statuses(message):
-            node, _, task = str(status.name).rpartition(': ')
-            for name, twin in self._twins.items():
-                is_beside = name.rpartition('/')[0] == node.rpartition('/')[0]
-                if name == node or (is_beside and task == 'identification'):
-                    twin.draw_track(stamp, task, status, values)
-
     def arrange(self) -> None:
         """Send the layout if it has changed, as every call of `show` does in a live view."""
-        drawn = [twin for twin in self._twins.values() if twin.is_drawn]
-        twins = [twin.layout_state(has_log=self._has_log) for twin in drawn]
+        has_log = self._canvas.is_drawn
+        twins = [twin.layout_state(has_log=has_log) for twin in self._drawn_twins()]
         if not twins or twins == self._arranged:
             return
         self._arranged = twins
@@ -222,253 +188,357 @@ class Scene:
             )
         )
 
+    def _twin(self, node: str) -> _TwinView:
+        if node not in self._twins:
+            self._twins[node] = _TwinView(node, copy(self._canvas))
+        return self._twins[node]
+
+    def _drawn_twins(self) -> list[_TwinView]:
+        return [twin for twin in self._twins.values() if twin.canvas.is_drawn]
+
+    def _draw(self, node: str, groups: Mapping[Topic, Sequence[Message]]) -> None:
+        """Draw messages of one node, or messages that belong to no node."""
+        drawers: Mapping[Topic, Callable[..., None]] = {
+            _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
+        }
+        if node:
+            twin = self._twin(node)
+            drawers = {topic: partial(draw, twin) for topic, draw in _DRAWERS.items()}
+        for topic, draw in drawers.items():
+            messages = groups.get(topic, ())
+            if messages and topic.type == JOINT_STATE:
+                self._attempt(draw, messages)
+            else:
+                for message in messages:
+                    self._attempt(draw, [message])
+
+    def _attempt(self, draw: Callable[..., None], messages: Sequence[Message]) -> None:
+        """Draw messages at once, or individually if one is damaged or different."""
+        try:
+            draw(*messages)
+        except DECODING_ERRORS as error:
+            if len(messages) > 1:
+                for message in messages:
+                    self._attempt(draw, [message])
+            else:
+                self.damaged += 1
+                self.damage = self.damage or f'{messages[0].channel.topic}: {error}'
+
+    def _draw_line(self, message: Message) -> None:
+        """Show a line of the log at the time of the twin, whose clock may be another one."""
+        line = decode(message)
+        shown = (twin.shown_stamp(message) for twin in self._drawn_twins())
+        stamp = next(shown, _to_ns(line.stamp))
+        level = next(name for bound, name in _LEVELS if line.level >= bound)
+        self._canvas.draw(layout.LOG, stamp, rr.TextLog(f'{line.name}: {line.msg}', level=level))
+
+    def _draw_diagnostics(self, message: Message) -> None:
+        """Show diagnostics of a measured track, from a twin or from its calibrator."""
+        for stamp, status, values in _read_statuses(message):
+            node, _, task = str(status.name).rpartition(': ')
+            for name, twin in self._twins.items():
+                is_beside = name.rpartition('/')[0] == node.rpartition('/')[0]
+                if name == node or (is_beside and task == 'identification'):
+                    twin.draw_track(stamp, task, status, values)
+
 
 class _TwinView:
-    """The drawing of one twin from its messages."""
+    """The drawing of one twin, and what it needs to know of earlier messages."""
 
     def __init__(self, node: str, canvas: Canvas) -> None:
-        self.reader = series.TwinReader()
-        # Whether anything was drawn: topics with these names may belong to another machine
-        self.is_drawn = False
+        self.canvas = canvas
+        self.span = math.inf, -math.inf  # stamps of the first and the last state [ns]
+        self._journal = TwinJournal()
         self._node = node
         self._root = rr.new_entity_path(node.split('/'))
-        self._canvas = canvas
+        self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
+        self._offset = 0  # from the time of publishing to the stamp [ns]
+        self._recent: deque[tuple[Stamps, Floats]] = deque(maxlen=_KEPT_BATCHES)  # positions
         self._rig: Rig | None = None  # of the table and the map; None while unknown
-        self._last = self._stamp = 0  # stamps of the last state, and of the table and the map [ns]
-        self._recommendation: tuple[str, Values] = words.NO_RECOMMENDATION, {}  # the last one
-        self._largest_strain = _DEFAULT_STRAIN  # where the colours end [-]
+        self._recommendation = words.NO_RECOMMENDATION, words.NO_VALUES  # the last one
+        self._largest_strain = 0.2  # where the colours end; until the first throw a usual one [-]
         self._track: dict[str, str] = {}  # texts by the task of the node
         self._present: set[str] = set()  # optional panels that are there
         self._size = 12.0, 60.0  # of the side view, before the first rig: diameter, height [mm]
         phases = rr.StateConfiguration(
             values=list(layout.PHASES), colors=list(layout.PHASES.values())
         )
-        canvas.style(self._path('phase'), phases)
+        self._style('phase', phases)
         for name, (titles, colours, _, width) in layout.LINES.items():
             widths = np.broadcast_to(width, len(titles))
-            style = rr.SeriesLines(names=titles, colors=colours, widths=widths)
-            canvas.style(self._path(name), style)
+            self._style(name, rr.SeriesLines(names=titles, colors=colours, widths=widths))
         pixels = rr.components.ImageFormat(
             width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
         )
         layer = rr.Image.from_fields(format=pixels, magnification_filter='linear')
-        canvas.style(self._path('side/layer'), layer)
+        self._style('side/layer', layer)
         cursor = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
-        canvas.style(self._path('strain/now'), cursor)
+        self._style('strain/now', cursor)
+
+    def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
+        """Return the state of the layout."""
+        twin, (diameter, high) = self._journal, self._size
+        scale = twin.time_scale if self.canvas.throw is None else 1.0
+        return layout.TwinLayout(
+            root=self._root,
+            title=self._node,
+            period=1.0 if twin.rig is None else 1.0 / (twin.rig.engine.frequency * scale),
+            side=(1.25 * diameter, -0.4 * diameter, high),
+            residual_limit=_MICRO * twin.settings['measured.residual_threshold'],
+            present=self._present | ({layout.LOG} if has_log else set()),
+        )
+
+    def goes_back(self, state: Message) -> bool:
+        """Return whether stamps go back to a state, as when a replay repeats a bag."""
+        last, self._newest = self._newest, stamp_of(state.data) or self._newest
+        return last > self._newest + _STEP_BACK
+
+    def shown_stamp(self, message: Message) -> int:
+        """Return where a message without a stamp is drawn [ns]."""
+        return self._stamp_of(message) + self.canvas.delay
+
+    def _stamp_of(self, message: Message) -> int:
+        if message.published > _LAST_TIME:
+            raise MessageError(f'a time of {message.published} ns')
+        return message.published + self._offset
 
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
 
-    def step_back(self, state: Message) -> int:
-        """Return how far stamps go back to a state, as when a replay repeats a bag, or 0 [ns]."""
-        last, self._last = self._last, stamp_of(state.data) or self._last
-        return last - self._last if last > self._last + _STEP_BACK else 0
-
-    def begin_again(self, back: int) -> None:
-        """Draw all that follows after what is drawn, although stamps have gone back [ns]."""
-        self._canvas.delay += back
-        self.reader.forget_states()
-        self._stamp = self._last
-        self._draw_recommendation(self._last, self._rig)
-
-    def shown_stamp(self, message: Message) -> int:
-        """Return where a message without a stamp is drawn [ns]."""
-        return self.reader.stamp_of(message) + self._canvas.delay
-
-    def show(self, topic: Topic, data: Message | Sequence[Message]) -> None:
-        """Read and draw a message, or several messages of joints."""
-        content = series.READERS[topic](self.reader, data)
-        if content:
-            self.is_drawn = True
-            _DRAWERS[topic](self, content)
+    def _style(self, name: str, style: rr.AsComponents) -> None:
+        """Set the style of an entity, for all times."""
+        self.canvas.stream.log(self._path(name), style, static=True)
 
     # plots
 
-    def draw_lines(self, lines: tuple[Stamps, Floats], name: str) -> None:
+    def draw_states(self, *messages: Message) -> None:
+        """Draw height, velocity and force of plate and projectile, and move them."""
+        joints = _read_joints(messages)
+        series = joints.position, joints.velocity, joints.effort
+        names = tuple(self._journal.settings[f'joint_names.{joint}'] for joint in JOINTS)
+        if joints.names != names or any(values.shape[1] != len(JOINTS) for values in series):
+            return
+        stamps, last = joints.stamps, int(joints.stamps[-1])
+        if stamps[0] < self._last - _STEP_BACK:  # draw the repetition after what is drawn
+            self.canvas.delay += self._last - int(stamps[0])
+            self._recent.clear()
+        self._offset, self._last = last - messages[-1].published, last
+        self._recent.append((stamps, joints.position))
+        self.span = min(self.span[0], stamps.min()), max(self.span[1], stamps.max())
+        self._draw_lines('position', stamps, joints.position)
+        self._draw_lines('velocity', stamps, joints.velocity)
+        self._draw_lines('force', stamps, joints.effort * [-1.0, 1.0])
+        self._move_bodies(stamps, joints.position)
+
+    def draw_positions(self, *messages: Message, topic: Topic, name: str) -> None:
+        """
+        Draw measured positions, predicted positions or residuals; NaN for a joint without them.
+
+        Measured positions are relative to rest, at times by the clock of the twin; they are not
+        drawn while the rest is unknown.
+        """
+        joints, twin = _read_joints(messages), self._journal
+        names = [twin.settings[f'joint_names.{joint}'] for joint in topic.joints]
+        if names[0] not in joints.names or joints.position.shape[1] != len(joints.names):
+            return
+        stamps, position = joints.stamps, np.full((len(messages), len(names)), math.nan)
+        for column, joint in enumerate(names):
+            if joint in joints.names:
+                position[:, column] = joints.position[:, joints.names.index(joint)]
+        if topic == TWIN_TOPICS.measured_joint_states:
+            if twin.rest_heights is None or twin.rig is None:
+                return
+            position -= [twin.rest_heights[0], twin.rest_heights[1] - twin.rig.rest_height]
+            stamps = stamps + twin.clock_offset_ns
+        self._draw_lines(name, stamps, position)
+
+    def draw_energies(self, message: Message) -> None:
+        """Draw the energies of the throw under way."""
+        (rows,), throw = _read_cloud(message, TWIN_TOPICS.throw_energies), self._journal.throw
+        if throw is not None:
+            stamps, end = throw.stamps_at(rows[:, 0]), np.full((1, rows.shape[1] - 1), math.nan)
+            stamps = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
+            self._draw_lines('energy', stamps, np.vstack([rows[:, 1:], end]))
+
+    def draw_phases(self, *messages: Message) -> None:
+        """Draw phases at the times of their starts."""
+        joints, phases = _read_joints(messages), [phase.value for phase in Phase]
+        if joints.names == TWIN_TOPICS.phase_change.joints and joints.position.shape[1] == 1:
+            for stamp, number in zip(joints.stamps.tolist(), joints.position[:, 0], strict=True):
+                if number in range(len(phases)):
+                    state = rr.StateChange(state=phases[int(number)])
+                    self.canvas.draw(self._path('phase'), stamp, state)
+
+    def _draw_lines(self, name: str, stamps: Stamps, values: Floats) -> None:
         """Draw lines of a plot, of values in SI units."""
-        stamps, values = lines
         columns = rr.Scalars.columns(scalars=layout.LINES[name].factor * values)
-        self._canvas.columns(self._path(name), stamps, columns)
+        self.canvas.columns(self._path(name), stamps, columns)
         self._present.add(name)
-
-    def draw_states(self, states: series.RigStates) -> None:
-        self.draw_lines((states.stamps, states.position), 'position')
-        self.draw_lines((states.stamps, states.velocity), 'velocity')
-        self.draw_lines((states.stamps, states.force * [-1.0, 1.0]), 'force')
-        self._draw_positions(states.stamps, states.position)
-
-    def draw_energies(self, energies: tuple[Stamps, Floats]) -> None:
-        stamps, values = energies
-        stamps = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
-        values = np.vstack([values, np.full(values.shape[1], math.nan)])
-        self.draw_lines((stamps, values), 'energy')
 
     # the rig to scale: in mm, downwards as Rerun has it
 
-    def draw_rig(self, change: tuple[int, Rig]) -> None:
+    def draw_journal(self, message: Message) -> None:
+        """Apply a line of the journal; draw the rig if it is another one."""
+        twin = self._journal
+        rig, throw = twin.rig, twin.throw
+        twin.read(message)
+        if twin.rig is not None and twin.rig is not rig:
+            begun = twin.throw if twin.throw is not throw else None
+            self._draw_rig(begun.stamp if begun else self._stamp_of(message), twin.rig)
+
+    def _draw_rig(self, stamp: int, rig: Rig) -> None:
         """Draw the bodies of a rig, and a scale of heights on the left."""
-        stamp, rig = change
-        draw, path = partial(self._canvas.draw, stays=True), self._path('side')
         diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
         thickness = _MILLI * rig.layer.thickness
         high, width = 1.35 * (thickness + length) + 0.8 * diameter, _PLATE_WIDTH * diameter
         self._size = diameter, high
-        for name, colour, w, y, h in (
-            ('plate', GREY, width, 0.0, 0.15 * diameter),
-            ('projectile', BLUE, diameter, -length, length),
-        ):
-            body = _picture(np.array([[colour]], np.uint8), x=-0.5 * w, y=y, w=w, h=h)
-            draw(f'{path}/{name}/body', stamp, *body)
-        for name, text, y in (
-            ('plate/text', 'plate', 0.0),
-            ('plate/layer_text', 'layer', -0.5 * thickness),
-            ('projectile/text', 'projectile', -0.5 * length),
-        ):
-            draw(f'{path}/{name}', stamp, _texts([(0.95 * diameter, y)], [text], WHITE))
         locator = MaxNLocator(8, steps=[1, 2, 5, 10])
         ticks = [tick for tick in locator.tick_values(0.0, high) if 0.0 <= tick <= high]
-        x, mark = -0.55 * width, 0.08 * diameter
+        x, mark, right = -0.55 * width, 0.08 * diameter, 0.95 * diameter
+        lift = 0.009 * (high + 0.4 * diameter)  # texts stand below their places
         strips = [[(x, 0.0), (x, -ticks[-1])]]
         strips += [[(x - mark, -tick), (x, -tick)] for tick in ticks]
-        draw(f'{path}/ruler', stamp, _lines(strips, GREY))
-        lift = 0.009 * (high + 0.4 * diameter)  # texts stand below their places
         places = [(x - 0.21 * diameter, -tick - lift) for tick in ticks]
-        draw(f'{path}/ruler/texts', stamp, _texts(places, [f'{tick:g}' for tick in ticks]))
+        for name, content in {
+            'plate/body': _rectangle(GREY, width, 0.0, 0.15 * diameter),
+            'projectile/body': _rectangle(BLUE, diameter, -length, length),
+            'plate/text': _texts([(right, 0.0)], ['plate'], WHITE),
+            'plate/layer_text': _texts([(right, -0.5 * thickness)], ['layer'], WHITE),
+            'projectile/text': _texts([(right, -0.5 * length)], ['projectile'], WHITE),
+            'ruler': [rr.LineStrips2D(strips, colors=[GREY], radii=rr.Radius.ui_points(0.5))],
+            'ruler/texts': _texts(places, [f'{tick:g}' for tick in ticks], GREY),
+        }.items():
+            self.canvas.draw(self._path(f'side/{name}'), stamp, *content, stays=True)
         if self._rig not in (None, rig):  # the last recommendation is of another rig
-            self._recommendation = words.NO_RECOMMENDATION, {}
+            self._recommendation = words.NO_RECOMMENDATION, words.NO_VALUES
         if self._rig != rig:
-            self._draw_recommendation(stamp, rig)
+            self._show_recommendation(stamp, rig)
 
-    def _draw_positions(self, stamps: Stamps, position: Floats) -> None:
+    def _move_bodies(self, stamps: Stamps, position: Floats) -> None:
         """Move plate and projectile."""
         translation = np.zeros((stamps.size, 3))
-        for name, height in zip(('plate', 'projectile'), position.T, strict=True):
+        for name, height in zip(JOINTS, position.T, strict=True):
             translation[:, 1] = -_MILLI * height
             columns = rr.Transform3D.columns(translation=translation)
-            self._canvas.columns(self._path(f'side/{name}'), stamps, columns)
+            self.canvas.columns(self._path(f'side/{name}'), stamps, columns)
 
-    def draw_layer(self, layer: series.LayerStates) -> None:
+    def draw_layer(self, *messages: Message) -> None:
+        """Draw the strain of the layer between its ends."""
+        joints, rig = _read_joints(messages), self._journal.rig
+        height = joints.position
+        if height.shape[1] != FIELD_POINTS:
+            raise MessageError(f'a layer of {FIELD_POINTS} joints, got {height.shape[1]}')
+        if rig is not None:
+            step = rig.layer.thickness / (FIELD_POINTS - 1)
+            strain = np.asarray(np.gradient(height, step, axis=1) - 1.0)
+            self._stretch_layer(joints.stamps, height[:, 0], height[:, -1], strain)
+
+    def _stretch_layer(self, stamps: Stamps, bottom: Floats, top: Floats, strain: Floats) -> None:
         """Draw the colours of the strain, stretched from the lower to the upper end."""
-        pixels = charts.signed_colours(layer.strain[:, ::-1], self._largest_strain)
-        width, count = self._size[0], layer.top.size
-        corner, scale = np.zeros((count, 3)), np.ones((count, 3))
-        corner[:, 0], corner[:, 1] = -0.5 * width, -_MILLI * layer.top
-        scale[:, 0], scale[:, 1] = width, _MILLI * (layer.top - layer.bottom) / FIELD_POINTS
+        pixels = charts.signed_colours(strain[:, ::-1], self._largest_strain)
+        width = self._size[0]
+        corner, scale = np.zeros((top.size, 3)), np.ones((top.size, 3))
+        corner[:, 0], corner[:, 1] = -0.5 * width, -_MILLI * top
+        scale[:, 0], scale[:, 1] = width, _MILLI * (top - bottom) / FIELD_POINTS
         columns = [
             *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
             *rr.Transform3D.columns(translation=corner, scale=scale),
         ]
-        self._canvas.columns(self._path('side/layer'), layer.stamps, columns)
+        self.canvas.columns(self._path('side/layer'), stamps, columns)
 
     # the strain over time and height in one throw
 
-    def draw_field(self, field: series.StrainField) -> None:
-        """Draw the strain with axes, the ejection and a moving cursor, and the rig over time."""
-        contact = field.strain[field.times <= (field.throw.ejection_time or field.times[-1])]
-        limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
-        self._largest_strain = limit
-        path, stamps, draw = self._path('strain'), field.stamps, self._canvas.draw
-        start, end = int(stamps[0]), float(field.times[-1])
-        x, y, width, height = charts.FRAME_BOX
-        frame = charts.strain_frame(_MILLI * end, _MILLI * field.thickness, 100.0 * limit)
-        draw(f'{path}/frame', start, _encoded_image(frame))
-        pixels = charts.signed_colours(field.strain.T[::-1], limit)
-        draw(f'{path}/picture', start, *_picture(pixels, x=x, y=y, w=width, h=height))
-        strips, places, titles = [], [], []  # nothing replaces the line of another throw
-        ejection_time = field.throw.ejection_time
-        if ejection_time is not None:
-            at = x + width * ejection_time / end
-            strips, places = [[(at, y), (at, y + height)]], [(at, y - 37.0)]
-            titles = [f'tₑ {_MILLI * ejection_time:.2f} ms']
-        draw(f'{path}/ejection', start, _lines(strips, BLACK))
-        draw(f'{path}/ejection/text', start, _texts(places, titles))
+    def draw_field(self, message: Message) -> None:
+        """Draw the strain of the throw under way with a moving cursor, and the rig over time."""
+        points, throw = _read_cloud(message, TWIN_TOPICS.throw_field), self._journal.throw
+        if throw is None:
+            return
+        times, heights, strain = points[:, 0, 0], points[0, :, 1], points[..., 2]
+        contact = strain[times <= (throw.ejection_time or times[-1])]
+        self._largest_strain = limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
+        stamps, path, draw = throw.stamps_at(times), self._path('strain'), self.canvas.draw
+        start, (x, y, width, height) = int(stamps[0]), charts.STRAIN_BOX
+        frame = charts.strain_frame(times[-1], heights[-1], limit, throw.ejection_time)
+        draw(f'{path}/frame', start, _image(frame))
+        pixels = charts.signed_colours(strain.T[::-1], limit)
+        pixels[:, times.searchsorted(throw.ejection_time or math.inf):][:, :1] = 0  # a black line
+        draw(f'{path}/picture', start, *_picture(pixels, x, y, width, height))
         cursors = np.zeros((stamps.size, 2, 2), np.float32)
-        cursors[:, :, 0] = (x + width * field.times / end)[:, None]
+        cursors[:, :, 0] = (x + width * times / times[-1])[:, None]
         cursors[:, :, 1] = y, y + height
         columns = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
         after = 2 * stamps[-1] - stamps[-2]  # when the cursor disappears
-        self._canvas.columns(f'{path}/now', np.append(stamps, after), columns)
-        throw = self.reader.interpolate_throw(field)
-        if throw is not None:
-            position, layer = throw
-            self._draw_positions(stamps, position)
-            self.draw_layer(layer)
+        self.canvas.columns(f'{path}/now', np.append(stamps, after), columns)
+        if self._recent and self._recent[0][0][0] <= stamps[0]:
+            known, positions = (np.concatenate(parts) for parts in zip(*self._recent, strict=True))
+            position = np.column_stack(
+                [np.interp(stamps, known, column) for column in positions.T]
+            )
+            self._move_bodies(stamps, position)
+            bottom = position[:, 0]
+            top = bottom + np.trapezoid(1.0 + strain, heights, axis=1)
+            self._stretch_layer(stamps, bottom, top, strain)
 
-    # words
+    # texts and the map
 
-    def _write(self, name: str, stamp: int, text: str, *, stays: bool = False) -> None:
-        document = rr.TextDocument(text, media_type='text/markdown')
-        self._canvas.draw(self._path(name), stamp, document, stays=stays)
-
-    def draw_phases(self, changes: Sequence[tuple[int, str]]) -> None:
-        """Draw phases at the times of their starts."""
-        for stamp, phase in changes:
-            self._canvas.draw(self._path('phase'), stamp, rr.StateChange(state=phase))
-
-    def draw_results(self, results: Sequence[tuple[int, Values]]) -> None:
-        """Write the results of throws."""
-        for stamp, values in results:
+    def draw_result(self, message: Message) -> None:
+        """Write the results of a throw; early ones from its start on."""
+        throw = self._journal.throw
+        for stamp, _, values in _read_statuses(message):
+            is_early = values.get('stage') in ('predicted', 'release')
+            if throw is not None and is_early and values.get('throw') == throw.number:
+                stamp = throw.stamp  # noqa: PLW2901
             self._write('throw_result', stamp, words.throw_text(values))
 
-    def draw_track(self, stamp: int, task: str, status: Any, values: Values) -> None:
+    def draw_track(self, stamp: int, task: str, status: Any, values: words.Values) -> None:
         """Write the diagnostics of the measured track, one line for each task."""
         if task in words.TRACK_TASKS:
-            self.is_drawn = True
             self._present.add('track')
             self._track[task] = words.track_text(task, status, values)
             lines = [self._track[name] for name in words.TRACK_TASKS if name in self._track]
             self._write('track', stamp, '  \n'.join(lines))
 
-    def draw_recommendations(self, recommendations: Sequence[tuple[int, str, Values]]) -> None:
-        """Write recommendations, and draw the maps of their rig."""
-        for stamp, text, values in recommendations:
-            self._recommendation = text, values
-            self._draw_recommendation(stamp, self.reader.wanted_rig())
+    def draw_recommendation(self, message: Message) -> None:
+        """Write a recommendation, and draw the map of its rig."""
+        for _, status, values in _read_statuses(message):
+            self._recommendation = str(status.message), values
+            self._show_recommendation(self._stamp_of(message), self._journal.wanted_rig)
 
-    def _draw_recommendation(self, stamp: int, rig: Rig | None) -> None:
+    def _show_recommendation(self, stamp: int, rig: Rig | None) -> None:
         """Write the table of the last recommendation, and draw the map of a rig."""
-        self._rig, (message, values) = rig, self._recommendation
-        if stamp > self._stamp - _STEP_BACK:  # else it is of the next repetition
-            stamp = max(self._stamp, stamp)  # the last one is shown last
-        self._stamp = stamp
-        text = words.recommendation_text(message, values)
+        self._rig, (text, values) = rig, self._recommendation
+        stamp = max(stamp, self._last)
+        text = words.recommendation_text(text, values)
         self._write('recommendation', stamp, text, stays=True)
         if rig is not None:
-            figure = charts.draw_energy_map(rig, self.reader.wanted, values)
-            image = _encoded_image(charts.to_png(figure))
-            self._canvas.draw(self._path('landscape'), stamp, image, stays=True)
+            figure = charts.draw_energy_map(rig, self._journal.wanted, values)
+            image = _image(charts.to_png(figure))
+            self.canvas.draw(self._path('landscape'), stamp, image, stays=True)
 
-    # layout
-
-    def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
-        """Return the state of the layout."""
-        reader, (diameter, high) = self.reader, self._size
-        scale = reader.time_scale if self._canvas.throw is None else 1.0
-        period = 1.0 if reader.rig is None else 1.0 / (reader.rig.engine.frequency * scale)
-        return layout.TwinLayout(
-            root=self._root,
-            title=self._node,
-            period=period,
-            side=(1.25 * diameter, -0.4 * diameter, high),
-            residual_limit=_MICRO * reader.settings['measured.residual_threshold'],
-            present=self._present | ({layout.LOG} if has_log else set()),
-        )
+    def _write(self, name: str, stamp: int, text: str, *, stays: bool = False) -> None:
+        document = rr.TextDocument(text, media_type='text/markdown')
+        self.canvas.draw(self._path(name), stamp, document, stays=stays)
 
 
-_DRAWERS: Mapping[Topic, Callable[[_TwinView, Any], None]] = {
-    TWIN_TOPICS.journal: _TwinView.draw_rig,
+_DRAWERS: Mapping[Topic, Callable[..., None]] = {
+    TWIN_TOPICS.journal: _TwinView.draw_journal,
     TWIN_TOPICS.joint_states: _TwinView.draw_states,
     **{
-        topic: partial(_TwinView.draw_lines, name=name) for topic, name in layout.POSITIONS.items()
+        topic: partial(_TwinView.draw_positions, topic=topic, name=name)
+        for topic, name in layout.POSITIONS.items()
     },
     TWIN_TOPICS.layer_joint_states: _TwinView.draw_layer,
     TWIN_TOPICS.phase_change: _TwinView.draw_phases,
-    TWIN_TOPICS.throw_result: _TwinView.draw_results,
-    TWIN_TOPICS.recommendation: _TwinView.draw_recommendations,
+    TWIN_TOPICS.throw_result: _TwinView.draw_result,
+    TWIN_TOPICS.recommendation: _TwinView.draw_recommendation,
     TWIN_TOPICS.throw_field: _TwinView.draw_field,
     TWIN_TOPICS.throw_energies: _TwinView.draw_energies,
 }
-"""Methods that draw the content of each topic, as `timeseries.READERS` reads it."""
+"""
+Methods that draw a message, or several ones of joints.
+
+Later methods need the data of earlier ones.
+"""
 
 
 def is_drawn(topic: str, type_name: str) -> bool:
@@ -480,7 +550,7 @@ def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
     """Return node and topic of a name: no node if of all, no topic if it is not drawn."""
     if type_name == _LOG.type:
         return '', _LOG
-    node, topic = series.identify(name, type_name)
+    node, topic = identify(name, type_name)
     is_drawn = topic in _DRAWERS or topic == TWIN_TOPICS.diagnostics
     return (node, topic) if is_drawn else ('', None)
 
@@ -491,11 +561,63 @@ def _round_up(value: float) -> float:
     return unit * next(digit for digit in (1.0, 1.5, 2.0, 3.0, 5.0, 10.0) if digit * unit >= value)
 
 
+# messages
+
+
+def _read_joints(messages: Sequence[Message]) -> JointStates:
+    joints = JointStateReader().read_all([message.data for message in messages])
+    numbers = np.hstack([joints.position, joints.velocity, joints.effort])
+    if (np.abs(numbers) > _LARGEST).any():  # NaN is a missing measurement
+        raise MessageError(f'a number beyond {_LARGEST:g}')
+    return joints
+
+
+def _read_cloud(message: Message, topic: Topic) -> Floats:
+    """Read the points of a cloud with the fields of a topic, shape (rows, columns, fields)."""
+    cloud, count = decode(message), len(topic.axes)
+    names = tuple(field.name for field in cloud.fields)
+    shape = cloud.height, cloud.width, count
+    if names != topic.axes or len(cloud.data) != 8 * math.prod(shape) or min(shape) < 1:
+        raise MessageError(f'a cloud of {", ".join(topic.axes)}, got {", ".join(names)}')
+    return np.frombuffer(bytes(cloud.data), '<f8').reshape(shape)
+
+
+def _read_statuses(message: Message) -> list[tuple[int, Any, words.Values]]:
+    """Return stamp, status and its named values, for each status of a DiagnosticArray."""
+    array = decode(message)
+    return [
+        (
+            _to_ns(array.header.stamp),
+            status,
+            {str(item.key): _number_or_text(item.value) for item in status.values},
+        )
+        for status in array.status
+    ]
+
+
+def _to_ns(time: Any) -> int:  # a builtin_interfaces/Time
+    return int(time.sec * SECOND + time.nanosec)
+
+
+def _number_or_text(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return str(text)
+
+
 # shapes
 
 
+def _rectangle(
+    colour: Colour, width: float, y: float, height: float
+) -> tuple[rr.AsComponents, rr.AsComponents]:
+    """Return a rectangle around x = 0 below y."""
+    return _picture(np.array([[colour]], np.uint8), -0.5 * width, y, width, height)
+
+
 def _picture(
-    pixels: Bytes, *, x: float, y: float, w: float, h: float
+    pixels: charts.Bytes, x: float, y: float, width: float, height: float
 ) -> tuple[rr.AsComponents, rr.AsComponents]:
     """Stretch pixels over a rectangle, whose upper left corner is at x, y."""
     rows, columns = pixels.shape[:2]
@@ -504,17 +626,11 @@ def _picture(
         bytes=pixels.tobytes(), width=columns, height=rows, color_model='RGB', datatype='U8',
         magnification_filter='linear',
     )
-    scale = [w / columns, h / rows, 1.0]
+    scale = [width / columns, height / rows, 1.0]
     return image, rr.Transform3D(translation=[x, y, 0.0], scale=scale)
 
 
-def _lines(strips: Sequence[Sequence[tuple[float, float]]], colour: Colour) -> rr.LineStrips2D:
-    """Draw thin lines."""
-    radius = rr.Radius.ui_points(0.5)
-    return rr.LineStrips2D([np.array(strip) for strip in strips], colors=[colour], radii=radius)
-
-
-def _encoded_image(png: bytes) -> rr.EncodedImage:
+def _image(png: bytes) -> rr.EncodedImage:
     """Return an image that is drawn behind everything else."""
     return rr.EncodedImage(
         contents=png, media_type='image/png', draw_order=-20.0, magnification_filter='linear'
@@ -522,14 +638,16 @@ def _encoded_image(png: bytes) -> rr.EncodedImage:
 
 
 def _texts(
-    points: Sequence[tuple[float, float]], labels: Sequence[str], colour: Colour = GREY
-) -> rr.Points2D:
-    """Write texts whose upper edges are a little below points of a view."""
-    return rr.Points2D(
-        points,
-        radii=rr.Radius.ui_points(0.0),
-        colors=[colour],
-        labels=labels,
-        show_labels=True,
-        draw_order=40.0,  # in front of images (-10) and lines (30)
-    )
+    points: Sequence[tuple[float, float]], labels: Sequence[str], colour: Colour
+) -> list[rr.AsComponents]:
+    """Return texts whose upper edges are a little below points of a view."""
+    return [
+        rr.Points2D(
+            points,
+            radii=rr.Radius.ui_points(0.0),
+            colors=[colour],
+            labels=labels,
+            show_labels=True,
+            draw_order=40.0,  # in front of images (-10) and lines (30)
+        )
+    ]

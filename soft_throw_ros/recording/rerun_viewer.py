@@ -167,29 +167,26 @@ class Viewer:
     def wait(self) -> None:
         """Wait until it listens; raise ViewerError if it ends, or not within `START_TIME`."""
         deadline = time.monotonic() + START_TIME
-        while not listens(self.port):
-            if self._process.poll() is not None:
-                raise self._end_with_error('has ended')
-            if time.monotonic() > deadline:
-                raise self._end_with_error(f'has not answered within {START_TIME:g} s')
-            time.sleep(_POLL)
+        with self._explained_errors():
+            while not listens(self.port):
+                if self._process.poll() is not None or time.monotonic() > deadline:
+                    raise TimeoutError(f'nothing listens at {HOST}:{self.port}')
+                time.sleep(_POLL)
 
     def client(self) -> ViewerClient:
         """Return a client after a first picture; raise NoGraphicsError without Vulkan."""
         self.wait()
         with self._explained_errors():
-            client = client_of(self.port)
+            client = _client_of(self.port)
             # the viewer answers other requests before it can draw
             _request(partial(client.take_screenshot, max_size=64))
         return client
 
-    def photograph(self, timeline: str, seconds: float | None) -> bytes:
-        """Return a picture (PNG) of a time [s] on a timeline; raise ViewerError if that fails."""
+    def photograph(self, path: Path, timeline: str, seconds: float | None) -> bytes:
+        """Return a picture (PNG) of a recording at a time [s]; raise ViewerError if that fails."""
         client = self.client()
         with self._explained_errors():
-            _request(client.get_state, lambda s: s.recordings and s.views and not s.loading)
-            if seconds is not None:
-                client.set_time(timeline, duration=seconds, play_state='paused')
+            _open(client, path, timeline, seconds)
             time.sleep(_SETTLE_TIME)
             return _request(client.take_screenshot)
 
@@ -202,31 +199,27 @@ class Viewer:
 
     @contextlib.contextmanager
     def _explained_errors(self) -> Iterator[None]:
-        """Convert errors of the client into ViewerError, with the reason if it is known."""
+        """End the process after an error of the client, and raise ViewerError with its reason."""
         try:
             yield
         except _CLIENT_ERRORS as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 # without graphics the viewer closes its connections seconds before it ends
                 self._process.wait(START_TIME)
-            raise self._end_with_error(f'does not draw ({error})') from None
-
-    def _end_with_error(self, problem: str) -> ViewerError:
-        """End the process, and return an error with its first message."""
-        self._errors.seek(0)
-        output = self._errors.read()
-        self.end()
-        if any(word in output for word in _NO_GRAPHICS):
-            return NoGraphicsError(
-                'the viewer finds no graphics; on Debian and Ubuntu `apt install '
-                'mesa-vulkan-drivers libvulkan1` installs a software renderer'
-            )
-        reason = output.strip().partition('\n')[0] or 'it has left no message'
-        return ViewerError(f'the viewer {problem}: {reason}')
+            self._errors.seek(0)
+            output = self._errors.read()
+            self.end()
+            if any(word in output for word in _NO_GRAPHICS):
+                raise NoGraphicsError(
+                    'the viewer finds no graphics; on Debian and Ubuntu `apt install '
+                    'mesa-vulkan-drivers libvulkan1` installs a software renderer'
+                ) from None
+            reason = output.strip().partition('\n')[0] or 'it has left no message'
+            raise ViewerError(f'the viewer does not draw ({error}): {reason}') from None
 
 
-def show(stream: rr.RecordingStream, port: int, draw: Callable[[], None]) -> None:
-    """Draw a recording into the viewer at a port; start one that stays if there is none."""
+def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
+    """Open a recording in the viewer at a port; start one that stays if there is none."""
     if not listens(port):
         if not has_display():
             raise ViewerError(
@@ -235,30 +228,21 @@ def show(stream: rr.RecordingStream, port: int, draw: Callable[[], None]) -> Non
                 f'start one where there is a screen: {find_viewer()} --bind {HOST} --port {port}'
             )
         Viewer(port, stays=True).wait()
-    stream.connect_grpc(url_of(port))
-    draw()
-    while True:
-        with contextlib.suppress(RuntimeError):
-            return stream.flush(timeout_sec=1.0)
-        if not listens(port):
-            raise ViewerError('the viewer was closed before it had everything')
+    try:
+        _open(_client_of(port), path, timeline, seconds)
+    except _CLIENT_ERRORS as error:
+        raise ViewerError(f'the viewer has not opened the bag: {error}') from None
 
 
-def go_to(stream: rr.RecordingStream, port: int, timeline: str, seconds: float) -> None:
-    """Move the cursor of a viewer to a time of a recording, if the viewer can do that [s]."""
-    import rerun as rr
-
-    recording = f'Recording:{rr.get_application_id(stream)}:{rr.get_recording_id(stream)}'
-    with contextlib.suppress(*_CLIENT_ERRORS):
-        client = client_of(port)
-        _request(
-            client.get_state,
-            lambda state: any(item.store_id == recording for item in state.recordings),
-        )
-        client.set_time(timeline, duration=seconds, play_state='paused', recording=recording)
+def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> None:
+    """Open a recording in a viewer, and move the cursor to a time of it [s]."""
+    _request(partial(client.open, str(path)))
+    _request(client.get_state, lambda state: state.recordings and not state.loading)
+    if seconds is not None:
+        client.set_time(timeline, duration=seconds, play_state='paused')
 
 
-def client_of(port: int) -> ViewerClient:
+def _client_of(port: int) -> ViewerClient:
     """Return a client of the viewer at a port."""
     from rerun.experimental import ViewerClient
 

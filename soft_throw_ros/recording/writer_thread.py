@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 import threading
 import time
 
@@ -41,7 +41,8 @@ class WriterThread:
         self._count: Counter[Channel] = Counter()  # of all messages
         self._dropped: Counter[Channel] = Counter()
         self._is_abandoned = False  # whether all that is not saved is lost
-        self._waiting: deque[Message | Callable[[BagWriter], None]] = deque()
+        self._waiting: deque[Message] = deque()
+        self._notes: Mapping[str, Mapping[str, str]] = {}
         # Two sums, each of one thread, and no lock
         self._put_size = 0  # [bytes]
         self._written_size = 0  # [bytes]
@@ -72,10 +73,6 @@ class WriterThread:
                 self._put_size += size
                 self._waiting.append(message)
 
-    def call(self, act: Callable[[BagWriter], None]) -> None:
-        """Queue a function that acts on the bag after the messages so far."""
-        self._waiting.append(act)
-
     def lost(self) -> Counter[Channel]:
         """Return the numbers of finally lost messages by channel."""
         if self._is_abandoned:
@@ -86,13 +83,14 @@ class WriterThread:
         """Begin to save all messages so far, without waiting for the next period."""
         self._wake.set()
 
-    def close(self) -> None:
+    def close(self, notes: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """
-        Write all messages that wait, and finish the bag; if that fails, set `error`.
+        Write all messages that wait and named texts, and finish the bag, or set `error`.
 
         If the disk takes nothing for `STALL_TIMEOUT`, the thread is left alone, and all messages
         that are not saved are lost.
         """
+        self._notes = notes or {}
         self._closing.set()
         self._wake.set()
         progress, since = self._progress(), time.monotonic()
@@ -127,27 +125,25 @@ class WriterThread:
             self._write()
         except BagError:
             pass  # closing raises it again
-        waiting = [item.channel for item in self._waiting if isinstance(item, Message)]
-        self._dropped.update(waiting)
+        self._dropped.update(message.channel for message in self._waiting)
         if self.bag is not None:
             try:
-                self.bag.close()
+                with self.bag as bag:
+                    for name, values in self._notes.items():
+                        bag.add_metadata(name, values)
                 self.error = ''
             except BagError as error:
                 self.error = str(error)
 
     def _write(self) -> None:
-        """Write the queued messages, and call the queued functions."""
+        """Write the queued messages."""
         while self._waiting and self.bag is not None:
-            item = self._waiting[0]  # which waits until it is written
-            if isinstance(item, Message):
-                if item.has_valid_times:
-                    self.bag.write(item)
-                else:
-                    self._dropped[item.channel] += 1
-                self._written_size += item.memory
+            message = self._waiting[0]  # which waits until it is written
+            if message.has_valid_times:
+                self.bag.write(message)
             else:
-                item(self.bag)
+                self._dropped[message.channel] += 1
+            self._written_size += message.memory
             self._waiting.popleft()
 
     def _open(self) -> None:

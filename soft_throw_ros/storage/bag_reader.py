@@ -3,43 +3,121 @@
 """
 Finished bags of this package and of other recorders, opened for reading.
 
-The error for a damaged or unfinished bag names the command that recovers its messages (see
+The library `mcap` parses the records. No file may make it read or unpack more than `MAX_RECORD` at
+once. The error for a damaged or unfinished bag names the command that recovers its messages (see
 `recovery`).
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
+import functools
 import heapq
+import io
 import itertools
 import os
 from pathlib import Path
 import struct
+import sys
 import zlib
 
 from mcap import records as mcap
 from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
-from soft_throw_ros.storage.mcap_records import (
-    check_size,
-    CONVERSION,
-    MAGIC,
-    make_channel,
-    make_message,
-    open_mcap,
-    UnfinishedError,
-)
-from soft_throw_ros.storage.message import BagError, Channel, Message
+from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.storage.regular_file import open_regular_file
 
-__all__ = ['BagReader', 'UnfinishedError']
+MAX_RECORD = 64 * 2**20
+"""
+Largest size of a record, of an unpacked chunk, of the index of a file, and of a file without an
+index, whose messages are kept in memory. [bytes]
+"""
 
-MAX_UNINDEXED = 64 * 2**20
-"""Largest size of a file without an index, whose messages are kept in memory. [bytes]"""
+_CONVERSION = 'convert it, as with rosbags: rosbags-convert --src BAG --dst NEW --dst-storage mcap'
+
+_OTHER_FORMATS = {
+    b'SQLite format 3': f'is a bag in sqlite3, not in MCAP; {_CONVERSION}',
+    b'#ROSBAG V': f'is a bag of ROS 1, not in MCAP; {_CONVERSION}',
+    b'\x28\xb5\x2f\xfd': f'is compressed as a whole; {_CONVERSION}',
+    MAGIC: '',
+}
+"""First bytes of files, with the reason why they are refused."""
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
+
+_unique_channel = functools.cache(Channel)
+"""Return one object for all equal channels, since the files of a bag repeat them."""
+
+
+class UnfinishedError(BagError):
+    """A file is damaged or unfinished; `recover` can copy its messages to a new bag."""
+
+    def __init__(self, path: Path, reason: object) -> None:
+        text = f'{str(reason) or type(reason).__name__:.200}'
+        super().__init__(
+            f'{path}: {text}; write a new bag of all that can be read: soft-throw recover BAG'
+        )
+
+
+class _BoundedFile(io.BufferedReader):
+    """A file that refuses to read more than `MAX_RECORD` at once, whatever its records claim."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        check_size(size or 0)
+        return super().read(size)
+
+
+def check_size(size: int) -> None:
+    """Raise ValueError if a record or chunk claims too large a size [bytes]."""
+    if size > MAX_RECORD:
+        raise ValueError(f'a record or chunk of {size} bytes, more than {MAX_RECORD}')
+
+
+def open_mcap(path: Path) -> io.BufferedReader:
+    """Open an MCAP file; raise BagError if it cannot be opened, is empty or no MCAP file."""
+    try:
+        with open_regular_file(path, max_bytes=sys.maxsize) as file:
+            begin = file.read(16)
+    except OSError as error:
+        raise BagError(f'{path}: {error.strerror}') from None
+    reasons = [why for magic, why in _OTHER_FORMATS.items() if begin.startswith(magic)]
+    if reason := 'is empty' if not begin else (*reasons, 'is no MCAP file')[0]:
+        raise BagError(f'{path} {reason}')
+    return _BoundedFile(io.FileIO(path))
+
+
+def make_channel(record: mcap.Channel, schemas: Mapping[int, mcap.Schema]) -> Channel:
+    """Return a channel; raise BagError if it is not of ROS 2."""
+    if record.message_encoding != 'cdr':
+        raise BagError(
+            f'{record.topic} has messages in {record.message_encoding!r}, not in '
+            "'cdr' as those of ROS 2 are"
+        )
+    schema = schemas[record.schema_id]
+    return _unique_channel(
+        topic=record.topic,
+        type=schema.name,
+        schema=schema.data.decode(errors='replace'),
+        type_hash=record.metadata.get('topic_type_hash', ''),
+        qos=record.metadata.get('offered_qos_profiles', ''),
+        schema_encoding=schema.encoding,
+    )
+
+
+def make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Message:
+    """Return a message; raise ValueError if its channel or its times are invalid."""
+    channel = channels.get(record.channel_id)
+    if channel is None:
+        raise ValueError(f'nothing defines channel {record.channel_id} of a message')
+    times = record.log_time, record.publish_time
+    message = Message(channel, record.data, *times, record.sequence)
+    if not message.has_valid_times:
+        raise ValueError(f'a message has the times {times} ns, beyond {LATEST}')
+    return message
 
 
 class BagFolder:
@@ -63,9 +141,9 @@ class BagFolder:
         self.distribution = information.distribution
         if information.storage not in ('', 'mcap') or any(self.path.glob('*.db3')):
             storage = information.storage or 'sqlite3'
-            raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {CONVERSION}')
+            raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {_CONVERSION}')
         if information.compression_mode.lower() in ('file', 'message'):
-            raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {CONVERSION}')
+            raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {_CONVERSION}')
         # `bag_2` before `bag_10`
         present = sorted(self.path.glob('*.mcap'), key=lambda path: (len(path.name), path.name))
         if not present:
@@ -86,7 +164,6 @@ class _File:
         self.counts: dict[Channel, int] = {}
         self.span: tuple[int, int] | None = None  # log times of the first and last message [ns]
         self._channels: dict[int, Channel] = {}
-        self.metadata: list[mcap.Metadata] = []
         self._messages: list[Message] | None = None  # by log time, without an index
         self._stream = open_mcap(path)
         try:
@@ -115,14 +192,15 @@ class _File:
             raise UnfinishedError(self.path, f'a chunk is damaged, {error!s:.150}') from error
 
     def _read_index(self) -> bool:
-        """Read the index; return whether it names all chunks, texts and channels."""
+        """Read the index; return whether it names all chunks and channels."""
         self._stream.seek(0)
         self._reader = SeekingReader(self._stream, validate_crcs=True)
         summary = self._reader.get_summary()
         statistics = summary.statistics if summary is not None else None
-        if summary is None or statistics is None or (
-            statistics.chunk_count, statistics.metadata_count, statistics.channel_count
-        ) != (len(summary.chunk_indexes), len(summary.metadata_indexes), len(summary.channels)):
+        if summary is None or statistics is None:
+            return False
+        indexed = len(summary.chunk_indexes), len(summary.channels)
+        if (statistics.chunk_count, statistics.channel_count) != indexed:
             return False
         if statistics.message_count and not summary.chunk_indexes:
             return False
@@ -139,14 +217,13 @@ class _File:
             self.counts[self._channels[number]] += count
         if statistics.message_count:
             self.span = statistics.message_start_time, statistics.message_end_time
-        self.metadata = [item for item in self._reader.iter_metadata() if item.name != 'rosbag2']
         return True
 
     def _read_messages(self) -> None:
         """Read all messages of a file without an index."""
         size = self._stream.seek(0, os.SEEK_END)
-        if size > MAX_UNINDEXED:
-            raise ValueError(f'it has no index, and {size} bytes are more than {MAX_UNINDEXED}')
+        if size > MAX_RECORD:
+            raise ValueError(f'it has no index, and {size} bytes are more than {MAX_RECORD}')
         self._stream.seek(0)
         self._messages = []
         reader = NonSeekingReader(self._stream, validate_crcs=True)
@@ -199,7 +276,6 @@ class BagReader:
         for file in self._files:
             self.counts.update(file.counts)
         self.channels = tuple(self.counts)  # all files share one object for each
-        self.metadata = [item for file in self._files for item in file.metadata]
         self._spans = [file.span for file in self._files if file.span is not None]
         # Log times of the first and the last message; 0 if there is none [ns]
         self.start_time = min((first for first, _ in self._spans), default=0)

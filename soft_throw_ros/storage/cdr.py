@@ -3,17 +3,15 @@
 """
 Messages as bytes (CDR), written and read without ROS.
 
-Messages of every tick are not built as message objects: their bytes (little endian) are made once,
-and only stamp and numbers are overwritten. Padding is zero, so that equal messages have equal
-bytes; `rclpy.serialization` leaves old memory in the padding. Thousands of joint states of one
-layout are read at once. A library reads all other messages.
+Joint states of every tick are not built as message objects: all fields of one layout (little
+endian) are one `struct`. Padding is zero, so that equal messages have equal bytes;
+`rclpy.serialization` leaves old memory in the padding. A library reads all other messages.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-from dataclasses import dataclass
 from functools import lru_cache
 import struct
 from typing import Any, NamedTuple
@@ -42,24 +40,9 @@ class JointStateEncoder:
     """
 
     def __init__(self, frame: str, names: Sequence[str], *, series: int = 3) -> None:
-        data = bytearray(_HEADER + bytes(8))
-        for text in (frame, None, *names):
-            _align(data, 4)
-            encoded = b'' if text is None else text.encode() + b'\x00'
-            data += struct.pack('<I', len(names) if text is None else len(encoded)) + encoded
-        for number in range(3):
-            count = len(names) if number < series else 0
-            _align(data, 4)
-            data += struct.pack('<I', count)
-            if count:
-                _align(data, 8)
-                data += bytes(8 * count)
-        self._data = data
-        self._layout = _Layout(bytes(data))
-        self._arrays = [
-            np.frombuffer(data, '<f8', item.size, item.begin)
-            for item in self._layout.series[:series]
-        ]
+        counts = [len(names) if number < series else 0 for number in range(3)]
+        texts = [text.encode() + b'\x00' for text in (frame, *names)]
+        self._layout = _Layout(texts, counts)
 
     def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
         """
@@ -67,24 +50,11 @@ class JointStateEncoder:
 
         `values` are those of one series after another, as in a `State` of plate and projectile.
         """
-        data, first = self._data, 0
-        _STAMP.pack_into(data, self._layout.stamp, *divmod(stamp_ns, SECOND))
-        for begin, size, numbers in self._layout.series:
-            numbers.pack_into(data, begin, *values[first:first + size])
-            first += size
-        return bytes(data)
+        return self._layout.pack(divmod(stamp_ns, SECOND), values)
 
     def encode_arrays(self, stamp_ns: int, series: Sequence[Floats]) -> bytes:
-        """Return a message made of an array per series, which is quick with many joints."""
-        _STAMP.pack_into(self._data, self._layout.stamp, *divmod(stamp_ns, SECOND))
-        for array, values in zip(self._arrays, series, strict=True):
-            array[:] = values
-        return bytes(self._data)
-
-
-def _align(data: bytearray, size: int) -> None:
-    """Append zeros up to the next multiple of a size, which counts from the end of the header."""
-    data += bytes((len(_HEADER) - len(data)) % size)
+        """Return a message made of an array per series."""
+        return self.encode(stamp_ns, np.concatenate(series).tolist())
 
 
 def stamp_of(data: bytes) -> int:
@@ -105,8 +75,7 @@ class JointValues(NamedTuple):
     effort: tuple[float, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class JointStates:
+class JointStates(NamedTuple):
     """Messages sensor_msgs/JointState of the same joints."""
 
     stamps: NDArray[np.int64]  # (n,) Of the headers. [ns]
@@ -130,108 +99,127 @@ class JointStateReader:
 
     def read(self, data: bytes) -> JointValues:
         """Read a message; raise MessageError if the bytes are no JointState."""
-        layout = self._layout(data)
-        seconds, nanoseconds = _STAMP.unpack_from(data, layout.stamp)
-        position, velocity, effort = [
-            item.numbers.unpack_from(data, item.begin) for item in layout.series
-        ]
-        stamp_ns = seconds * SECOND + nanoseconds
-        return JointValues(stamp_ns, layout.names, position, velocity, effort)
+        values = self._last.unpack(data) if self._last is not None else None
+        if values is None:
+            self._last = _find_layout(data)
+            values = self._last.unpack(data)
+        if values is None:
+            raise MessageError('its lengths do not fit')
+        return values
 
     def read_all(self, datas: Sequence[bytes]) -> JointStates:
         """
         Read at least one message into arrays.
 
-        MessageError is raised if one is no JointState, or its frame, joints or lengths differ
-        from the first.
+        MessageError is raised if one is no JointState, or its joints or lengths differ from the
+        first.
         """
-        layout = self._layout(datas[0])
-        if not all(map(layout.fits, datas)):
-            names = ', '.join(layout.names)
-            raise MessageError(f'messages JointState of one topic are not all of {names} alike')
-        rows = np.frombuffer(b''.join(datas), np.uint8).reshape(len(datas), layout.size)
-        stamps = rows[:, layout.stamp:layout.stamp + 8].copy().view([('s', '<i4'), ('ns', '<u4')])
+        rows = [self.read(data) for data in datas]
+        names, lengths = rows[0].names, [*map(len, rows[0][2:])]
+        if any(row.names != names or [*map(len, row[2:])] != lengths for row in rows):
+            raise MessageError(
+                f'messages JointState of one topic are not all of {", ".join(names)} alike'
+            )
+        stamps, _, *series = zip(*rows, strict=True)
         position, velocity, effort = [
-            rows[:, item.begin:item.begin + 8 * item.size].copy().view('<f8')
-            for item in layout.series
+            np.array(numbers, float).reshape(len(rows), length)
+            for numbers, length in zip(series, lengths, strict=True)
         ]
-        return JointStates(
-            stamps=(stamps['s'].astype(np.int64) * SECOND + stamps['ns']).ravel(),
-            names=layout.names,
-            position=position,
-            velocity=velocity,
-            effort=effort,
-        )
-
-    def _layout(self, data: bytes) -> _Layout:
-        last = self._last
-        if last is None or not last.fits(data):
-            self._last = None  # in case that the bytes are no JointState
-            self._last = last = _Layout(data)
-        return last
-
-
-class _Series(NamedTuple):
-    """Offset, count and format of a series of numbers."""
-
-    begin: int
-    size: int
-    numbers: struct.Struct
+        return JointStates(np.array(stamps, np.int64), names, position, velocity, effort)
 
 
 class _Layout:
     """
-    Offsets of the fields of a sensor_msgs/JointState, and a mask of its constant bytes.
+    The fields of a sensor_msgs/JointState with given texts and lengths of its series.
 
-    The mask has ones for lengths and texts, and zeros for stamp, series and padding.
+    All are one `struct`; it writes zeros as padding, and ignores the padding that it reads.
     """
 
-    def __init__(self, data: bytes) -> None:
-        if data[:2] != _HEADER[:2]:
-            raise MessageError(f'not little-endian CDR, which begins 00 01: {data[:8].hex(" ")!r}')
-        self.size = len(data)
-        self._data = data
-        self._at = self.stamp = len(_HEADER)
-        self._ones = bytearray(b'\xff\xff' + bytes(self.size - 2))
-        self._take(8)
-        self._text()
-        self.names = tuple(self._text() for _ in range(self._number()))
-        self.series = []
-        for _ in range(3):
-            if count := self._number():
-                self._at += -(self._at - len(_HEADER)) % 8
-            self.series.append(_Series(self._at, count, struct.Struct(f'<{count}d')))
-            self._take(8 * count)
-        if self.size - self._at > 7:  # some leave padding behind
-            raise MessageError(f'{self.size - self._at} bytes follow the message')
-        # All bytes at once, as one large number, are compared in less than a microsecond
-        self._mask = int.from_bytes(self._ones, 'little')
-        self._fixed = int.from_bytes(data, 'little') & self._mask
+    def __init__(self, texts: Sequence[bytes], counts: Sequence[int]) -> None:
+        """`texts` are frame and names with their zero bytes, `counts` the lengths of series."""
+        self.names = tuple(text.rstrip(b'\x00').decode() for text in texts[1:])
+        self._format, self._size = '<2s2xiI', _STAMP.size  # the size counts after the header
+        self._texts: list[bytes | int] = []
+        self._add_text(texts[0])
+        self._add('I', 4)
+        self._texts.append(len(texts) - 1)
+        for text in texts[1:]:
+            self._add_text(text)
+        for count in counts:
+            self._add('I', 4)
+            if count:
+                self._add(f'{count}d', 8)
+        self._struct = struct.Struct(self._format)
+        self._counts = counts
 
-    def _take(self, size: int, *, is_constant: bool = False) -> bytes:
-        """Return the next bytes."""
-        begin, self._at = self._at, self._at + size
-        if self._at > self.size:
-            raise MessageError(f'{self.size} bytes, which should be at least {self._at}')
-        if is_constant:
-            self._ones[begin:self._at] = b'\xff' * size
-        return self._data[begin:self._at]
+    def _add_text(self, text: bytes) -> None:
+        self._add(f'I{len(text)}s', 4)
+        self._texts += [len(text), text]
 
-    def _number(self) -> int:
-        self._at += -(self._at - len(_HEADER)) % 4
-        return int.from_bytes(self._take(4, is_constant=True), 'little')
+    def _add(self, field: str, size: int) -> None:
+        """Add a field that is aligned to a multiple of a size."""
+        self._format += f'{-self._size % size}x{field}'
+        self._size = struct.calcsize(self._format) - len(_HEADER)
 
-    def _text(self) -> str:
-        data = self._take(self._number(), is_constant=True)
-        try:
-            return data.rstrip(b'\x00').decode()
-        except UnicodeDecodeError as error:
-            raise MessageError(f'a string is no UTF-8: {error}') from error
+    def pack(self, stamp: tuple[int, int], values: Sequence[float]) -> bytes:
+        """Return a message."""
+        first, second, third = self._counts
+        both = first + second
+        return self._struct.pack(
+            _HEADER[:2], *stamp, *self._texts,
+            first, *values[:first], second, *values[first:both], third, *values[both:],
+        )
 
-    def fits(self, data: bytes) -> bool:
-        """Return whether another message has the same frame, joints and lengths."""
-        is_long = len(data) == self.size
-        return is_long and int.from_bytes(data, 'little') & self._mask == self._fixed
+    def unpack(self, data: bytes) -> JointValues | None:
+        """Read a message; return None if it has another layout."""
+        if not 0 <= len(data) - self._struct.size <= 7:  # some leave padding behind
+            return None
+        header, seconds, nanoseconds, *fields = self._struct.unpack_from(data)
+        end = len(self._texts)
+        if header != _HEADER[:2] or fields[:end] != self._texts:
+            return None
+        series = []
+        for count in self._counts:
+            if fields[end] != count:
+                return None
+            series.append(tuple(fields[end + 1:end + 1 + count]))
+            end += 1 + count
+        position, velocity, effort = series
+        stamp_ns = seconds * SECOND + nanoseconds
+        return JointValues(stamp_ns, self.names, position, velocity, effort)
+
+
+def _find_layout(data: bytes) -> _Layout:
+    """Return the layout of a message; raise MessageError if the bytes are no JointState."""
+    if data[:2] != _HEADER[:2]:
+        raise MessageError(f'not little-endian CDR, which begins 00 01: {data[:8].hex(" ")!r}')
+    at = len(_HEADER) + _STAMP.size
+
+    def number() -> int:
+        nonlocal at
+        at += -(at - len(_HEADER)) % 4 + 4
+        return int.from_bytes(data[at - 4:at], 'little')
+
+    def skip(size: int) -> bytes:
+        nonlocal at
+        at += size
+        if at > len(data):
+            raise MessageError(f'{len(data)} bytes, which should be at least {at}')
+        return data[at - size:at]
+
+    texts, counts = [skip(number())], []
+    texts += [skip(number()) for _ in range(number())]
+    for _ in range(3):
+        counts.append(number())
+        if counts[-1]:
+            skip(-(at - len(_HEADER)) % 8 + 8 * counts[-1])
+    skip(0)
+    if len(data) - at > 7:
+        raise MessageError(f'{len(data) - at} bytes follow the message')
+    try:
+        return _Layout(texts, counts)
+    except UnicodeDecodeError as error:
+        raise MessageError(f'a string is no UTF-8: {error}') from error
 
 
 def decode(message: Message) -> Any:

@@ -30,7 +30,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
 import json
 import math
 from operator import index
@@ -48,7 +47,7 @@ from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 Entry = Mapping[str, Any]  # of JSON, whose values are of many types
@@ -80,9 +79,7 @@ _LONGEST_DATA = 1 << 24
 _FARTHEST = 2**62
 """Largest magnitude of a step [-], and of a time [ns]."""
 
-_SAMPLE = np.dtype(
-    [('step', '<i8'), ('stamp_ns', '<i8'), *((name, '<f8') for name in Sample._fields[1:])]
-)
+_SAMPLE = np.dtype([('step', '<i8'), ('stamp_ns', '<i8'), ('heights', '<f8', (2,))])
 
 
 class JournalError(ValueError):
@@ -175,7 +172,7 @@ def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
     }
 
 
-def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> Entry:
+def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     """
     Encode batches of samples for an entry, each with the step that followed it.
 
@@ -184,18 +181,24 @@ def encode_samples(batches: Sequence[tuple[int, Sequence[Sample]]]) -> Entry:
 
     Examples
     --------
-    >>> batches = [(7, [Sample(100, 0.5)]), (8, [Sample(200, 0.25), Sample(300, 0.125)])]
+    >>> from soft_throw_ros.twin.sample_buffer import Sample
+    >>> batches = [(7, Samples.of([Sample(100, 0.5)])), (8, Samples.of([Sample(200, 0.25)]))]
     >>> entry = {'kind': 'samples', 'step': 8, **encode_samples(batches)}
     >>> [(step, len(samples)) for step, samples in decode_samples(entry)]
-    [(7, 1), (8, 2)]
+    [(7, 1), (8, 1)]
 
     """
-    rows = np.array([(step, *sample) for step, samples in batches for sample in samples], _SAMPLE)
+    rows = np.zeros(sum(len(samples) for _, samples in batches), _SAMPLE)
+    end = 0
+    for step, samples in batches:
+        begin, end = end, end + len(samples)
+        rows['step'][begin:end], rows['stamp_ns'][begin:end] = step, samples.stamps
+        rows['heights'][begin:end] = samples.heights
     data = base64.b64encode(zlib.compress(rows.tobytes(), 1)).decode()
     return {'count': len(rows), 'data': data}
 
 
-def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
+def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
     """Decode the samples of an entry, in batches with the step that followed each."""
     try:
         data = base64.b64decode(entry['data'], validate=True)
@@ -203,12 +206,13 @@ def decode_samples(entry: Entry) -> list[tuple[int, list[Sample]]]:
         rows = np.frombuffer(content, _SAMPLE, entry['count'])  # ValueError if too short
     except (KeyError, TypeError, ValueError, zlib.error) as error:
         raise JournalError(f'no samples can be read, {error}: {quote(dict(entry))}') from error
-    steps = [*rows['step'].tolist(), entry['step']]
-    if any(later < earlier for earlier, later in pairwise(steps)):
-        raise JournalError(f'samples are before {entry["step"]}, in order, got steps {steps}')
+    changes = np.diff([*rows['step'].tolist(), entry['step']])
+    if (changes < 0).any():
+        raise JournalError(f'samples are before {entry["step"]}, in order, got {rows["step"]}')
+    batches = np.split(rows, np.flatnonzero(changes[:-1]) + 1) if len(rows) else []
     return [
-        (step, [Sample(*row[1:]) for row in group])
-        for step, group in groupby(rows.tolist(), key=lambda row: row[0])
+        (int(batch['step'][0]), Samples(batch['stamp_ns'].copy(), batch['heights'].copy()))
+        for batch in batches
     ]
 
 
@@ -238,12 +242,10 @@ def decode_onset(values: Entry) -> Onset:
                 noise=float(values['noise']),
                 error=float(values['rest_error']),
             ),
-            samples=tuple(
-                sample for _, batch in decode_samples({**values, 'step': 0}) for sample in batch
-            ),
+            samples=decode_samples({**values, 'step': 0})[0][1],
             clock_offset_ns=index(values.get('clock_offset_ns', 0)),
         )
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise JournalError(
             f'invalid onset of a throw of a measured plate, {error!r}: {quote(values)}'
         ) from error
@@ -278,7 +280,7 @@ class JournalWriter:
     def __init__(self, on_line: Callable[[str], None], *, step: int) -> None:
         self._on_line = on_line
         self._line = 0
-        self._batches: list[tuple[int, list[Sample]]] = []
+        self._batches: list[tuple[int, Samples]] = []
         self._last_flush_step = step
         self._second = _Checksum(step)
         self._throw: _Checksum | None = None
@@ -299,7 +301,7 @@ class JournalWriter:
             self._throw = _Checksum(step)
         self.write(kind, step, settings=dict(settings), versions=dict(VERSIONS), **values)
 
-    def keep_samples(self, step: int, samples: list[Sample]) -> None:
+    def keep_samples(self, step: int, samples: Samples) -> None:
         """Store accepted samples for a later entry."""
         self._batches.append((step, samples))
 

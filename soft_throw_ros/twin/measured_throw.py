@@ -22,9 +22,8 @@ from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.stepper import (
     Event,
     EventLimitError,
-    PROJECTILE_FORCE,
+    PLATE_POSITION,
     PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
     Stepper,
     TIME,
 )
@@ -77,29 +76,30 @@ class MeasuredThrow(OngoingThrow):
     """
     A throw whose plate is measured, see `OngoingThrow`, by an observer from the onset on.
 
-    The stepper follows the smoothed states that do not change any more. Two forks go on from there
-    in each step, along the latest states and their continuation: one to the present time, and one
-    as far as the projectile is known, or until its release.
+    The stepper follows the smoothed states that do not change any more. In each step a fork goes
+    on from there, along the latest states and their continuation: to the present time, as far as
+    the projectile is known, and until its release.
     """
 
     def __init__(
         self, prepared: PreparedRig, onset: Onset, estimator: PlateEstimator, *, number: int
     ) -> None:
         config = estimator.config
-        assert prepared.forked is not None
+        assert prepared.fork is not None
         assert prepared.release_weights is not None
-        self._forked = prepared.forked
-        self._forked.stepper.reset()
+        prepared.stepper.reset()
         super().__init__(
             prepared,
-            self._forked.stepper,
+            prepared.stepper,
             number=number,
             rest_speed=MEASURED_REST_SPEED * config.start_speed,
         )
+        self._fork = prepared.fork
         self._onset, self._estimator = onset, estimator
         self._observer = PlateObserver(config, onset, prepared.release_weights)
-        self._times, self._states = np.empty(0), np.empty((0, 3))  # of the plate, settled
-        self._path = self._times, self._states  # after these, with the continuation
+        self._settled = [(np.empty(0), np.empty((0, 3)))]  # times and states of the plate
+        self._path = self._settled[0]  # after these, with the continuation
+        self._now = 0.0  # time of the displayed state [s]
         self._residuals = _ResidualStatistics(
             last_ns=onset.onset_ns,
             longest=1.0 / prepared.rig.engine.frequency,
@@ -114,7 +114,9 @@ class MeasuredThrow(OngoingThrow):
     @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
-        return layer_of(self._forked.display)
+        self._fork.sync_from(self._stepper, *self._path)
+        self._move_fork(self._now)
+        return layer_of(self._fork)
 
     @property
     def _is_certain(self) -> bool:
@@ -123,32 +125,39 @@ class MeasuredThrow(OngoingThrow):
 
     def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
         """Advance as far as the plate is known, and predict from there."""
-        estimator, observer = self._estimator, self._observer
+        estimator, observer, onset_ns = self._estimator, self._observer, self._onset.onset_ns
         crossing, window = self._prepared.rig.crossing_time, estimator.config.smoothing_window
         if motion.gap > crossing or tick.due_ns - estimator.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
             observer.add(estimator.samples(observer.next_ns, estimator.complete_ns + 1))
-        ahead = observer.newest + crossing
+        known = observer.newest + crossing
         # a longer extrapolation has no meaning
-        now = min((tick.due_ns - self._onset.onset_ns) / SECOND, ahead + window)
-        self._move_plate(max(now, ahead, self._latest_release))
+        now = min((tick.due_ns - onset_ns) / SECOND, known + window)
+        self._move_plate(max(now, known, self._latest_release))
         self._count_skipped_time(tick.due_ns)
-        events, residual = self._follow_plate(self._stepper.horizon, tick.config.max_events)
-        prediction = self._predict_state(max(ahead, self._stepper.horizon), tick)
-        forecast = self._forecast(ahead, tick)
+        horizon = self._stepper.horizon
+        events, residual = self._follow_plate(horizon, tick.config.max_events)
+        self._now, ahead = max(now, horizon), max(known, horizon)
+        self._fork.sync_from(self._stepper, *self._path)
+        states = {time: self._move_fork(time) for time in sorted((self._now, ahead))}
+        forecast = self._forecast(known, tick)
         if self.ended_by == 'noise':
             self.events, events = [], ()
-        display = self._forked.display
-        self._advance_fork(display, max(self._stepper.horizon, now))
-        state = State._make(display.state.tolist()[1:])
+        predicted, stamp_ns = states[ahead], onset_ns + round(ahead * SECOND)
         return Outputs(
             tick.step,
             self.number,
-            state,
+            states[self._now],
             events=events,
             results=() if forecast is None else (forecast,),
-            prediction=prediction,
+            prediction=PredictedState(
+                stamp_ns,
+                predicted.projectile_position,
+                predicted.projectile_velocity,
+                predicted.projectile_force,
+                stamp_ns - tick.due_ns,
+            ),
             residual=residual,
         )
 
@@ -161,11 +170,16 @@ class MeasuredThrow(OngoingThrow):
         """Append the states of the plate that do not change any more, and store the others."""
         times, states, settled = self._observer.motion(until)
         self._path = times[settled:], states[settled:]
-        times, states = times[:settled], states[:settled]
-        self._stepper.append_plate_states(times, states)
-        if settled and len(self._times) + settled < MAX_PIECES_AHEAD:
-            self._times = np.concatenate((self._times, times))
-            self._states = np.concatenate((self._states, states))
+        if settled:
+            times, states = times[:settled], states[:settled]
+            self._stepper.append_plate_states(times, states)
+            if not self._has_shown_field or times[0] < self._latest_peak(None):
+                self._settled.append((times, states))
+
+    def _move_fork(self, time: float) -> State:
+        """Advance the fork to a time, along the latest states of the plate."""
+        self._try_to_advance(self._fork, time)
+        return State._make(self._fork.state.tolist()[1:])
 
     def event_ns(self, event: Event, tick: Tick) -> int:  # noqa: ARG002
         """Return the time of an event by the stamps of the samples [ns]."""
@@ -183,48 +197,31 @@ class MeasuredThrow(OngoingThrow):
     ) -> tuple[tuple[Event, ...], Residual | None]:
         """Advance as far as the plate is known, and compare with samples of the projectile."""
         rest, start_ns, residuals = self._onset.rest, self._onset.onset_ns, self._residuals
-        until_ns = start_ns + math.ceil(known * SECOND)
-        happened: list[Event] = []
-        residual = None
-        samples = self._estimator.samples(residuals.last_ns + 1, until_ns + 1)
         if residuals.is_complete:
-            samples = samples[-2:]  # the last one may be too late
-        for stamp_ns, plate, projectile in samples.tolist():
-            time = (stamp_ns - start_ns) / SECOND
-            if time > known:
-                break
-            residuals.last_ns = stamp_ns
-            is_passed = time < self._stepper.state[TIME]  # it is late for the start
-            if is_passed or math.isnan(projectile - rest.projectile):
-                continue
-            state, events = self._go_to(time, max_events)
-            happened += events
-            rise = state.projectile_position - self._prepared.rest.projectile_position
-            residual = Residual(
-                stamp_ns,
-                state.plate_position - (plate - rest.plate),
-                rise - (projectile - rest.projectile),
-            )
-            residuals.add(time, residual.projectile, self.events)
-        _, events = self._go_to(known, max_events)
-        return (*happened, *events), residual
-
-    def _predict_state(self, ahead: float, tick: Tick) -> PredictedState:
-        """Predict the projectile up to the time that the future plate cannot influence."""
-        fork = self._forked.lookahead
-        self._advance_fork(fork, ahead)
-        stamp_ns = self._onset.onset_ns + round(ahead * SECOND)
-        return PredictedState(
-            stamp_ns,
-            float(fork.state[PROJECTILE_POSITION]),
-            float(fork.state[PROJECTILE_VELOCITY]),
-            float(fork.state[PROJECTILE_FORCE]),
-            stamp_ns - tick.due_ns,
+            return self._go_to(known, max_events)[1], None
+        stepper, first_ns = self._stepper, start_ns + round(self._stepper.state[TIME] * SECOND)
+        samples = self._estimator.samples(
+            max(residuals.last_ns, first_ns) + 1, start_ns + math.floor(known * SECOND) + 1
         )
+        heights = samples.heights - (rest.plate, rest.projectile)
+        is_measured = np.isfinite(heights[:, 1])
+        stamps, heights = samples.stamps[is_measured], heights[is_measured]
+        times = (stamps - start_ns) / SECOND
+        for n, time in enumerate(times.tolist()):
+            self._try_to_advance(stepper, min(time, known))
+            heights[n] -= stepper.state[PLATE_POSITION:PROJECTILE_POSITION + 1]
+        _, events = self._go_to(known, max_events)
+        if not stamps.size:
+            return events, None
+        heights[:, 1] += self._prepared.rest.projectile_position
+        residuals.last_ns = int(stamps[-1])
+        residuals.add(times, -heights[:, 1], self.events)
+        plate, projectile = (-heights[-1]).tolist()
+        return events, Residual(residuals.last_ns, plate, projectile)
 
     def _forecast(self, ahead: float, tick: Tick) -> ThrowResult | None:
         """Return the release when it is first known well enough, and when it is certain."""
-        fork = self._forked.lookahead
+        fork = self._fork
         if self._is_certain or self.ended_by:
             return None
         if not fork.event_count and self._latest_release > ahead:
@@ -250,14 +247,22 @@ class MeasuredThrow(OngoingThrow):
         )
         return self._with_measurement(result, lead, None)
 
+    def _latest_peak(self, release: Event | None) -> float:
+        """Return the time until which the plate has its peak speed: until the release too [s]."""
+        peak_time = 1.1 * self._estimator.config.motion.peak_velocity_time
+        return max(peak_time, release.time if release else 0.0)
+
     def _peak_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
-        times = np.concatenate((self._times, self._path[0]))
-        states = np.concatenate((self._states, self._path[1]))
-        config = self._estimator.config
-        latest = max(1.1 * config.motion.peak_velocity_time, release.time if release else 0.0)
-        is_early = times <= latest
-        return max(peak_speed(times[is_early], states[is_early]), config.start_speed)
+        times, states = self._plate(self._path)
+        is_early = times <= self._latest_peak(release)
+        fastest = peak_speed(times[is_early], states[is_early])
+        return max(fastest, self._estimator.config.start_speed)
+
+    def _plate(self, *more: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+        """Return times and states of the plate that are settled, and more."""
+        times, states = zip(*self._settled, *more, strict=True)
+        return np.concatenate(times), np.concatenate(states)
 
     def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
         """Return the accuracy of a release."""
@@ -279,11 +284,6 @@ class MeasuredThrow(OngoingThrow):
             stepper.advance_to(time)
         except EventLimitError:
             self.ended_by = 'max_events'
-
-    def _advance_fork(self, fork: Stepper, time: float) -> None:
-        """Advance a fork to a time, along the latest states of the plate."""
-        fork.sync_from(self._stepper, *self._path)
-        self._try_to_advance(fork, time)
 
     def result(self, stage: str, tick: Tick) -> ThrowResult:
         """Return the preliminary result."""
@@ -319,18 +319,20 @@ class MeasuredThrow(OngoingThrow):
 
     def throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when the plate is known for long enough or lost."""
-        release, times = self.first_release, self._times
-        if self._has_shown_field or not times.size or not (release or self.ended_by):
+        release, known = self.first_release, self._stepper.horizon
+        if self._has_shown_field or known <= 0.0 or not (release or self.ended_by):
             return None  # the throw may end before the plate is known
-        length = THROW_FIELD_LENGTH * release.time if release else times[-1]
-        if length > times[-1] and not self.ended_by:
+        length = THROW_FIELD_LENGTH * release.time if release else known
+        if length > known and not self.ended_by:
             return None
         self._has_shown_field = True
-        config, states, start_ns = self._prepared.config, self._states, self._onset.onset_ns
+        config, (times, states), start_ns = (
+            self._prepared.config, self._plate(), self._onset.onset_ns
+        )
 
         def throw_field() -> ThrowField:
-            stepper = stepper_of(config)
-            stepper.append_plate_states(times, states)
+            stepper, shown = stepper_of(config), slice(MAX_PIECES_AHEAD)
+            stepper.append_plate_states(times[shown], states[shown])
             return throw_field_of(stepper, min(length, stepper.horizon), start_ns=start_ns)
 
         return throw_field
@@ -364,20 +366,19 @@ class _ResidualStatistics:
     count: int = 0
     sum_of_squares: float = 0.0  # [m2]
     largest: float = 0.0  # [m]
-    in_flight: list[tuple[float, float]] = field(default_factory=list)
-    """Times since the release [s], and residuals [m]."""
+    in_flight: list[Floats] = field(default_factory=list)
+    """Times since the release [s], and residuals [m], shapes (2, n)."""
 
-    def add(self, time: float, difference: float, events: Sequence[Event]) -> None:
-        """Add a residual at a time since the start, after the events until now."""
-        since = time - events[0].time if events else 0.0
-        if since > self.longest:
-            self.is_complete = True
-            return
-        self.count += 1
-        self.sum_of_squares += difference**2
-        self.largest = max(self.largest, abs(difference))
-        if len(events) == 1:  # they have not met again since the release
-            self.in_flight.append((since, difference))
+    def add(self, times: Floats, differences: Floats, events: Sequence[Event]) -> None:
+        """Add residuals at times since the start, with the events until the last one."""
+        release, landing, *_ = [*(event.time for event in events), math.inf, math.inf]
+        self.is_complete = bool(times[-1] > release + self.longest)
+        is_flying = (times > release) & (times < landing)
+        self.in_flight.append(np.stack((times - release, differences))[:, is_flying])
+        counted = differences[times <= release + self.longest]
+        self.count += len(counted)
+        self.sum_of_squares += float(np.square(counted).sum())
+        self.largest = max(self.largest, float(np.abs(counted).max(initial=0.0)))
 
     def compare(self, release: Event | None) -> Comparison | None:
         """Return the statistics of the residuals; None if there are none."""
@@ -389,13 +390,10 @@ class _ResidualStatistics:
             position_max=self.largest,
             threshold=self.threshold,
         )
-        is_enough = (
-            len(self.in_flight) >= FEWEST_IN_FLIGHT
-            and self.in_flight[-1][0] >= 0.5 * self.longest
-        )
+        times, differences = np.concatenate(self.in_flight, axis=1)
+        is_enough = times.size >= FEWEST_IN_FLIGHT and times[-1] >= 0.5 * self.longest
         if release is None or not is_enough:
             return comparison
-        times, differences = np.array(self.in_flight).T
         # model and projectile fly freely, so that the residual is linear in time
         slope, offset = np.polyfit(times, differences, 1).tolist()
         later = -offset / release.velocity

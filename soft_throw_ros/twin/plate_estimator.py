@@ -9,14 +9,12 @@ apart, see `soft_throw_ros.core.smoothing`. The plate is therefore known up to a
 window, the latency and at most an eighth of the window before the newest sample. Samples that
 arrive for a complete time are late, and are refused.
 
-Outliers among complete samples are left out, see `outlier_filter`: a body is not accelerated by
-much more than the acceleration of the engine.
+Outliers among complete samples are left out, see `outlier_filter`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 import math
@@ -25,12 +23,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.core.smoothing import AHEAD, BEHIND, FEWEST, fit_cubics
+from soft_throw_ros.core.kernels import kernel
+from soft_throw_ros.core.smoothing import AHEAD, FEWEST, fit_cubics
 from soft_throw_ros.twin.outlier_filter import OutlierFilter
-from soft_throw_ros.twin.sample_buffer import Rows, Sample, SampleBuffer, seconds_since
+from soft_throw_ros.twin.sample_buffer import LONG_AGO, SampleBuffer, Samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
+
+REASONS = ('not finite', 'out of range', 'future', 'past', 'doubled', 'late')
+"""Why a sample is refused."""
 
 FUTURE = SECOND // 10
 """Largest accepted lead of a stamp over the clock. [ns]"""
@@ -84,8 +86,7 @@ class SampleCounts:
     taken: int = 0
     out_of_order: int = 0
     outliers: int = 0
-    refused: Counter[str] = field(default_factory=Counter)
-    """By 'not finite', 'out of range', 'future', 'past', 'doubled' and 'late'."""
+    refused: Counter[str] = field(default_factory=Counter)  # by `REASONS` and those of messages
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +105,7 @@ class Onset:
 
     onset_ns: int  # time of the start [ns]
     rest: RestBaseline
-    samples: tuple[Sample, ...]  # sorted, from a window before the start on
+    samples: Samples  # sorted, from a window before the start on
     clock_offset_ns: int = 0  # what was added to the stamps of the samples [ns]
 
 
@@ -135,49 +136,46 @@ class PlateEstimator:
     ----------
     config : MeasurementConfig
         Parameters of the measurement.
+    counts : SampleCounts
+        Counts of samples, which the estimator updates.
     origin_ns : int, optional
         Time 0; by default the stamp of the first sample. [ns]
-    samples : sequence of Sample
+    samples : Samples, optional
         Samples that have been accepted already, sorted.
-    counts : SampleCounts, optional
-        Counts of samples, which the estimator updates.
 
     """
 
     def __init__(
         self,
         config: MeasurementConfig,
+        counts: SampleCounts,
         *,
         origin_ns: int | None = None,
-        samples: Sequence[Sample] = (),
-        counts: SampleCounts | None = None,
+        samples: Samples | None = None,
     ) -> None:
         self.config = config
         self.origin_ns = origin_ns
-        self.counts = counts or SampleCounts()
-        self._samples = SampleBuffer(samples)
-        self.newest_ns = samples[-1].stamp_ns if samples else -math.inf  # newest stamp [ns]
-        self._next = 0  # next time to estimate, in spacings
+        self.counts = counts
+        self._buffer = SampleBuffer(samples or Samples.of([]))
+        self.newest_ns = int(samples.stamps[-1]) if samples else LONG_AGO  # newest stamp [ns]
         self.outliers = 0  # accepted samples that were left out later
-        self.complete_ns = -math.inf  # time until which samples are complete [ns]
-        self._smoothed_ns = -math.inf  # end of the last window
-        plate = config.plate
-        acceleration = plate.amplitude * (2.0 * math.pi * plate.frequency) ** 2
+        self.complete_ns = LONG_AGO  # time until which samples are complete [ns]
+        self._next = 0  # next time to estimate, in spacings
         self._outlier_filter = OutlierFilter(
-            acceleration, config.position_noise, config.stamp_error
+            config.plate, config.position_noise, config.stamp_error
         )
 
-    def samples(self, begin_ns: float, end_ns: float = math.inf) -> Rows:
+    def samples(self, begin_ns: int = LONG_AGO, end_ns: int | None = None) -> Samples:
         """Return the stored samples from one time to before another."""
-        return self._samples.between(begin_ns, end_ns)
+        return self._buffer.between(begin_ns, end_ns)
 
-    def rest_before(self, end_ns: float) -> RestBaseline | None:
+    def rest_before(self, end_ns: int) -> RestBaseline | None:
         """Return the rest of some windows before a time; None if there are too few samples."""
         window_ns = self.config.smoothing_window_ns
         samples = self.samples(end_ns - (REST_WINDOWS - 1) * window_ns, end_ns)
         if len(samples) < FEWEST:
             return None
-        plate, projectile = samples['plate'], samples['projectile']
+        plate, projectile = samples.plate, samples.projectile
         measured = projectile[np.isfinite(projectile)]
         # rounded samples at rest are all the same, so that their scatter underestimates the noise
         noise = max(self.config.position_noise, float(plate.std()))
@@ -190,112 +188,120 @@ class PlateEstimator:
 
     def rate(self) -> float:
         """Return the rate of the stored samples, 0 if there are too few [Hz]."""
-        stamps = self._samples.rows['stamp_ns']
+        stamps = self._buffer.samples.stamps
         if len(stamps) < FEWEST:
             return 0.0
         return SECOND / float(np.median(np.diff(stamps)))
 
     def missing_since(self, begin_ns: int) -> int:
         """Count the samples that are missing since a time, compared with an even rate."""
-        intervals = np.diff(self.samples(begin_ns)['stamp_ns'])
+        intervals = np.diff(self.samples(begin_ns).stamps)
         if len(intervals) < FEWEST:
             return 0
         return int((np.rint(intervals / np.median(intervals)) - 1.0).clip(0.0).sum())
 
-    def add_samples(self, samples: Sequence[Sample], now_ns: int) -> list[Sample]:
+    def add_samples(self, samples: Samples, now_ns: int) -> Samples:
         """Add samples in their order of arrival, count refused ones, and return the added ones."""
-        added = []
-        for sample in samples:
-            reason = self._refusal(sample, now_ns)
-            if reason:
-                self.counts.refused[reason] += 1
-                continue
-            added.append(sample)
-            self._samples.insert(sample)
-            self.counts.out_of_order += sample.stamp_ns < self.newest_ns
-            self.newest_ns = max(self.newest_ns, sample.stamp_ns)
-        self.counts.taken += len(added)
-        return added
+        counts, refusals = self.counts, np.zeros(len(samples), np.int64)
+        known = self._buffer.samples.stamps
+        late, self.newest_ns = _check(
+            samples.stamps, samples.heights, known, now_ns, self.newest_ns, self.complete_ns,
+            refusals,
+        )
+        counts.out_of_order += late
+        if refusals.any():
+            counts.refused.update(REASONS[number - 1] for number in refusals[refusals > 0])
+            samples = samples[refusals == 0]
+        self._buffer.add(samples)
+        counts.taken += len(samples)
+        return samples
 
-    def _refusal(self, sample: Sample, now_ns: int) -> str:
-        stamp_ns, plate, projectile = sample
-        if not math.isfinite(plate) or math.isinf(projectile):
-            return 'not finite'
-        if max(abs(plate), abs(projectile)) > FARTHEST:
-            return 'out of range'
-        if stamp_ns > now_ns + FUTURE:
-            return 'future'
-        if stamp_ns < now_ns - PAST:
-            return 'past'
-        if stamp_ns > self.newest_ns:
-            return ''
-        if len(self._samples.between(stamp_ns, stamp_ns + 1)):
-            return 'doubled'
-        return 'late' if stamp_ns <= self.complete_ns else ''
-
-    def _complete(self, until_ns: int) -> None:
-        """Leave out the outliers among the samples that are complete now."""
-        buffer = self._samples
-        first = buffer.index(self.complete_ns + 1)
+    def _complete(self, until_ns: int) -> float:
+        """Leave out the outliers among the samples that are complete now; return their gap [s]."""
+        buffer = self._buffer
+        first, last = buffer.index(self.complete_ns + 1), buffer.index(until_ns + 1)
         self.complete_ns = max(self.complete_ns, until_ns)
-        new = buffer.rows[first:buffer.index(until_ns + 1)]
-        if not len(new):
-            return
+        if first >= last:
+            return 0.0
         assert self.origin_ns is not None
-        times = seconds_since(self.origin_ns, new)
-        positions = np.stack((new['plate'], new['projectile']), axis=1)
-        is_outlier = self._outlier_filter.find(times, positions)
-        count = len(is_outlier)
-        if count < len(new):  # the last sample waits for the next one
-            self.complete_ns = int(new['stamp_ns'][-1]) - 1
-        outliers = int(is_outlier.any(axis=1).sum())
-        if outliers:
+        new = buffer.samples[first:last]
+        is_outlier = self._outlier_filter.find(new.seconds_since(self.origin_ns), new.heights)
+        if is_outlier.any():
+            outliers = int(is_outlier.any(axis=1).sum())
             self.outliers += outliers
             self.counts.outliers += outliers
-            new['projectile'][:count][is_outlier[:, 1]] = math.nan
+            new.projectile[is_outlier[:, 1]] = math.nan
             buffer.remove(first, is_outlier[:, 0])
+            last -= int(is_outlier[:, 0].sum())
+        stamps = buffer.samples.stamps[max(first - 1, 0):last]
+        return float((stamps[1:] - stamps[:-1]).max(initial=0)) / SECOND
 
     def advance(self, now_ns: int) -> PlateStates:
         """Return the motion since the last call, up to the latest known time."""
-        if not len(self._samples):
+        buffer, config, spacing_ns = self._buffer, self.config, state_spacing_ns(self.config)
+        if not len(buffer):
             return NO_STATES
         if self.origin_ns is None:
-            self.origin_ns = int(self._samples.rows['stamp_ns'][0])
-        config, spacing_ns = self.config, state_spacing_ns(self.config)
-        behind_ns = round(BEHIND * config.smoothing_window_ns)
+            self.origin_ns = int(buffer.samples.stamps[0])
+        gap = self._complete(min(self.newest_ns, now_ns) - config.latency_ns)
         ahead_ns = round(AHEAD * config.smoothing_window_ns)
-        self._complete(min(int(self.newest_ns), now_ns) - config.latency_ns)
-        end = (int(self.complete_ns) - ahead_ns - self.origin_ns) // spacing_ns + 1
+        end = (self.complete_ns - ahead_ns - self.origin_ns) // spacing_ns + 1
         begin = max(self._next, end - _LONGEST_STEP)
+        buffer.drop_before(self.complete_ns - _KEPT_WINDOWS * config.smoothing_window_ns)
         if begin >= end:
-            return NO_STATES
+            return NO_STATES._replace(gap=gap)
         self._next = end
-        begin_ns = self.origin_ns + spacing_ns * begin - behind_ns
-        end_ns = self.origin_ns + spacing_ns * (end - 1) + ahead_ns
-        last_end_ns, self._smoothed_ns = self._smoothed_ns, end_ns
-        first = max(self._samples.index(begin_ns) - 1, 0)
-        rows = self._samples.rows[first:self._samples.index(end_ns + 1)]
-        self._samples.drop_before(end_ns - _KEPT_WINDOWS * config.smoothing_window_ns)
-        if len(rows) < FEWEST:
-            return NO_STATES
-        stamps = rows['stamp_ns']
-        is_new = stamps[1:] > last_end_ns
-        gap_ns = int(np.diff(stamps)[is_new].max()) if is_new.any() else 0
-        motion = self._smooth(spacing_ns * np.arange(begin, end) / SECOND, rows)
-        return motion._replace(gap=gap_ns / SECOND)
-
-    def _smooth(self, times: Floats, rows: Rows) -> PlateStates:
-        """Return the smoothed motion at times since the origin, where samples suffice."""
-        assert self.origin_ns is not None
-        noise = self.config.position_noise
-        states, errors = np.empty((times.size, 3)), np.empty(times.size)
-        fit_cubics(
-            times,
-            seconds_since(self.origin_ns, rows),
-            rows['plate'].copy(),
-            0.5 * self.config.smoothing_window,
-            states,
-            errors,
-        )
+        states, errors = np.empty((end - begin, 3)), np.empty(end - begin)
+        times, rows = spacing_ns * np.arange(begin, end) / SECOND, buffer.samples
+        since, half = rows.seconds_since(self.origin_ns), 0.5 * config.smoothing_window
+        fit_cubics(times, since, rows.plate.copy(), half, states, errors)
         known = np.isfinite(errors)
-        return PlateStates(times[known], states[known], noise * errors[known])
+        if not known.all():
+            times, states, errors = times[known], states[known], errors[known]
+        return PlateStates(times, states, config.position_noise * errors, gap)
+
+
+@kernel
+def _check(
+    stamps: NDArray[np.int64],
+    heights: Floats,
+    known: NDArray[np.int64],
+    now_ns: int,
+    newest_ns: int,
+    complete_ns: int,
+    refusals: NDArray[np.int64],
+) -> tuple[int, int]:
+    """
+    Write the numbers of the `REASONS` of refused samples, from 1.
+
+    Return the number of others that are out of order, and the newest stamp.
+    """
+    late = 0
+    for n in range(stamps.size):
+        stamp, plate, projectile = stamps[n], heights[n, 0], heights[n, 1]
+        index = np.searchsorted(known, stamp)
+        is_doubled = index < known.size and known[index] == stamp
+        for m in range(n):
+            is_doubled |= refusals[m] == 0 and stamps[m] == stamp
+        if not math.isfinite(plate) or math.isinf(projectile):
+            refusals[n] = 1
+        elif abs(plate) > FARTHEST or abs(projectile) > FARTHEST:
+            refusals[n] = 2
+        elif stamp > now_ns + FUTURE:
+            refusals[n] = 3
+        elif stamp < now_ns - PAST:
+            refusals[n] = 4
+        elif is_doubled:
+            refusals[n] = 5
+        elif stamp <= complete_ns:
+            refusals[n] = 6
+        else:
+            late += stamp < newest_ns
+            newest_ns = max(stamp, newest_ns)
+    return late, newest_ns
+
+
+def warm_up() -> None:
+    """Compile or load the kernels."""
+    samples = Samples.of([])
+    _check(samples.stamps, samples.heights, samples.stamps, 0, 0, 0, samples.stamps)

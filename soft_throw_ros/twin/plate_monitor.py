@@ -21,8 +21,7 @@ from soft_throw_ros.twin.plate_estimator import (
 )
 from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
-from soft_throw_ros.twin.sample_buffer import Rows, seconds_since, to_samples
-from soft_throw_ros.twin.sensor_checks import SensorChecks, SwappedBodies
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 RISE = 0.125
@@ -36,12 +35,6 @@ _MOST_MISFIT = 0.05
 
 _START_STEPS = 6
 """Gauss-Newton steps of this fit. [-]"""
-
-_EARLY_RISE = 0.1
-"""Rise of the projectile before the plate, in amplitudes of the engine, that is no noise. [-]"""
-
-_SAMPLES_BEFORE = 3
-"""Last samples before the onset, which all show whether the projectile moved first. [-]"""
 
 _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
@@ -84,8 +77,8 @@ class PlateMonitor:
     """
     A monitor of the plate from one throw to the next.
 
-    The monitor updates the counts of samples and the diagnoses. The samples of the onset of a
-    throw that has just begun are used again.
+    The monitor updates the counts of samples. The samples of the onset of a throw that has just
+    begun are used again.
 
     Notes
     -----
@@ -100,15 +93,13 @@ class PlateMonitor:
         self,
         config: MeasurementConfig,
         counts: SampleCounts,
-        checks: SensorChecks,
         onset: Onset | None = None,
     ) -> None:
-        self._checks = checks
         self.estimator = PlateEstimator(
             config,
+            counts,
             origin_ns=None if onset is None else onset.onset_ns,
-            samples=() if onset is None else onset.samples,
-            counts=counts,
+            samples=None if onset is None else onset.samples,
         )
         self._jump = _JumpDetector()
         self._rest = math.nan if onset is None else onset.rest.plate  # height of the plate [m]
@@ -118,8 +109,7 @@ class PlateMonitor:
     def rearm(self, config: MeasurementConfig) -> None:
         """Wait for another rest before a throw, and use the parameters `config` from now on."""
         if config != self.estimator.config:
-            self._checks.begin(self.estimator.config)
-            self.estimator = PlateEstimator(config, counts=self.estimator.counts)
+            self.estimator = PlateEstimator(config, self.estimator.counts)
         self._jump = _JumpDetector()
 
     @property
@@ -133,22 +123,9 @@ class PlateMonitor:
         if motion.times.size:
             self._update_state(motion)
         onset = self._detect(motion)
-        if onset is None:
-            return motion, None
-        self._jump.cancel()
-        if self._has_swapped(onset):
-            self._checks.report(SwappedBodies())
-            return motion, None
+        if onset is not None:
+            self._jump.cancel()
         return motion, onset
-
-    def _has_swapped(self, onset: Onset) -> bool:
-        """Return whether the projectile has risen before the plate, which no wave can cause."""
-        rest, plate = onset.rest, self.estimator.config.plate
-        begin_ns = onset.onset_ns - self.estimator.config.smoothing_window_ns
-        before = self.estimator.samples(begin_ns, onset.onset_ns)[-_SAMPLES_BEFORE:]
-        rises = before['projectile'] - rest.projectile
-        least = max(OUTLIER_SIGMAS * rest.noise, _EARLY_RISE * plate.amplitude)
-        return len(rises) == _SAMPLES_BEFORE and bool((rises > least).all())
 
     def _to_ns(self, time: float) -> int:
         assert self.estimator.origin_ns is not None
@@ -172,16 +149,12 @@ class PlateMonitor:
         return None
 
     def _update_state(self, motion: PlateStates) -> None:
-        """Store the latest state of the plate, and check its motion."""
+        """Store the latest state of the plate."""
         height, speed, _ = motion.states[-1].tolist()
-        since_rest = float(motion.times[-1]) - self._jump.last_quiet
-        config = self.estimator.config
-        was_at_rest = self.is_armed and since_rest < REST_WINDOWS * config.smoothing_window
-        self._checks.observe(height, speed, was_at_rest=was_at_rest)
         if math.isnan(self._rest):
             self._rest, self._projectile = height, (height, 0.0)
         self._plate = height, speed
-        is_slow = abs(speed) < config.start_speed
+        is_slow = abs(speed) < self.estimator.config.start_speed
         self._projectile = self._plate if is_slow else (self._projectile[0], 0.0)
 
     def state(self, rest: State) -> State:
@@ -211,23 +184,24 @@ def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     if rest is None or len(samples) < FEWEST:
         return None
     # a slow engine moves for many samples; a subset suffices
-    thinned = samples[::-math.ceil(len(samples) / _MOST_FOR_START)][::-1]
+    stride = math.ceil(len(samples) / _MOST_FOR_START)
+    thinned = samples[(len(samples) - 1) % stride::stride]
     onset_ns, size = find_start(thinned, begun_ns, rest, config)
     moved = estimator.samples(onset_ns + 1, estimator.complete_ns + 1)
     if len(moved) < FEWEST - 1:
         return None
-    height, speed, _ = size * config.motion.states_at(seconds_since(onset_ns, moved)).T
+    height, speed, _ = size * config.motion.states_at(moved.seconds_since(onset_ns)).T
     if (config.direction * speed).max() < config.start_speed:
         return None
-    misfit = float(np.median(np.abs(moved['plate'] - rest.plate - height)))
+    misfit = float(np.median(np.abs(moved.plate - rest.plate - height)))
     if misfit > max(_MOST_MISFIT * config.plate.amplitude, OUTLIER_SIGMAS * rest.noise):
         return None
     before = estimator.samples(onset_ns - window_ns)
-    return Onset(onset_ns=onset_ns, rest=rest, samples=tuple(to_samples(before)))
+    return Onset(onset_ns=onset_ns, rest=rest, samples=before)
 
 
 def find_start(
-    samples: Rows, begun_ns: int, rest: RestBaseline, config: MeasurementConfig
+    samples: Samples, begun_ns: int, rest: RestBaseline, config: MeasurementConfig
 ) -> tuple[int, float]:
     """
     Return the start of a plate that was fast at `begun_ns` [ns], and its relative amplitude [-].
@@ -235,7 +209,7 @@ def find_start(
     Both are by least squares, in Gauss-Newton steps, with their expected errors as samples.
     """
     window = config.smoothing_window
-    since, heights = seconds_since(begun_ns, samples), samples['plate'] - rest.plate
+    since, heights = samples.seconds_since(begun_ns), samples.plate - rest.plate
     start, size = -config.rise_time, 1.0
     prior = np.array([1.0 / AMPLITUDE_ERROR, 1.0 / window]) ** 2
     for _ in range(_START_STEPS):

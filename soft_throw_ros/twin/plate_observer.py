@@ -5,16 +5,16 @@ The observer of a measured plate in a throw: a Kalman filter and smoother.
 
 Notes
 -----
-The state is the difference :math:`e` of the plate from its expected motion, its rate, and the
-difference :math:`a` of the amplitude. The difference obeys the equation of motion of the engine,
-Eq. (D1) of the paper, with an unknown acceleration :math:`q`, which is white noise:
+The state is the height :math:`z` of the plate, its velocity and the amplitude :math:`A`. They obey
+the equation of motion of the engine, Eq. (D1) of the paper, with an unknown acceleration
+:math:`q`, which is white noise:
 
-.. math:: \ddot e + 2 \zeta \omega \dot e + \omega^2 (e - a) = q
+.. math:: \ddot z + 2 \zeta \omega \dot z + \omega^2 (z - A) = q
 
-Around a commanded motion both :math:`\zeta` and :math:`\omega` are zero: the plate continues along
-the motion, shifted to its height and speed. Samples are smoothed in the form of Bryson and Frazier
-[1]_, which needs no inverse matrix. Ahead of the samples the filter predicts, which continues the
-motion.
+With a commanded motion they are differences from it, and :math:`\zeta`, :math:`\omega` and
+:math:`A` are zero: the plate continues along the motion, shifted to its height and speed. Samples
+are smoothed in the form of Bryson and Frazier [1]_, which needs no inverse matrix. Ahead of the
+samples the filter predicts, which continues the motion.
 
 The speed and the time of the release and the largest speed of the plate depend linearly on the
 velocity of the plate. These three integrals are states of the filter too, so that their errors
@@ -43,7 +43,8 @@ from soft_throw_ros.core.kernels import kernel, Record, subroutine
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_estimator import Onset, state_spacing_ns
-from soft_throw_ros.twin.sample_buffer import Rows, seconds_since
+from soft_throw_ros.twin.sample_buffer import Samples
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
@@ -67,13 +68,17 @@ _AVERAGED = 16
 _FIRST_RATIO = 0.5
 """Mean square before the first ones, so small that chance rarely makes it larger than 1. [-]"""
 
+_CAPACITY = 128
+"""Steps of the filter that a new observer can store; it grows. [-]"""
+
 _STATES = 6
-"""Difference of height, of velocity, of amplitude, and the three integrals."""
+"""Height, velocity, amplitude, and the three integrals."""
 
 _MEMORY = np.dtype(
     [
         ('omega', 'f8'),  # of Eq. (D1) [1/s]
         ('zeta', 'f8'),
+        ('amplitude', 'f8'),  # expected [m]
         ('unmodelled', 'f8'),  # spectral density of q [m2/s3]
         ('wide', 'f8', (3,)),  # variances of a state of which nothing is known
         ('time', 'f8'),  # since the start [s]
@@ -81,6 +86,8 @@ _MEMORY = np.dtype(
         ('covariance', 'f8', (_STATES, _STATES)),
         ('in_a_row', 'i8'),  # outliers until now
         ('outliers', 'i8'),
+        ('steps', 'i8'),  # of the filter since the last settled state
+        ('settled', 'f8'),  # time of this state [s]
         ('ratio', 'f8'),  # mean square of normalised innovations [-]
     ],
     align=True,
@@ -122,7 +129,7 @@ class ReleaseWeights(NamedTuple):
 
 @subroutine
 def _transition(s: Record, h: float, f: Floats) -> None:
-    """Write the transition of difference, rate and amplitude over a time."""
+    """Write the transition of height, velocity and amplitude over a time."""
     turn = s.omega * math.sqrt(1.0 - s.zeta * s.zeta)
     fading = math.exp(-s.zeta * s.omega * h)
     sine = fading * (math.sin(turn * h) / turn if turn > 0.0 else h)
@@ -177,20 +184,24 @@ def _sandwich(f: Floats, p: Floats) -> Floats:
 def _filter(
     memory: NDArray[np.void],
     times: Floats,
-    differences: Floats,
-    variances: Floats,
+    heights: Floats,
+    errors: Floats,
+    stamp_error: float,
     axis: Floats,
     weights: Floats,
     steps: NDArray[np.void],
 ) -> None:
-    """Go on to each time, and take the measured difference there, unless it is NaN."""
-    s = memory[0]
+    """Go on to each time, and take the measured height there, unless it is NaN."""
+    s, f = memory[0], np.zeros((3, 3))
     for n in range(times.size):
         _predict(s, times[n], axis, weights)
-        p, step = s.covariance, steps[n]
-        error = differences[n] - s.state[0]
+        p, step = s.covariance, steps[s.steps]
+        s.steps += 1
+        _transition(s, s.time, f)  # from the rest, which gives the expected speed
+        noise = errors[n] ** 2 + (f[1, 2] * s.amplitude * stamp_error) ** 2
+        error = heights[n] - s.state[0]
         is_used = not np.isnan(error)
-        if is_used and error * error > OUTLIER_SIGMAS**2 * (p[0, 0] + variances[n]):
+        if is_used and error * error > OUTLIER_SIGMAS**2 * (p[0, 0] + noise):
             s.in_a_row += 1
             s.outliers += 1
             is_used = s.in_a_row >= MAX_OUTLIERS_IN_A_ROW
@@ -202,7 +213,7 @@ def _filter(
         if not is_used:
             continue
         s.in_a_row = 0
-        variance = p[0, 0] + variances[n]
+        variance = p[0, 0] + noise
         step.pull = error / variance
         gain = p[:, 0] / variance
         step.gain[:] = gain[:3]
@@ -215,10 +226,58 @@ def _filter(
 
 
 @kernel
-def _smooth(memory: NDArray[np.void], steps: NDArray[np.void], states: Floats) -> None:
-    """Write the smoothed states at all steps."""
+def _follow(
+    memory: NDArray[np.void],
+    steps: NDArray[np.void],
+    spacing: float,
+    age: float,
+    ahead: Floats,
+    times: Floats,
+    states: Floats,
+) -> tuple[int, int]:
+    """
+    Write smoothed states about a spacing apart, and the continuation at the times `ahead`.
+
+    Return how many there are, and how many of them are settled, being older than an age. The
+    steps up to the last settled state are removed.
+    """
+    s, count, settled, last = memory[0], 0, 0, memory[0].settled
+    smoothed = _smooth(s, steps)
+    for n in range(s.steps):
+        time = steps[n].time
+        if time >= last + spacing or n == s.steps - 1:
+            last = times[count] = time
+            states[count] = smoothed[n]
+            count += 1
+            if time <= s.time - age:
+                settled, s.settled = count, time
+    f = np.zeros((3, 3))
+    for time in ahead:
+        _transition(s, time - s.time, f)
+        times[count] = time
+        for i in range(3):
+            states[count, i] = (
+                f[i, 0] * s.state[0] + f[i, 1] * s.state[1] + f[i, 2] * s.state[2]
+            )
+        count += 1
+    for n in range(count):
+        pull = s.omega * (states[n, 2] - states[n, 0])
+        states[n, 2] = s.omega * (pull - 2.0 * s.zeta * states[n, 1])  # (D1)
+    kept = 0
+    for n in range(s.steps):
+        if steps[n].time > s.settled:
+            steps[kept] = steps[n]
+            kept += 1
+    s.steps = kept
+    return count, settled
+
+
+@subroutine
+def _smooth(s: Record, steps: NDArray[np.void]) -> Floats:
+    """Return the smoothed states at all steps."""
     later, now, f = np.zeros(3), np.zeros(3), np.zeros((3, 3))  # the adjoint state
-    for n in range(steps.size - 1, -1, -1):
+    states = np.empty((s.steps, 3))
+    for n in range(s.steps - 1, -1, -1):
         step = steps[n]
         now[:] = later
         for i in range(3):
@@ -229,19 +288,10 @@ def _smooth(memory: NDArray[np.void], steps: NDArray[np.void], states: Floats) -
             for j in range(3):
                 states[n, i] -= step.covariance[i, j] * now[j]
         if n > 0:
-            _transition(memory[0], step.time - steps[n - 1].time, f)
+            _transition(s, step.time - steps[n - 1].time, f)
             for i in range(3):
                 later[i] = f[0, i] * now[0] + f[1, i] * now[1] + f[2, i] * now[2]
-
-
-@kernel
-def _coast(memory: NDArray[np.void], times: Floats, states: Floats) -> None:
-    """Write the states at later times without unknown accelerations."""
-    s, f = memory[0], np.zeros((3, 3))
-    for n in range(times.size):
-        _transition(s, times[n] - s.time, f)
-        for i in range(3):
-            states[n, i] = f[i, 0] * s.state[0] + f[i, 1] * s.state[1] + f[i, 2] * s.state[2]
+    return states
 
 
 class PlateObserver:
@@ -256,57 +306,70 @@ class PlateObserver:
         self, config: MeasurementConfig, onset: Onset, weights: ReleaseWeights
     ) -> None:
         plate = config.plate
-        self._config, self._onset = config, onset
-        self._expected = config.motion
+        self._config, self._onset, self._weights = config, onset, weights
         self.next_ns = onset.onset_ns + 1  # time from which samples are not used yet [ns]
-        self._weights = weights
         omega = 2.0 * math.pi * plate.frequency
         speed, swing = plate.peak_velocity, plate.amplitude * omega
         is_engine = isinstance(config.motion, Underdamped)
+        self._command = None if is_engine else config.motion
         unmodelled = UNMODELLED if is_engine else _COMMANDED * UNMODELLED
         relative = (
             unmodelled,
             2.0 * config.frequency_error / plate.frequency,
             2.0 * config.damping_error,
         )
-        memory = np.zeros(1, _MEMORY)
+        self._memory = memory = np.zeros(1, _MEMORY)
         if is_engine:
             memory['omega'], memory['zeta'] = omega, plate.damping_ratio
+            memory['amplitude'] = memory['state'][0, 2] = plate.amplitude
         memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
         memory['ratio'] = _FIRST_RATIO
+        memory['settled'] = -1.0
         memory['wide'] = plate.amplitude**2, swing**2, plate.amplitude**2
         memory['covariance'][0][range(3), range(3)] = np.square(
             [onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude]
         )
-        self._memory = memory
-        self._steps = np.zeros(0, STEP)  # since the last settled state
-        self._spacing = 0.99 * state_spacing_ns(config) * 1e-9  # least, between states [s]
-        self._settled = -1.0  # time of the last settled state [s]
-        self._add(np.zeros(1), np.full(1, np.nan), np.zeros(1))
+        self._present = memory[0]
+        self._steps = np.zeros(_CAPACITY, STEP)
+        self._spacing = 0.99 * state_spacing_ns(config) / SECOND  # least, between states [s]
+        self._filter(np.zeros(1), np.full(1, np.nan), np.zeros(1), 0.0)
 
     @property
     def outliers(self) -> int:
         """Number of outliers."""
-        return int(self._memory['outliers'][0])
+        return int(self._present['outliers'])
 
     @property
     def newest(self) -> float:
         """Time of the newest sample [s]."""
-        return float(self._memory['time'][0])
+        return float(self._present['time'])
 
-    def add(self, rows: Rows) -> None:
+    def add(self, samples: Samples) -> None:
         """Add later samples."""
-        if not len(rows):
+        if not samples:
             return
-        self.next_ns = int(rows['stamp_ns'][-1]) + 1
-        times = seconds_since(self._onset.onset_ns, rows)
-        expected = self._expected.states_at(times)
-        noise = np.hypot(self._onset.rest.noise, expected[:, 1] * self._config.stamp_error)
-        self._add(times, rows['plate'] - self._onset.rest.plate - expected[:, 0], noise**2)
+        onset, stamp_error = self._onset, self._config.stamp_error
+        self.next_ns = int(samples.stamps[-1]) + 1
+        times, heights = samples.seconds_since(onset.onset_ns), samples.plate - onset.rest.plate
+        errors = np.full(times.size, onset.rest.noise)
+        if self._command is not None:
+            expected = self._command.states_at(times)
+            heights -= expected[:, 0]
+            errors, stamp_error = np.hypot(errors, expected[:, 1] * stamp_error), 0.0
+        self._filter(times, heights, errors, stamp_error)
 
-    def _add(self, times: Floats, differences: Floats, variances: Floats) -> None:
-        steps = _run(self._memory, self._weights, times, differences, variances)
-        self._steps = np.concatenate((self._steps, steps))
+    def _filter(
+        self, times: Floats, heights: Floats, errors: Floats, stamp_error: float
+    ) -> None:
+        steps, weights = self._steps, self._weights
+        used = int(self._present['steps'])
+        if used + times.size > steps.size:
+            self._steps = np.zeros(2 * (used + times.size), STEP)
+            self._steps[:used] = steps[:used]
+        _filter(
+            self._memory, times, heights, errors, stamp_error,
+            weights.times, weights.weights, self._steps,
+        )
 
     def motion(self, until: float) -> tuple[Floats, Floats, int]:
         """
@@ -315,36 +378,21 @@ class PlateObserver:
         They begin after those that were settled in earlier calls. The number of those that are
         settled now is the third result: they do not change any more.
         """
-        smoothed = np.empty((len(self._steps), 3))
-        _smooth(self._memory, self._steps, smoothed)
-        chosen, last, newest = [], self._settled, self.newest
-        for n, time in enumerate(self._steps['time'].tolist()):
-            if time >= last + self._spacing or time == newest:
-                chosen.append(n)
-                last = time
-        times = self._steps['time'][chosen]
-        count = math.ceil((until - newest) / (_SPACING * self._config.smoothing_window))
-        later = newest + (until - newest) / max(count, 1) * np.arange(1, count + 1)
-        ahead = np.empty((later.size, 3))
-        _coast(self._memory, later, ahead)
-        settled = int((times <= newest - _SETTLED * self._config.smoothing_window).sum())
-        if settled:
-            self._settled = float(times[settled - 1])
-            self._steps = self._steps[self._steps['time'] > self._settled]
-        times = np.concatenate((times, later))
-        return times, self._states(times, np.concatenate((smoothed[chosen], ahead))), settled
-
-    def _states(self, times: Floats, differences: Floats) -> Floats:
-        """Return the states with differences from the expected motion."""
-        omega, zeta = self._memory['omega'][0], self._memory['zeta'][0]
-        e, rate, a = differences.T
-        states: Floats = self._expected.states_at(times)
-        states[:, :2] += differences[:, :2]
-        states[:, 2] += omega * (omega * (a - e) - 2.0 * zeta * rate)
-        if times.size and times[0] == 0.0:
+        window, newest = self._config.smoothing_window, self.newest
+        count = max(math.ceil((until - newest) / (_SPACING * window)), 0)
+        ahead = newest + (until - newest) / max(count, 1) * np.arange(1, count + 1)
+        size = int(self._present['steps']) + count
+        times, states = np.empty(size), np.empty((size, 3))
+        count, settled = _follow(
+            self._memory, self._steps, self._spacing, _SETTLED * window, ahead, times, states
+        )
+        times, states = times[:count], states[:count]
+        if self._command is not None:
+            states += self._command.states_at(times)
+        if count and times[0] == 0.0:
             # an onset that is too early must not pull the layer down
             states[0, 1] = max(states[0, 1], 0.0)
-        return states
+        return times, states, settled
 
     def errors(self, speed: float, peak_speed: float) -> ReleaseErrors:
         """
@@ -352,10 +400,12 @@ class PlateObserver:
 
         Innovations that are larger than the stated noise explains make the errors larger.
         """
-        memory, times = self._memory.copy(), self._weights.times[::_COARSE]
-        later = times[times > self.newest]
-        nothing = np.full(later.size, np.nan)
-        _run(memory, self._weights, later, nothing, nothing)
+        memory, weights = self._memory.copy(), self._weights
+        later = weights.times[::_COARSE]
+        later = later[later > self.newest]
+        memory['steps'] = 0
+        nothing, steps = np.full(later.size, np.nan), np.zeros(later.size, STEP)
+        _filter(memory, later, nothing, nothing, 0.0, weights.times, weights.weights, steps)
         variances = memory['covariance'][0].diagonal()[3:] * max(1.0, float(memory['ratio'][0]))
         speed_error, time_error, peak_error = np.sqrt(variances).tolist()
         # errors of both speeds count as independent: another motion than expected makes them so
@@ -363,22 +413,8 @@ class PlateObserver:
         return ReleaseErrors(time_error, speed_error / abs(speed), alpha)
 
 
-def _run(
-    memory: NDArray[np.void],
-    weights: ReleaseWeights,
-    times: Floats,
-    differences: Floats,
-    variances: Floats,
-) -> NDArray[np.void]:
-    """Run the filter through measured differences; return its steps."""
-    steps = np.zeros(times.size, STEP)
-    _filter(memory, times, differences, variances, weights.times, weights.weights, steps)
-    return steps
-
-
 def warm_up() -> None:
     """Compile or load the kernels."""
-    memory, steps = np.zeros(1, _MEMORY), np.zeros(1, STEP)
-    _filter(memory, np.ones(1), np.ones(1), np.ones(1), np.ones(1), np.ones((3, 1)), steps)
-    _smooth(memory, steps, np.empty((1, 3)))
-    _coast(memory, np.ones(1), np.empty((1, 3)))
+    memory, steps, one = np.zeros(1, _MEMORY), np.zeros(1, STEP), np.ones(1)
+    _filter(memory, one, one, one, 0.0, one, np.ones((3, 1)), steps)
+    _follow(memory, steps, 0.0, 0.0, np.empty(0), np.empty(1), np.empty((1, 3)))

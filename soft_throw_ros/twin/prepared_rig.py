@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from soft_throw_ros.configuration import motions, Settings, TWIN
@@ -76,19 +75,6 @@ _WAITING = frozenset(
 """Parameters whose changes wait until the rig is put back."""
 
 
-class ForkedStepper(NamedTuple):
-    """A stepper of a measured plate, and two forks that run ahead."""
-
-    stepper: Stepper
-    display: Stepper  # a fork at the present time
-    lookahead: Stepper  # a fork as far ahead as the projectile is known
-
-    @classmethod
-    def of(cls, stepper: Stepper) -> ForkedStepper:
-        """Fork a stepper twice."""
-        return cls(stepper, stepper.fork(), stepper.fork())
-
-
 @dataclass(frozen=True, kw_only=True)
 class PreparedRig:
     """A rig that is ready to throw."""
@@ -100,7 +86,7 @@ class PreparedRig:
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
-    forked: ForkedStepper | None = None  # with a measured plate
+    fork: Stepper | None = None  # of the stepper, with a measured plate
     release_weights: ReleaseWeights | None = None  # likewise
 
     @property
@@ -256,7 +242,7 @@ def prepare(
         rest_layer=layer_of(stepper),
         peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
         throw_field=None if config.is_measured else _throw_field(stepper),
-        forked=ForkedStepper.of(stepper) if config.is_measured else None,
+        fork=stepper.fork() if config.is_measured else None,
         release_weights=_release_weights(config) if config.is_measured else None,
     )
 
@@ -275,7 +261,7 @@ def _require_time(config: TwinConfig, stepper: Stepper) -> None:
             f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
             f'got {window:g} s'
         )
-    # in each step, the forks advance by the time that they are ahead
+    # in each step, the fork advances by the time that it is ahead, and for the layer once more
     ahead = 2.0 * config.rig.crossing_time + window
     share = stepper.cost * (1.0 + ahead * config.state_rate)
     if share > MOST_SHARE:

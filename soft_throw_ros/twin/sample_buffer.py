@@ -5,21 +5,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.twin.tick_schedule import SECOND
 
-Rows: TypeAlias = NDArray[np.void]
-"""Samples as a structured array, see `SAMPLE`."""
+Floats = NDArray[np.float64]
+
+LONG_AGO = -(2**62)
+"""Stamp before all stamps. [ns]"""
 
 _CAPACITY = 256
-"""Capacity of a new buffer in samples; a full buffer doubles its capacity. [-]"""
-
-_FARTHEST_NS = 2**62
-"""Stamp beyond all stamps. [ns]"""
+"""Least capacity of a buffer in samples. [-]"""
 
 
 class Sample(NamedTuple):
@@ -30,78 +30,102 @@ class Sample(NamedTuple):
     projectile: float = math.nan  # height, NaN if not measured [m]
 
 
-SAMPLE = np.dtype([('stamp_ns', 'i8'), *((name, 'f8') for name in Sample._fields[1:])])
-"""Record of a `Sample` in arrays."""
+@dataclass(slots=True)
+class Samples:
+    """Many samples in arrays."""
+
+    stamps: NDArray[np.int64]  # shape (n,) [ns]
+    heights: Floats  # of plate and projectile, shape (n, 2) [m]
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample]) -> Samples:
+        """Put samples into arrays."""
+        stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
+        heights = np.array([sample[1:] for sample in samples], np.float64)
+        return cls(stamps, heights.reshape(-1, 2))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.stamps)
+
+    def __getitem__(self, chosen: slice | NDArray[np.bool_]) -> Samples:
+        """Return some of the samples."""
+        return Samples(self.stamps[chosen], self.heights[chosen])
+
+    @property
+    def plate(self) -> Floats:
+        """Heights of the plate [m]."""
+        return self.heights[:, 0]
+
+    @property
+    def projectile(self) -> Floats:
+        """Heights of the projectile, NaN where it was not measured [m]."""
+        return self.heights[:, 1]
+
+    def seconds_since(self, origin_ns: int) -> Floats:
+        """Return the times since another time [s]."""
+        since: Floats = (self.stamps - origin_ns) / SECOND
+        return since
 
 
 class SampleBuffer:
     """
-    A queue of samples sorted by stamp, in one structured array.
+    A queue of samples sorted by stamp.
 
     Appending, dropping the oldest and reading a span cost the same however many samples there
-    are. Inserting between others moves the later ones.
+    are. Inserting between others sorts all.
     """
 
-    def __init__(self, samples: Sequence[Sample] = ()) -> None:
-        self._memory = np.zeros(max(_CAPACITY, 2 * len(samples)), SAMPLE)
-        self._begin, self._end = 0, len(samples)
-        self._memory[: self._end] = np.array(list(samples), SAMPLE)
+    def __init__(self, samples: Samples) -> None:
+        self._memory = _allocate(2 * len(samples))
+        self._begin, self._end = 0, 0
+        self.add(samples)
 
     def __len__(self) -> int:
         """Return the number of samples."""
         return self._end - self._begin
 
     @property
-    def rows(self) -> Rows:
+    def samples(self) -> Samples:
         """All samples, valid until the next change."""
-        return self._memory[self._begin: self._end]
+        return self._memory[self._begin:self._end]
 
-    def index(self, stamp_ns: float) -> int:
+    def index(self, stamp_ns: int) -> int:
         """Return the index of the first sample that is not older than a stamp."""
-        stamp = math.ceil(max(min(stamp_ns, _FARTHEST_NS), -_FARTHEST_NS))
-        return int(self.rows['stamp_ns'].searchsorted(stamp))
+        return int(self._memory.stamps[self._begin:self._end].searchsorted(stamp_ns))
 
-    def between(self, begin_ns: float, end_ns: float = math.inf) -> Rows:
+    def between(self, begin_ns: int, end_ns: int | None = None) -> Samples:
         """Return the samples from one time to before another, valid until the next change."""
-        return self.rows[self.index(begin_ns): self.index(end_ns)]
+        end = None if end_ns is None else self.index(end_ns)
+        return self.samples[self.index(begin_ns):end]
 
-    def insert(self, sample: Sample) -> None:
-        """Insert a sample in its place."""
-        if self._end == len(self._memory):
-            self._make_room()
-        index = self.index(sample.stamp_ns)
-        rows = self._memory[self._begin: self._end + 1]
-        if index < len(self):
-            rows[index + 1:] = rows[index:-1].copy()
-        rows[index] = sample
-        self._end += 1
+    def add(self, samples: Samples) -> None:
+        """Add samples in their places."""
+        if self._end + len(samples) > len(self._memory):
+            kept, self._memory = self.samples, _allocate(2 * (len(self) + len(samples)))
+            self._begin = self._end = 0
+            self.add(kept)
+        stamps, heights = self._memory.stamps, self._memory.heights
+        first, self._end = self._end, self._end + len(samples)
+        stamps[first:self._end], heights[first:self._end] = samples.stamps, samples.heights
+        new = stamps[max(first - 1, self._begin):self._end]
+        if (new[1:] < new[:-1]).any():
+            held = slice(self._begin, self._end)
+            order = stamps[held].argsort(kind='stable')
+            stamps[held], heights[held] = stamps[held][order], heights[held][order]
 
     def remove(self, first: int, is_removed: NDArray[np.bool_]) -> None:
         """Remove the marked ones of the samples from an index on."""
-        last = first + len(is_removed)
-        kept = np.concatenate((self.rows[first:last][~is_removed], self.rows[last:]))
-        self._end = self._begin + first + len(kept)
-        self._memory[self._begin + first: self._end] = kept
+        is_kept = np.ones(len(self), np.bool_)
+        is_kept[first:first + len(is_removed)] = ~is_removed
+        kept, self._end = self.samples[is_kept], self._begin
+        self.add(kept)
 
-    def drop_before(self, stamp_ns: float) -> None:
+    def drop_before(self, stamp_ns: int) -> None:
         """Drop the samples that are older than a stamp."""
         self._begin += self.index(stamp_ns)
 
-    def _make_room(self) -> None:
-        """Move the samples to the start of the memory, or of a larger one if it is half full."""
-        rows = self.rows.copy()
-        if 2 * len(rows) > len(self._memory):
-            self._memory = np.zeros(2 * len(self._memory), SAMPLE)
-        self._begin, self._end = 0, len(rows)
-        self._memory[: self._end] = rows
 
-
-def to_samples(rows: Rows) -> list[Sample]:
-    """Return rows of a buffer one by one."""
-    return [Sample(*row) for row in rows.tolist()]
-
-
-def seconds_since(origin_ns: int, rows: Rows) -> NDArray[np.float64]:
-    """Return the times of samples since a time [s]."""
-    since: NDArray[np.float64] = (rows['stamp_ns'] - origin_ns) / SECOND
-    return since
+def _allocate(count: int) -> Samples:
+    count = max(count, _CAPACITY)
+    return Samples(np.zeros(count, np.int64), np.zeros((count, 2)))

@@ -9,7 +9,7 @@ clock, and a replay, which advances it as fast as it can, get the same outputs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from threading import Lock
 
@@ -21,7 +21,7 @@ from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.plate_estimator import SampleCounts
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.sensor_checks import SensorFault
 from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throw_cycle import ThrowCycle
@@ -217,7 +217,7 @@ class Session:
                 'input', self.step, input='parameters', values=dict(values), motions=new
             )
 
-    def measure(self, samples: Sequence[Sample], *, clock_offset_ns: int = 0) -> None:
+    def measure(self, samples: Samples, *, clock_offset_ns: int = 0) -> None:
         """
         Add samples of the rig, if the plate is measured, or refuse and count them.
 

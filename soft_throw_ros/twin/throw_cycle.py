@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
 from typing import TypeAlias
@@ -26,7 +26,7 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.sensor_checks import SensorChecks, SensorFault
 from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, Tick
@@ -200,10 +200,10 @@ class ThrowCycle:
             self._put_back(step)
         self._period_start = step
 
-    def add_samples(self, step: int, samples: Sequence[Sample]) -> list[Sample]:
+    def add_samples(self, step: int, samples: Samples) -> Samples | None:
         """Add samples of the rig if the plate is measured; return the accepted ones."""
-        if self.monitor is None:
-            return []
+        if self.monitor is None or not samples:
+            return None
         return self.monitor.estimator.add_samples(samples, self.schedule.deadline(step))
 
     def diagnose_sensors(self) -> tuple[SensorFault, ...]:
@@ -405,10 +405,8 @@ class ThrowCycle:
         if not config.is_measured:
             self.monitor = None
         elif self.monitor is None or onset is not None:
-            self.sensor_checks.begin(config.measurement)
-            self.monitor = PlateMonitor(
-                config.measurement, self.sample_counts, self.sensor_checks, onset
-            )
+            self.sensor_checks.begin()
+            self.monitor = PlateMonitor(config.measurement, self.sample_counts, onset)
         else:
             self.monitor.rearm(config.measurement)
 

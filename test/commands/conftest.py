@@ -42,7 +42,7 @@ class Command:
     @staticmethod
     def row(printed, title):
         """Return the cells of a row of a table."""
-        (line,) = re.findall(rf'^{re.escape(title)}\s.*', printed, re.MULTILINE)
+        (line,) = re.findall(rf'^{re.escape(title)}\s\s.*', printed, re.MULTILINE)
         return line[28:].split()
 
 

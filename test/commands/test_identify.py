@@ -16,15 +16,11 @@ import numpy as np
 import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.commands import identify, throw
-from soft_throw_ros.commands.identify_report import ejection_rows
-from soft_throw_ros.commands.options import UNCERTAINTY_PARAMETERS
 from soft_throw_ros.configuration import files, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification.ejection import Ejection, Release
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.systematics import FLOORS
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Message
@@ -32,7 +28,7 @@ from soft_throw_ros.storage.message import Message
 SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 COMMAND = (identify.main,)
 MEASURED = ('--mass', 1.206e-3, '--thickness', 12e-3, '--diameter', 12e-3, '--density', 1000.0)
-THICKNESS, NOISE = 'layer.thickness', 'measured.position_noise'
+NOISE = 'measured.position_noise'
 OF_SAMPLE = (SAMPLE, '--unit', 'mm', *MEASURED)
 RIG = Rig(
     engine=Engine(frequency=58.0, damping_ratio=0.05, amplitude=1.8e-3),
@@ -69,8 +65,6 @@ def test_sample_gives_its_rig(sample_result):
     assert result['systematic_errors'].keys() == FLOORS.keys()
     assert result['answer']['rest_wave_speed']['error'] > error
     assert result['answer']['is_good_enough']
-    notes = {row['name']: row['note'] for row in result['rows']}
-    assert 'layer.stiffening' in notes['layer.rest_wave_speed']
     assert result['ejection']['alternatives'] == []
     assert result['throws'][0]['start_time'] == pytest.approx(0.0124, abs=5e-5)
 
@@ -81,7 +75,7 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     pytest.importorskip('matplotlib')
     root = SAMPLE.parents[2]
     text = (root / 'README.md').read_text(encoding='utf-8')
-    (call,) = re.findall(r'make identify ARGS="([^"]*synthetic_throw[^"]*)"', text)
+    (call,) = re.findall(r'soft-throw identify (.*synthetic_throw(?:.*\\\n)*.*)', text)
     monkeypatch.chdir(root)
     path = tmp_path / 'my_rig.yaml'
     args = call.replace('\\\n', '').replace('my_rig.yaml', str(path)).split()
@@ -96,7 +90,8 @@ def test_readme_shows_the_printed_result_and_the_file_suits_the_twin(
     assert settings['layer.name'] == 'custom'
     uncertain = {name: math.sqrt(3.0) * value(result, name)[1] for name in result['found']}
     uncertain['projectile.mass'] /= settings['projectile.mass']
-    for name in UNCERTAINTY_PARAMETERS:  # bounds of equally likely values with the same deviation
+    # bounds of equally likely values with the same deviation
+    for name in TWIN.names_in('uncertainty'):
         (bound,) = (b for n, b in uncertain.items() if n.endswith(name.partition('.')[2]))
         assert settings[name] == pytest.approx(bound, rel=1e-2)
     # Parameters that do not describe the rig are left out of the file
@@ -164,15 +159,6 @@ def test_fit_of_a_rig_that_does_not_throw_is_shown_and_written(command, write, t
     assert result['ejection'] is None
     assert any(reason in warning for warning in result['warnings'])
     assert not result['answer']['is_good_enough']
-
-
-def test_release_beyond_a_jump_is_an_alternative_of_the_report():
-    one = Estimate(7.5e-3, 1e-4)
-    other = Release(Estimate(9e-3, 2e-4), one, one, Estimate(3.0, 0.1), 1, 0.2)
-    rows = list(ejection_rows(Ejection(Release(one, one, one, one), (other,))))
-    assert [str(row) for row in rows if row.name == 'ejection.time'] == [
-        '7.50 +- 0.10 ms', '9.00 +- 0.20 ms, or one echo later, with 20 %'
-    ]
 
 
 # A track in mm, of which each case makes a file that some program or instrument writes
@@ -255,11 +241,11 @@ def test_outliers_of_3_mm_are_listed_and_hardly_matter(command, write, sample_re
     assert result['warnings'] == []
     printed = command.run(path, *OF_SAMPLE[1:])
     for body, time in off.items():
-        assert f'outliers of {body}: {time:g} s' in printed
+        assert f'1 outliers of {body}: {time:g} s' in printed
 
 
 def test_options_and_file_describe_the_same_fit(command, write):
-    path = write('prior: {projectile.mass: [0.0012, 1.2e-5]}\nheights: own', 'fit.yaml')
+    path = write('prior: {projectile.mass: [0.0012, 1.2e-5]}', 'fit.yaml')
     args = (SAMPLE, '--unit', 'mm', *MEASURED[2:])
     by_file = command.json(*args, '--fit-file', path)
     for words in (('--mass', '0.0012+-1%'), ('-p', 'projectile.mass:=0.0012 +- 1 %')):
@@ -271,7 +257,7 @@ def test_options_and_file_describe_the_same_fit(command, write):
     mass, error = value(by_file, 'projectile.mass')
     assert mass == pytest.approx(1.2e-3, rel=0.02)
     assert error <= 1.2e-5
-    path.write_text('heights: [')
+    path.write_text('free: [')
     assert command.refused(*OF_SAMPLE, '--fit-file', path).startswith(f'{path}: ')
 
 
@@ -280,7 +266,7 @@ def test_stated_noise_is_that_of_the_tracks(command, write):
     args = (write('\n'.join(rows)), '--unit', 'mm')
     found, stated = command.json(*args), command.json(*args, '-p', f'{NOISE}:=1e-4')
     for name in DEFAULT_FREE[:3]:
-        assert value(stated, name)[1] > 2.0 * value(found, name)[1]
+        assert value(stated, name)[1] > 1.5 * value(found, name)[1]
 
 
 def test_plate_alone_gives_the_engine(command, write, tmp_path):
@@ -367,7 +353,7 @@ def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     assert last['sources'] == ['bag_0.mcap']
     for name, expected in zip(DEFAULT_FREE, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
         result, error = value(last, name)
-        # One throw hardly distinguishes wave speed, thickness and stiffening
+        # One throw hardly distinguishes wave speed and thickness
         slack = 0.05 * error if name == 'layer.wave_speed' else 0.0
         assert result == pytest.approx(expected, rel=1e-4, abs=slack)
 
@@ -386,38 +372,6 @@ def test_unreadable_messages_of_a_bag_are_reported(command, tmp_path):
         assert part in note
     path.write_bytes(path.read_bytes()[:-300])
     assert 'soft-throw recover' in command.refused(path)
-
-
-@pytest.mark.slow
-def test_invalid_throw_of_a_bag_is_excluded(command, tmp_path):
-    time, heights = recorded(starts=(0.2, 0.8, 1.4))
-    heights[0, (time > 0.8) & (time < 0.83)] = 1.5e-3
-    heights[0, (time > 0.83) & (time < 1.4)] = 0.0
-    heights += 1e-6 * np.random.default_rng(1).normal(size=heights.shape)
-    folder = bags.write(tmp_path / 'bag', joint_states('/rig/joint_states', time, heights))
-    result = command.json(folder, '--thickness', 12e-3)
-    assert result['sources'] == ['bag, throw 1', 'bag, throw 3']
-    assert command.err.startswith('identify: bag, throw 2 is left out: the plate goes down')
-
-
-@pytest.mark.parametrize(
-    ('args', 'message'),
-    [
-        (('none.csv',), 'none.csv: No such file or directory'),
-        (('throw.avi',), 'throw.avi: is a video; first convert it to tracks'),
-        ((SAMPLE, '-p', f'{NOISE}:=0'), f'argument -p: {NOISE} must be a number from'),
-        ((SAMPLE, '--hold', 'layer.colour'), 'argument --hold: a parameter must be one of '),
-        ((SAMPLE, '-p', f'{THICKNESS}:=0.01+-x'), f'argument -p: {THICKNESS} must be'),
-        ((SAMPLE, '--thickness', '7'), f'argument --thickness: {THICKNESS} must be a number from'),
-        ((*OF_SAMPLE, '--from', '0.025'), f'{SAMPLE.name}: the plate does not move as a damped'),
-        ((*OF_SAMPLE, '--mass', '0.0012+-0%'), 'argument --mass: projectile.mass must be'),
-        ((*OF_SAMPLE, '--from', '1'), f'{SAMPLE.name}: only 0 samples from 1 s to inf s'),
-        ((*OF_SAMPLE, '--output', 'none/rig.yaml'), 'argument --output: none/rig.yaml: '),
-        ((*OF_SAMPLE, '--figure', 'a.gif'), 'argument --figure: must end with .png, .pdf, .svg'),
-    ],
-)
-def test_error_is_one_line(command, args, message):
-    assert command.refused(*args).startswith(message)
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 """Throws by cells."""
 
 from dataclasses import replace
-import math
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 from reference import method_of_lines, normal_modes
 from reference.cases import (
-    EXACT,
     exact_release,
     FREQUENCY,
     log_uniform,
@@ -20,18 +18,14 @@ from reference.cases import (
     released,
 )
 from reference.method_of_steps import follow
-from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.cell_stepper import CellStepper, cut_layer, MAX_CELLS, reading_points
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import (
     HorizonError,
-    PLATE_FORCE,
-    PLATE_POSITION,
-    PLATE_VELOCITY,
     PROJECTILE_FORCE,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
-    TIME,
 )
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.throws import RELEASED, throw_many
@@ -51,7 +45,6 @@ CASES = {
     'lossy': LOSSY,
     'stacked': Rig(layer=Layer.of_sheets(SHEETS)),
 }
-SOME_EXACT = [EXACT[i] for i in (0, 2, 10, 11, 12, 14, 19)]
 # Loss tangent 0.05, computed with 40-digit closed forms, checked by a second method
 EXACTLY_LOSSY = make_rig(0.6345238095238095, 7.34629294755877, loss_tangent=0.05)
 LOSSY_PHASE, LOSSY_SPEED = 0.46694752928793415, 1.8077831318189745
@@ -60,15 +53,6 @@ LOSSY_PHASE, LOSSY_SPEED = 0.46694752928793415, 1.8077831318189745
 def throw(rig, **options):
     """Advance until the projectile has left, and return the stepper."""
     return released(CellStepper(rig, **options), periods=4.0)
-
-
-@pytest.mark.parametrize(('mu', 'kappa', 'zeta', 'phase', 'alpha'), SOME_EXACT)
-def test_first_throw_without_loss_is_exact_to_1e_4(mu, kappa, zeta, phase, alpha):
-    rig = make_rig(mu, kappa, zeta)
-    release = throw(rig).events()[0]
-    transfer = (release.velocity / Underdamped.of(rig.engine).peak_velocity) ** 2
-    assert release.time * FREQUENCY == pytest.approx(phase, rel=1e-4)
-    assert transfer == pytest.approx(alpha, rel=1e-4, abs=1e-4)
 
 
 def test_release_with_loss_is_exact_to_1e_4_at_the_default_and_1e_3_with_16_cells():
@@ -113,22 +97,6 @@ def test_lossless_sheets_are_exact_to_1e_4_offline():
     assert throw.energy_transfer == pytest.approx(uniform.energy_transfer, rel=1e-4)
 
 
-def test_peak_strain_may_be_that_at_the_release():
-    """The plate is pushed again while the projectile leaves; the last step counts in part."""
-    times = np.arange(0.0, 0.012, 5e-5)
-    first = 0.1 * np.sin(200.0 * math.pi * times) ** 2 * (times < 5e-3)
-    speed = first + 400.0 * np.clip(times - 3.4e-3, 0.0, None)
-    heights = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(times)))
-    rig = Rig(
-        engine=Engine(motion=SampledMotion.from_positions(times, heights)),
-        layer=Layer(thickness=7.173e-3, wave_speed=6.128, loss_tangent=0.01),
-        projectile=Projectile(mass=0.2321e-3),
-    )
-    exact = simulate(rig, cells=1024, max_events=1).peak_strain
-    assert simulate(rig, max_events=1).peak_strain == pytest.approx(exact, rel=3e-4)
-    assert throw_many(rig, cells=16).peak_strain == pytest.approx(exact, rel=4e-3)
-
-
 def heat_of(stepper):
     """Go back to the first release, and return the heat until then."""
     release = stepper.events()[0]
@@ -165,80 +133,6 @@ def test_every_event_is_of_second_order(mu, kappa):
     assert (order(cells, errors) > 1.6).all()
 
 
-def test_release_from_a_stack_is_of_second_order_and_1e_4_at_the_default():
-    """The sheets have cells of one crossing time, so that grids can be compared."""
-    sheets = (Layer(thickness=7.8e-3), Layer(thickness=1e-2, wave_speed=20.0, loss_tangent=0.1))
-    rig = Rig(layer=Layer.of_sheets(sheets))
-    cells = np.array([36, 72, 144, 288])
-    releases = [throw(rig, cells=int(count)).events()[0] for count in cells]
-    finest = throw(rig, cells=2304).events()[0]
-    errors = [[a.time - finest.time, a.velocity - finest.velocity] for a in releases]
-    assert (order(cells, errors) > 1.7).all()
-    release = throw(rig).events()[0]
-    assert release.time == pytest.approx(finest.time, rel=1e-4)
-    assert release.velocity**2 == pytest.approx(finest.velocity**2, rel=1e-4)
-
-
-def test_state_and_events_agree_with_the_exact_history():
-    rig = Rig(gravity=20.0)
-    history = follow(rig, max_events=5)
-    stepper = CellStepper(rig, cells=400)
-    scale = rig.engine.speed_scale
-    for time in np.sort(np.random.default_rng(5).uniform(0.0, history.end_time, 300)):
-        stepper.advance_to(time)
-        assert stepper.state[TIME] == time
-        for index, exact, unit in (
-            (PLATE_POSITION, history.motion.position(time), 1e-5 * scale / FREQUENCY),
-            (PLATE_VELOCITY, history.motion.velocity(time), 1e-4 * scale),
-            (PROJECTILE_POSITION, history.projectile_position(time), scale / FREQUENCY),
-            (PROJECTILE_VELOCITY, history.projectile_velocity(time), scale),
-        ):
-            assert stepper.state[index] == pytest.approx(float(exact), abs=4e-4 * unit)
-        assert stepper.surface_position == pytest.approx(
-            float(history.top_position(time)), abs=2e-3 * scale / FREQUENCY
-        )
-        if time < 0.8 * history.events[1].time:  # landings cause jumps of force
-            for index, exact in (
-                (PLATE_FORCE, history.plate_force(time)),
-                (PROJECTILE_FORCE, history.contact_force(time)),
-            ):
-                unit = rig.layer.impedance * scale
-                assert stepper.state[index] == pytest.approx(float(exact), abs=3e-3 * unit)
-
-
-def test_layer_agrees_with_the_exact_history_to_second_order():
-    rig = make_rig(0.6345, 7.346, gravity=9.81)
-    history = follow(rig, max_events=1)
-    layer, scale = rig.layer, rig.engine.speed_scale
-    depths = np.linspace(0.0, layer.thickness, 33)
-    cells, errors = [50, 100, 200], []
-    for count in cells:
-        stepper = CellStepper(rig, cells=count, field_points=33)
-        read, worst = np.empty((4, 33)), np.zeros(3)
-        for time in np.linspace(0.0, 0.99 * history.end_time, 50):
-            stepper.advance_to(time)
-            stepper.read_layer(read)
-            kink = np.zeros(33, dtype=bool)
-            for crossing in (depths / 7.8, rig.crossing_time - depths / 7.8):
-                away = (time - crossing + 0.5 * rig.crossing_time) % rig.crossing_time
-                kink |= abs(away - 0.5 * rig.crossing_time) < 0.06 * rig.crossing_time
-            exact = history.strain(depths, time)
-            wrong = np.array([
-                7.8 / scale * (read[3] - exact),
-                (read[1] - history.velocity(depths, time)) / scale,
-                7.8 / scale * (read[2] / (layer.youngs_modulus * layer.section) + exact),
-            ])
-            worst = np.maximum(worst, np.abs(wrong[:, ~kink]).max(axis=1, initial=0.0))
-            assert read[0][0] == stepper.state[PLATE_POSITION]
-            assert read[0][-1] == pytest.approx(stepper.state[PROJECTILE_POSITION], rel=1e-12)
-            slope = np.diff(read[0]) / np.diff(depths) - 1.0
-            middle = 0.5 * (exact[1:] + exact[:-1])
-            assert slope == pytest.approx(middle, abs=3e-3 * scale)
-        errors.append(worst)
-    assert (np.array(errors[-1]) < 1e-3).all()
-    assert (order(cells, errors) > 1.5).all()
-
-
 @settings(max_examples=100)
 @given(
     mass_ratio=log_uniform(0.01, 30.0),
@@ -270,13 +164,21 @@ def test_large_strain_of_the_default_rig_has_its_reference_value():
     assert curved.time / linear.time == pytest.approx(0.97, abs=5e-3)
 
 
-@pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel'])
-def test_energy_transfer_of_a_gel_is_of_second_order(case):
-    rig = CASES[case]
-    cells = np.array([32, 64, 128, 256])
+# These sheets have cells of one crossing time, so that grids can be compared
+EVEN = Rig(layer=Layer.of_sheets(
+    (Layer(thickness=7.8e-3), Layer(thickness=1e-2, wave_speed=20.0, loss_tangent=0.1))
+))
+
+
+@pytest.mark.parametrize('case', ['neo_hookean', 'constant', 'gel', 'even'])
+def test_energy_transfer_is_of_second_order_and_1e_4_at_the_default(case):
+    rig = CASES.get(case, EVEN)
+    cells = np.array([36, 72, 144, 288])
     speeds = [throw(rig, cells=int(count)).events()[0].velocity for count in cells]
-    finest = throw(rig, cells=2048).events()[0].velocity
+    finest = throw(rig, cells=2304).events()[0].velocity
     assert order(cells, np.array(speeds) - finest) > 1.6
+    default = throw(rig).events()[0].velocity
+    assert default**2 == pytest.approx(finest**2, rel=1e-4 if case == 'even' else 6e-4)
 
 
 def test_shocks_are_resolved():
@@ -297,8 +199,6 @@ def test_shocks_are_resolved():
 # cells with a bound of strain that no sheet reaches
 NEO_HOOKEAN_STACKS = [
     ('0.04624 19.3 1350, 0.003755 4.005 1033', 8.056),
-    ('0.006028 6.261 1015, 0.00836 9.01 1149, 0.02969 14.33 1180', 2.1097),
-    ('0.008777 17.5 1183, 0.0098 8.899 1011, 0.003083 5.452 1211', 4.021),
     ('0.007025 4.024 1274, 0.004281 6.153 1296, 0.009703 15.64 1188', 2.513),
 ]
 
@@ -336,13 +236,6 @@ def test_large_throws_can_be_simulated(amplitude, layer):
     assert np.isfinite(stepper.stored_energy())
     result = simulate(rig, max_events=1)
     assert result.leaves_linear_range is (amplitude > 0.02)
-
-
-def test_sheets_of_one_material_agree_with_the_uniform_layer():
-    stack = Layer.of_sheets((Layer(thickness=16.8e-3 / 4),) * 4)
-    layers = stack, Layer()
-    stacked, single = (throw(Rig(layer=layer), cells=128).events()[0] for layer in layers)
-    assert stacked[1:] == pytest.approx(single[1:], rel=1e-12)
 
 
 @pytest.mark.parametrize('case', ['lossy', 'stacked', 'constant', 'gel', 'gels'])
@@ -416,14 +309,32 @@ def test_measured_plate_is_followed_to_the_last_whole_step():
     assert stepper.horizon == 0.0
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'complaint'),
-    [
-        ({'cells': 0}, f'cells must be from 1 to {MAX_CELLS}, got 0'),
-        ({'cells': MAX_CELLS + 1}, f'got {MAX_CELLS + 1}'),
-        ({'cells': 64.0}, r'cells .* got 64\.0'),
-    ],
-)
-def test_bad_arguments_are_quoted(arguments, complaint):
-    with pytest.raises(ValueError, match=complaint):
-        CellStepper(Rig(), **arguments)
+THIN = Layer.of_sheets((
+    Layer(thickness=6e-3, wave_speed=7.8),
+    Layer(thickness=5e-5, wave_speed=100.0, density=7800.0),
+    Layer(thickness=9e-3, wave_speed=20.0, loss_tangent=0.2),
+))
+
+
+@pytest.mark.parametrize('layer', [Layer(), Layer(loss_tangent=0.1), THIN])
+def test_linear_functions_are_read_exactly_within_sheets(layer):
+    step, bodies = cut_layer(Rig(layer=layer), cells=40)
+    counts = [max(1, int(sheet.crossing_time / step * (1.0 + 1e-9))) for sheet in layer.sheets]
+    assert bodies['count'].tolist() == counts
+    sheets = np.repeat(np.arange(len(counts)), counts)
+    ends = np.append(0.0, np.cumsum((bodies['thickness'] / counts)[sheets]))
+    values = 1.5 * (ends[1:] + ends[:-1]) + sheets  # which jump from sheet to sheet
+    heights = np.linspace(0.0, layer.thickness, 77).tolist()
+    points = reading_points(bodies, 77).tolist()
+    for height, (cell, neighbour, weight, fraction) in zip(heights, points, strict=True):
+        below, above = ends[cell:cell + 2]
+        assert below + fraction * (above - below) == pytest.approx(height)
+        if cell != neighbour:
+            read = values[cell] + weight * (values[neighbour] - values[cell])
+            assert read == pytest.approx(3.0 * height + sheets[cell])
+
+
+@pytest.mark.parametrize('cells', [0, MAX_CELLS + 1, 64.0])
+def test_bad_numbers_of_cells_are_quoted(cells):
+    with pytest.raises(ValueError, match=f'cells must be .* got {cells}'):
+        CellStepper(Rig(), cells=cells)

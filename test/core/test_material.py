@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 from soft_throw_ros.core.material import BAND, relaxation, RELAXATION_RATES
+from soft_throw_ros.core.rig import Layer
 
 
 def modulus(loss_tangent, frequency):
@@ -38,4 +39,4 @@ def test_material_without_loss_is_a_spring():
 
 def test_nearly_liquid_material_is_refused():
     with pytest.raises(ValueError, match=r'at most 0.8 if it is constant, got 1\.5'):
-        relaxation(1.5)
+        Layer(loss='constant', loss_tangent=1.5)

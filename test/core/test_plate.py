@@ -40,12 +40,12 @@ def test_peak_velocity_is_reached_at_its_time_and_never_exceeded(damping_ratio):
     assert plate.velocity(TIMES).max() <= plate.peak_velocity * (1.0 + 1e-12)
 
 
-def test_motion_rests_before_its_start():
-    before = np.array([-1.0, -1e-9])
+def test_motion_rests_before_its_start_and_a_sampled_one_after_its_end():
     sampled = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
     for plate in (PLATE, sampled):
-        assert not plate.position(before).any()
-        assert not plate.velocity(before).any()
+        assert not plate.states_at(np.array([-1.0, -1e-9])).any()
+    end = PLATE.position(0.05)
+    assert sampled.states_at(np.array(0.06)) == pytest.approx([float(end), 0.0, 0.0])
 
 
 def test_sampled_positions_converge_with_the_promised_order():
@@ -56,12 +56,6 @@ def test_sampled_positions_converge_with_the_promised_order():
         errors.append(np.sqrt(np.mean((sampled.position(fine) - PLATE.position(fine)) ** 2)))
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > 3.65
     assert sampled.peak_velocity == pytest.approx(PLATE.peak_velocity, rel=1e-5)
-
-
-def test_sampled_motion_stays_where_it_ends():
-    sampled = SampledMotion.from_positions(TIMES, PLATE.position(TIMES))
-    assert sampled.position(0.06) == pytest.approx(PLATE.position(0.05))
-    assert sampled.velocity(0.06) == 0.0
 
 
 @pytest.mark.parametrize(

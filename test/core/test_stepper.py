@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from reference.cases import FREQUENCY, log_uniform, make_paper_rig, order, STRAINS
+from reference.cases import FREQUENCY, log_uniform, make_paper_rig, STRAINS
 from reference.method_of_steps import follow
-from scipy.integrate import trapezoid
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
@@ -110,6 +109,44 @@ def test_loads_are_exact_to_1e_3_and_stay_after_the_first_release(
     assert (model.loads, model.plate_work) == (loads, work)
 
 
+@pytest.mark.parametrize('gravity', [0.0, 20.0])
+@pytest.mark.parametrize(
+    ('make', 'error'), [(WaveStepper, 1e-5), (partial(CellStepper, cells=200), 1e-3)]
+)
+def test_state_and_layer_agree_with_the_exact_history(make, error, gravity):
+    """Except near kinks, which travel between plate and top, and where landings make jumps."""
+    rig = Rig(gravity=gravity)
+    history, model = follow(rig, max_events=1, until=0.02), make(rig, field_points=33)
+    depths, layer = np.linspace(0.0, rig.layer.thickness, 33), np.empty((4, 33))
+    scale, wave_speed = rig.engine.speed_scale, rig.layer.wave_speed
+    force = rig.layer.impedance * scale
+    for time in np.linspace(0.0, 0.99 * history.events[0].time, 60):
+        model.advance_to(time)
+        model.read_layer(layer)
+        phases = np.stack([time - depths / wave_speed, time + depths / wave_speed])
+        phases /= rig.crossing_time
+        smooth = (abs(phases - phases.round()) > 0.06).all(axis=0)
+        strain = history.strain(depths, time)
+        for computed, exact, unit in (
+            (layer[1], history.velocity(depths, time), scale),
+            (layer[3], strain, scale / wave_speed),
+            (layer[2], -rig.layer.impedance * wave_speed * strain, force),
+        ):
+            assert computed[smooth] == pytest.approx(exact[smooth], abs=max(1e-4, error) * unit)
+        slope = np.diff(layer[0]) / np.diff(depths) - 1.0
+        assert slope == pytest.approx(0.5 * (strain[1:] + strain[:-1]), abs=3e-3)
+        for index, exact, unit in (
+            (TIME, time, 0.0),
+            (PLATE_POSITION, history.motion.position(time), 0.01 * scale / FREQUENCY),
+            (PLATE_VELOCITY, history.motion.velocity(time), 0.01 * scale),
+            (PROJECTILE_POSITION, history.projectile_position(time), scale / FREQUENCY),
+            (PROJECTILE_VELOCITY, history.projectile_velocity(time), scale),
+            (PLATE_FORCE, history.plate_force(time), 3.0 * force),
+            (PROJECTILE_FORCE, history.contact_force(time), 3.0 * force),
+        ):
+            assert model.state[index] == pytest.approx(float(exact), abs=error * unit)
+
+
 @all_steppers
 def test_reset_repeats_the_throw_bit_for_bit(make):
     model, fresh = make(), make()
@@ -143,27 +180,6 @@ def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     assert layer[1] == pytest.approx(0.0)
     assert (np.diff(layer[0]) > 0.0).all()
     assert (layer[2] > 0.0).all()
-
-
-@pytest.mark.parametrize(('make', 'name'), [(WaveStepper, 'steps'), (CellStepper, 'cells')])
-def test_work_of_a_measured_plate_converges_with_the_square_of_the_step(make, name):
-    times = np.arange(0.0, 0.0105, 4e-4)
-    states, counts, errors = plate_states(times), np.array([32, 64, 128, 256]), []
-    plate = Engine(motion=SampledMotion(times, states))
-    history = follow(Rig(engine=plate), max_events=1)
-    moments = np.array([2.5 * Rig().crossing_time, history.events[0].time])
-    grids = np.linspace(0.0, moments, 200_001)  # so fine that the integral errs by 1e-9
-    power = -history.plate_force(grids) * plate.motion.velocity(grids)
-    exact = trapezoid(power, grids, axis=0)
-    for count in counts:
-        model, works = make(Rig(), is_measured=True, **{name: int(count)}), []
-        model.append_plate_states(times, states)
-        for moment in (moments[0], times[-2]):  # the work ends with the release
-            model.advance_to(moment)
-            works.append(model.plate_work)
-        errors.append(works / exact - 1.0)
-    assert np.abs(errors[-1]).max() < 1e-4
-    assert (order(counts, errors) > 1.6).all()
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,9 @@
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.core.throw import (
-    ejections,
-    simulate,
-    ThrowUnfinishedError,
-)
+from soft_throw_ros.core.throw import ejections, simulate, ThrowUnfinishedError
 
 
 def test_ejections_end_at_the_landing():
@@ -44,13 +39,6 @@ def test_fields_match_their_axes():
     weight = throw.rig.projectile.mass * throw.rig.gravity
     assert fields.strain[0] == pytest.approx(-weight / stiffness)
     assert np.abs(fields.strain).max() == pytest.approx(throw.peak_strain, rel=1e-2)
-
-
-def test_ejection_time_counts_from_the_start_of_a_sampled_plate():
-    times = np.linspace(0.0, 0.02, 201)
-    motion = SampledMotion.from_positions(times + 3.0, Underdamped.of(Engine()).position(times))
-    throw = simulate(Rig(engine=Engine(motion=motion)))
-    assert throw.ejection_time == pytest.approx(simulate(Rig()).ejection_time, abs=1e-7)
 
 
 @pytest.mark.parametrize(('amplitude', 'is_left'), [(1e-3, False), (3e-3, True)])

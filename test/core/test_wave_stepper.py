@@ -17,17 +17,14 @@ from reference.cases import (
 )
 from reference.method_of_steps import follow
 from scipy.integrate import trapezoid
-from soft_throw_ros.core.closed_form import first_release, first_releases, ThrowUnresolvedError
-from soft_throw_ros.core.rig import Engine, Layer, Rig, values_of
+from soft_throw_ros.core.closed_form import first_release, ThrowUnresolvedError
+from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.stepper import (
-    PLATE_FORCE,
     PLATE_POSITION,
-    PROJECTILE_FORCE,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
 )
-from soft_throw_ros.core.throws import throw_many
-from soft_throw_ros.core.wave_stepper import throw_batch, WaveStepper
+from soft_throw_ros.core.wave_stepper import WaveStepper
 
 
 @settings(max_examples=60)
@@ -158,31 +155,6 @@ def test_kinds_of_events_distinguish_recontacts_and_landings():
     assert 'landing' not in [event.kind for event in weightless.events()]
 
 
-@pytest.mark.parametrize('gravity', [0.0, 9.81])
-def test_state_and_layer_agree_with_the_method_of_steps(gravity):
-    rig = Rig(gravity=gravity)
-    history = follow(rig, max_events=1, until=0.02)
-    model = WaveStepper(rig, field_points=33)
-    scale = rig.engine.speed_scale
-    depths = np.linspace(0.0, rig.layer.thickness, 33)
-    layer = np.empty((4, 33))
-    for time in np.linspace(0.0, history.end_time, 60):
-        model.advance_to(time)
-        model.read_layer(layer)
-        stress = rig.layer.impedance * rig.layer.wave_speed
-        assert layer[1] == pytest.approx(history.velocity(depths, time), abs=1e-4 * scale)
-        exact = history.strain(depths, time)
-        assert layer[3] == pytest.approx(exact, abs=1e-4 * scale / rig.layer.wave_speed)
-        assert layer[2] == pytest.approx(-stress * layer[3])
-        for index, value, unit in (
-            (PROJECTILE_POSITION, history.projectile_position(time), scale / FREQUENCY),
-            (PROJECTILE_VELOCITY, history.projectile_velocity(time), scale),
-            (PLATE_FORCE, history.plate_force(time), rig.layer.impedance * scale),
-            (PROJECTILE_FORCE, history.contact_force(time), rig.layer.impedance * scale),
-        ):
-            assert model.state[index] == pytest.approx(float(value), abs=1e-5 * unit)
-
-
 @pytest.mark.parametrize('ratios', [(0.05, 2.0, 0.0, 0.0), (0.6, 7.3, 0.064, 0.03), (5.0, 20.0)])
 def test_largest_strain_agrees_with_the_field(ratios):
     rig = make_rig(*ratios)
@@ -226,29 +198,3 @@ def test_energy_is_conserved_over_twenty_bounces(ratios):
             break
         assert energy(model) == pytest.approx(conserved, rel=3e-3)  # the rule errs at jumps
     assert model.event_count > 20
-
-
-def test_batched_throws_agree_with_steppers():
-    rng = np.random.default_rng(3)
-    ratios = {
-        'mass_ratio': 10.0 ** rng.uniform(-1.3, 1.5, 12),
-        'speed_ratio': 10.0 ** rng.uniform(0.0, 1.7, 12),
-        'damping_ratio': rng.uniform(0.0, 0.3, 12),
-        'gravity_ratio': rng.choice([0.0, 0.05], 12),
-    }
-    exact = first_releases(**ratios)
-    rigs = [make_rig(*case) for case in zip(*ratios.values(), strict=True)]
-    values = [values_of(rig) for rig in rigs]
-    time, speed, *_ = throw_batch(
-        {name: np.array([row[name] for row in values]) for name in values[0]}
-    )
-    assert time * FREQUENCY == pytest.approx(exact.ejection_phase, abs=1e-5, nan_ok=True)
-    scale = rigs[0].engine.speed_scale
-    assert speed / scale == pytest.approx(exact.speed, abs=1e-5, nan_ok=True)
-    throws = throw_many(rigs, loads=True)
-    for n in np.flatnonzero(np.isfinite(time)):
-        model = WaveStepper(rigs[n])
-        model.advance_to((float(exact.ejection_phase[n]) + 0.01) / FREQUENCY)
-        loads = model.loads
-        expected = loads.strain, loads.acceleration, loads.plate_force, model.plate_work
-        assert [row[n] for row in throws[3:7]] == pytest.approx(expected, rel=1e-3)

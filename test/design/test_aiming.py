@@ -89,13 +89,6 @@ def test_impossible_request_is_refused_with_the_value(rig, target, limits, messa
         aim(rig, **target, limits=Limits(**limits))
 
 
-def test_limit_is_the_peak_load_of_the_throw():
-    load = aim(Rig(), height=0.2).peak_strain
-    assert aim(Rig(), height=0.2, limits=Limits(max_strain=1.001 * load)).peak_strain == load
-    with pytest.raises(ValueError, match='strain'):
-        aim(Rig(), height=0.2, limits=Limits(max_strain=0.999 * load))
-
-
 @pytest.mark.parametrize(
     'layer',
     [

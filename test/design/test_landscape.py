@@ -55,39 +55,25 @@ def test_executors_give_the_same_map():
     axes = {'mu': np.geomspace(0.05, 5.0, 20), 'kappa': np.linspace(3.0, 20.0, 21)}
     serial = compute_landscape(Rig(), axes, release='last')
     with ThreadPoolExecutor(3) as executor:
-        parallel = compute_landscape(Rig(), axes, release='last', executor=executor)
+        parallel = compute_landscape(Rig(), axes, release='last', run=executor.map)
     np.testing.assert_array_equal(parallel.energy_transfer, serial.energy_transfer)
     np.testing.assert_array_equal(parallel.ejection_phase, serial.ejection_phase)
 
 
-@pytest.fixture(scope='module')
-def saved(tmp_path_factory):
-    """Save a landscape; return it and the path."""
+def test_netcdf_is_read_back_by_xarray(tmp_path):
+    xarray = pytest.importorskip('xarray', reason='comes with the extra [test]')
     landscape = compute_landscape(
         replace(Rig(), engine=Engine(frequency=1.0, amplitude=0.05)),
         {'layer.thickness': [0.005, 0.01, 0.02], 'gravity': [0.0, 0.2, 4.0, 30.0]},
     )
-    path = tmp_path_factory.mktemp('landscape') / 'map.nc'
-    landscape.save(path)
-    return landscape, path
-
-
-@pytest.mark.parametrize('engine', ['scipy', 'netcdf4'])
-def test_netcdf_is_read_back_by_xarray(saved, engine):
-    xarray = pytest.importorskip('xarray', reason='comes with the extra [test]')
-    pytest.importorskip(
-        {'netcdf4': 'netCDF4'}.get(engine, engine), reason='comes with the extra [test]'
-    )
-    landscape, path = saved
+    landscape.save(tmp_path / 'map.nc')
     assert 0 < np.isnan(landscape.energy_transfer).sum() < landscape.energy_transfer.size
-    with xarray.open_dataset(path, engine=engine) as data:
+    with xarray.open_dataset(tmp_path / 'map.nc', engine='scipy') as data:
         assert data.energy_transfer.dims == ('layer_thickness', 'gravity')
         assert data.layer_thickness.attrs['units'] == 'm'
         assert 'Thickness' in data.layer_thickness.attrs['long_name']
-        np.testing.assert_array_equal(data.energy_transfer, landscape.energy_transfer)
-        chosen = data.energy_transfer.sel(layer_thickness=0.01, gravity=0.2)
-        assert float(chosen) == landscape.energy_transfer[1, 1]
-        np.testing.assert_array_equal(data.ejection_phase, landscape.ejection_phase)
+        for name in ('energy_transfer', 'ejection_phase'):
+            np.testing.assert_array_equal(data[name], getattr(landscape, name))
         assert data.attrs['release'] == 'first'
         assert data.attrs['engine_frequency'] == 1.0
 
@@ -144,16 +130,6 @@ def test_loss_may_be_an_axis_that_begins_at_zero():
     assert landscape.energy_transfer[1, 1] == pytest.approx(1.8077831318189745**2, rel=2e-3)
 
 
-def test_projectile_that_is_held_is_nan():
-    rig = replace(Rig(), engine=Engine(frequency=1.0, amplitude=1e-3))
-    axes = {'layer.thickness': [0.01], 'layer.wave_speed': [5.0, 10.0]}
-    for release in ('first', 'last'):
-        held = compute_landscape(rig, axes, release=release)
-        assert np.isnan(held.energy_transfer).all()
-        assert np.isnan(held.ejection_phase).all()
-        assert held.optimum is None
-
-
 @pytest.mark.parametrize(
     ('axes', 'options', 'message'),
     [
@@ -161,11 +137,11 @@ def test_projectile_that_is_held_is_nan():
         ({'mu': [1.0]}, {}, 'two axes, got mu'),
         ({'x': [1.0], 'C': [1.0]}, {}, r'x must be at least 0 and below 1, got 1\.0'),
         ({'x': [0.5], 'C': [math.nan]}, {}, 'C must be .* got nan'),
-        ({'x': [0.5], 'C': [2.0, 1.0]}, {}, 'C must increase, got 2 and then 1'),
-        ({'x': [], 'C': [1.0]}, {}, r'x must be .* got shape \(0,\)'),
+        ({'x': [0.5], 'C': [2.0, 1.0]}, {}, r'C must be increasing .* got \[2\. 1\.\]'),
+        ({'x': [], 'C': [1.0]}, {}, r'x must be increasing .* got \[\]'),
         ({'x': ['wide'], 'C': [1.0]}, {}, 'x must be numbers, got .*wide'),
         ({'x': [0.5], 'mu': [1.0]}, {}, 'x and mu are not independent'),
-        ({'mu': [1.0], 'layer.thickness': [0.01]}, {}, 'mu can .* with .*, got layer.thickness'),
+        ({'mu': [1.0], 'layer.thickness': [0.01]}, {}, 'combined with .*, got mu and layer'),
         ({'layer.thickness': [0.01, 0.2], 'gravity': [5.0]}, {}, r'thickness .* 0.1 m, got 0\.2'),
         ({'mu': [1.0], 'kappa': [8.0]}, {'release': 'second'}, "got 'second'"),
         ({'x': [0.5], 'C': [8.0]}, {'density_ratio': 0.0}, r'density_ratio .* got 0\.0'),

@@ -47,13 +47,6 @@ def test_fixed_value_is_unchanged(fixed):
     assert maximise(hill, both, step=0.01) == (0.02, 9.0, 1.0)
 
 
-def test_hill_beyond_the_range_is_climbed_to_the_limit():
-    layers = LAYERS._replace(thickness=(1e-3, 0.01))
-    best = maximise(hill, layers, step=0.1)
-    assert best.thickness == 0.01
-    assert best.score >= hill(0.01, np.geomspace(1.0, 50.0, 10000)).max() * (1.0 - 1e-6)
-
-
 def test_nothing_is_found_where_all_scores_are_0():
     def score(*layers):
         return 0.0 * layers[0]

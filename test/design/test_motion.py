@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.commands.design_texts import motion_summary
 from soft_throw_ros.core.batch import SearchCancelledError
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
@@ -121,7 +120,7 @@ def test_design_is_compared_with_the_present_throw():
     assert design.now == predict(design.present) == predict(Rig(gravity=0.0))
     assert design.kinetic_energy > design.now.kinetic_energy
     gain = 100.0 * (design.kinetic_energy / design.now.kinetic_energy - 1.0)
-    assert motion_summary(design).startswith(f'with the same motor, {gain:.2g} % more energy')
+    assert design.summary.startswith(f'with the same motor, {gain:.2g} % more energy')
     assert design.rig.engine.motion is design.motion
     assert design.values()['now.kinetic_energy'] == design.now.kinetic_energy
 
@@ -143,7 +142,7 @@ def test_best_motion_keeps_contact_within_the_uncertainties():
 def test_present_rig_that_does_not_throw_is_no_number():
     design = design_motion(Rig(engine=Engine(frequency=3.0)), PlateLimits(speed=0.5, travel=0.02))
     assert design.now is None
-    assert 'throws nothing' in motion_summary(design)
+    assert 'throws nothing' in design.summary
 
 
 @pytest.mark.parametrize(

@@ -5,23 +5,12 @@
 import math
 
 import pytest
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.twin import OBJECTIVES
 from soft_throw_ros.core.batch import SearchCancelledError
-from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design import score
-from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.requests import limits_of, solve_request
 from soft_throw_ros.design.score import Limits
-from soft_throw_ros.design.uncertainty import Uncertainties
 from twin_runs import complete_settings
-
-
-def test_defaults_request_the_peak_without_limits():
-    settings = TWIN.defaults()
-    assert limits_of(settings) == Limits()
-    assert Uncertainties.from_settings(settings) == Uncertainties()
-    assert solve_request(settings) == recommend(Rig())
 
 
 @pytest.mark.parametrize(

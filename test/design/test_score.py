@@ -13,7 +13,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throws import rig_with, throw_many
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
-from soft_throw_ros.design.uncertainty import Uncertainties
+from soft_throw_ros.design.uncertainty import changes_of, Uncertainties
 
 
 def score_of(rig, objective, limits=None):
@@ -24,7 +24,7 @@ def random_transfers(rig, uncertainties, seed):
     """Return the energy transfers of 3000 rigs with random relative errors."""
     random = np.random.default_rng(seed)
     variants = uncertainties.variants(rig, random.uniform(-1.0, 1.0, (3000, 5)))
-    changes = variants.changes(rig.layer.thickness, rig.layer.wave_speed)
+    changes = changes_of(variants, rig.layer.thickness, rig.layer.wave_speed)
     return throw_many(rig, changes).energy_transfer
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from soft_throw_ros.commands.design_texts import uncertainty_text
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throws import rig_with, throw_many
@@ -85,7 +84,7 @@ def test_jump_within_the_uncertainties_is_seen_on_both_sides():
     prediction = prediction_uncertainty(rig, replace(NONE, thickness=2e-5))
     assert prediction.jumps
     assert prediction.ejection_time.high - prediction.ejection_time.low > 0.9 * jump
-    assert uncertainty_text(prediction.values()).endswith(', with a jump between')
+    assert str(prediction).endswith(', with a jump between')
     away = replace(rig, layer=replace(rig.layer, thickness=0.95 * rig.layer.thickness))
     assert not prediction_uncertainty(away, replace(NONE, thickness=2e-5)).jumps
 
@@ -94,7 +93,7 @@ def test_share_held_by_gravity_is_counted():
     rig = Rig(engine=Engine(frequency=9.0))
     prediction = prediction_uncertainty(rig, replace(NONE, frequency=6.0))
     assert 0.0 < prediction.stuck_fraction < 1.0
-    assert 'no release in' in uncertainty_text(prediction.values())
+    assert 'no release in' in str(prediction)
     with pytest.raises(ThrowUnresolvedError, match='does not leave within the uncertainties'):
         prediction_uncertainty(Rig(engine=Engine(frequency=3.0)), NONE)
 

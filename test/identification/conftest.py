@@ -5,16 +5,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.fit_description import FitDescription
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.plate_fit import fit_plate
+from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
@@ -47,6 +50,31 @@ def _make_model(rig: Rig, throws: list[ThrowTracks], description: FitDescription
     """Return the model of throws around a rig, with the fits of the plates alone."""
     plates = tuple(fit_plate(throw.plate) for throw in throws)
     return RigModel(tuple(throws), rig, description, ThrowSimulator(), plates)
+
+
+RIGS = {
+    'usual': Rig(),
+    'caught up': Rig(layer=Layer(thickness=5.6e-3, wave_speed=15.0)),
+    'thick': Rig(engine=Engine(frequency=40.0), layer=Layer(thickness=29.1e-3, wave_speed=5.0)),
+}
+NOISES = (5e-6, 2e-5)
+
+
+@pytest.fixture(scope='session')
+def fits() -> dict[tuple[str, float], tuple[Rig, RigFit]]:
+    """Return rigs and their fits to one throw, whose layer and engine start far away."""
+    found = {}
+    for (name, rig), noise in itertools.product(RIGS.items(), NOISES):
+        throw = _make_throw(
+            rig, rate=3000.0, duration=0.02 + 3.5 / rig.engine.frequency, noise=noise,
+            zeros=(0.3, -0.2),
+        )
+        known = replace(
+            rig, engine=Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5),
+            layer=replace(rig.layer, wave_speed=50.0),
+        )
+        found[name, noise] = rig, fit_rig([throw], known)
+    return found
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import (
@@ -11,11 +12,14 @@ from soft_throw_ros.identification.fit_description import (
     FitDescription,
     FIXED,
     FREE,
+    IDEAL_BENCH,
     LOSS,
+    ParameterLayout,
     parse_error,
     Treatment,
 )
-from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
 
@@ -34,7 +38,7 @@ RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
 )
 def test_parameter_is_free_or_fixed_or_known_with_an_error(treatment, known, value):
     description = FitDescription({'layer.thickness': treatment})
-    assert description.known('layer.thickness', RIG, 'a throw') == known
+    assert description.known('layer.thickness', RIG) == known
     assert description.prepare(RIG).layer.thickness == value
     assert description.is_free('layer.thickness') is (treatment == FREE)
     assert all(description.treatment(name).is_varied for name in DEFAULT_FREE)
@@ -47,41 +51,30 @@ def test_error_that_is_not_positive_is_refused(error, value):
 
 
 def test_loss_is_searched_unless_something_is_said_about_it():
-    conditions = {LOSS: FREE}
     assert FitDescription().searches(LOSS)
     assert not FitDescription({LOSS: FIXED}).searches(LOSS)
-    assert not FitDescription(throws={'a': conditions}).searches(LOSS)
 
 
 def test_measured_quantities_have_the_errors_of_the_paper():
     description = FitDescription()
-    assert description.known('layer.thickness', RIG, '') == Estimate(0.02, 1e-4)
-    assert description.known('projectile.mass', RIG, '') == Estimate(1e-3, pytest.approx(1e-5))
-
-
-HEAVY, LIGHT = Treatment(False, 0.002), Treatment(False, 0.001)
+    assert description.known('layer.thickness', RIG) == Estimate(0.02, 1e-4)
+    assert description.known('projectile.mass', RIG) == Estimate(1e-3, pytest.approx(1e-5))
 
 
 @pytest.mark.parametrize(
-    ('treatment', 'stated', 'by_throw', 'is_assumed'),
+    ('treatment', 'stated', 'is_assumed'),
     [
-        (None, (), {}, True),
-        (FIXED, (), {}, True),
-        (Treatment(True, error=1e-5), (), {}, True),
-        (FREE, (), {}, False),
-        (Treatment(True, 0.002, 2e-5), (), {}, False),
-        (None, ('projectile.mass',), {}, False),
-        (None, (), {'heavy.csv': HEAVY}, True),
-        (None, (), {'heavy.csv': HEAVY, 'light.csv': LIGHT}, False),
+        (None, (), True),
+        (FIXED, (), True),
+        (Treatment(True, error=1e-5), (), True),
+        (FREE, (), False),
+        (Treatment(True, 0.002, 2e-5), (), False),
+        (None, ('projectile.mass',), False),
     ],
 )
-def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, by_throw, is_assumed):
-    def treatments(item):
-        return {'projectile.mass': item} if item else {}
-
-    throws = {name: treatments(item) for name, item in by_throw.items()}
-    description = FitDescription(treatments(treatment), throws=throws)
-    result = description.assume(stated, ['heavy.csv', 'light.csv'])
+def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, is_assumed):
+    description = FitDescription({'projectile.mass': treatment} if treatment else {})
+    result = description.assume(stated)
     assert ('projectile.mass' in result.assumed) is is_assumed
     assert 'layer.loss_tangent' not in result.assumed
     assert 'layer.wave_speed' not in result.assumed
@@ -89,71 +82,19 @@ def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, by_thro
         assert result.treatment('projectile.mass') == FIXED
 
 
-def test_throws_share_equal_descriptions():
-    description = FitDescription(
-        throws={
-            'heavy_*': {'projectile.mass': Treatment(True, 0.002, 2e-5)},
-            'heavy_2.csv': {'layer.wave_speed': FREE},
-        }
-    )
-    names = ('light.csv', 'heavy_1.csv', 'heavy_2.csv', 'heavy_3.csv')
-
-    def groups(name):
-        return [description.group(name, throw, number) for number, throw in enumerate(names)]
-
-    light, *heavy = groups('projectile.mass')
-    assert len(set(heavy)) == 1
-    assert light not in heavy
-    first, second, third, fourth = groups('layer.wave_speed')
-    assert first == second == fourth != third
-    assert len(set(groups('engine.amplitude'))) == 4
-    assert len(set(groups('engine.frequency'))) == 1
-    assert description.prepare(RIG, 'heavy_1.csv').projectile.mass == 0.002
-    assert description.prepare(RIG, 'light.csv').projectile.mass == 0.001
-
-
-@pytest.mark.parametrize(
-    ('throw', 'patterns'),
-    [
-        ('heavy.csv', ['heavy.csv', 'heavy*', '*.csv']),
-        ('heavy_1.csv, throw 2', ['heavy_*.csv', 'heavy_1.csv', 'heavy_1.csv, throw 2', '*2']),
-        ('heavy_1.csv, part 1, throw 2', ['heavy_*.csv', '*, part 1', '*, part 1, throw 2']),
-    ],
-)
-def test_pattern_is_of_a_throw_or_of_its_file(throw, patterns):
-    for pattern in patterns:
-        description = FitDescription(throws={pattern: {LOSS: FREE}})
-        description.check_throws(['other.csv', throw])
-        assert description.treatment(LOSS, throw) == FREE
-        assert description.treatment(LOSS, 'other') == FIXED
-
-
-@pytest.mark.parametrize('throws', [['light.csv, throw 1', 'light.csv, throw 2'], []])
-def test_pattern_that_matches_no_throw_is_refused_with_the_names_of_all(throws):
-    conditions = {'projectile.mass': FIXED}
-    description = FitDescription(throws={'heavy_*.csv': conditions})
-    with pytest.raises(FitError) as refusal:
-        description.check_throws(throws)
-    for value in ('heavy_*.csv', *throws):
-        assert value in str(refusal.value)
-
-
 def test_file_agrees_with_the_python_description(tmp_path):
     path = tmp_path / 'fit.yaml'
     path.write_text(
         'free: [layer.thickness]\nprior:\n  projectile.mass: [0.0012, 1.2e-5]\n'
         'per_throw: [engine.frequency, projectile.mass]\n'
-        'heights: common\nreference: centre\ntopic: /a\n'
-        'throws:\n  a.csv: {fixed: {layer.thickness: 0.01}}\n'
+        'topic: /a\n'
     )
     treatments = {
         'layer.thickness': FREE,
         'projectile.mass': Treatment(True, 0.0012, 1.2e-5, is_per_throw=True),
         'engine.frequency': FREE._replace(is_per_throw=True),
     }
-    conditions = {'layer.thickness': Treatment(False, 0.01)}
-    expected = FitDescription(treatments, 'common', 'centre', {'a.csv': conditions}, '/a')
-    assert FitDescription.from_file(path) == expected
+    assert FitDescription.from_file(path) == FitDescription(treatments, '/a')
 
 
 @pytest.mark.parametrize(
@@ -167,11 +108,7 @@ def test_file_agrees_with_the_python_description(tmp_path):
         ('prior:\n  layer.thickness: 1', '1'),
         ('prior:\n  layer.thickness: [1e400, 1]', '1e400'),
         ('per_throw: [layer.density]', 'layer.density'),
-        ('throws:\n  a.csv:\n    fixed: {layer.thickness: often}', "'often'"),
-        ('throws:\n  a.csv:\n    heights: own', "'heights'"),
-        ('throws:\n  a.csv: 1', '1'),
-        ('heights: any', "'any'"),
-        ('reference: top', "'top'"),
+        ('fixed: 1', '1'),
         ('depths: own', "'depths'"),
         ('- a', 'a mapping'),
         ('free: [', 'expected'),
@@ -182,3 +119,20 @@ def test_bad_file_is_refused_with_its_name_and_the_value(tmp_path, text, value):
     path.write_text(text)
     with pytest.raises(ValueError, match=re.escape(f'{path}: ') + f'.*{re.escape(value)}'):
         FitDescription.from_file(path)
+
+
+def test_shared_values_come_first_and_names_have_the_number_of_the_throw():
+    track = Track(time=np.arange(20.0), position=np.sin(np.arange(20.0)))
+    throws = [ThrowTracks(name=name, plate=track, projectile=track) for name in 'ab']
+    amplitude = FREE._replace(is_per_throw=True)
+    description = FitDescription({**IDEAL_BENCH, 'engine.amplitude': amplitude})
+    layout = ParameterLayout.of(throws, description)
+    assert layout.names == (
+        'engine.frequency', 'engine.damping_ratio', 'layer.wave_speed',
+        'engine.amplitude[1]', 'engine.amplitude[2]',
+        'start_time[1]', 'plate_offset[1]', 'projectile_offset[1]',
+        'start_time[2]', 'plate_offset[2]', 'projectile_offset[2]',
+    )
+    assert layout.indices['engine.amplitude'] == {0: 3, 1: 4}
+    assert layout.indices_of('engine.frequency') == [0]
+    assert 'layer.thickness' not in layout

@@ -81,6 +81,19 @@ def test_plate_fit_needs_no_guess(frequency, damping_ratio, periods):
         assert found[name].value == pytest.approx(value, abs=4.5 * found[name].error), name
 
 
+@pytest.mark.parametrize(('true', 'stated'), [(0.0, 1e-5), (5e-5, 5e-5), (1e-4, 1e-4)])
+def test_stated_errors_of_stamps_are_part_of_the_noise(true, stated):
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 0.1, 4e-4)
+    exact = track_of(Underdamped(**TRUTH), time, START, noise=5e-6)
+    errors = true * np.sqrt(3.0) * rng.uniform(-1.0, 1.0, time.size)
+    late = replace(exact, time=time + errors, stamp_error=stated)
+    found = fit_plate(late)
+    assert 0.5 < found.fit.reduced_chi2 < 1.2
+    frequency = found.fit['frequency']
+    assert frequency.value == pytest.approx(63.2, abs=3.5 * frequency.error)
+
+
 def test_plate_fit_accepts_gaps_and_jitter():
     rng = np.random.default_rng(5)
     time = np.sort(rng.uniform(0.0, 0.1, 400))

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.identification.ejection import ejection_of
 from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     ENGINE,
     FitDescription,
-    FIXED,
     FREE,
     IDEAL_BENCH,
     LAYER,
@@ -46,77 +44,68 @@ REFERENCE = {
 }
 
 
-def assert_true(found, rig, names=PARAMETERS, *, errors=4.0, start=0.0153):
+def assert_true(found, rig, names=PARAMETERS, *, errors=4.0):
     """Assert that fitted values are within `errors` standard errors of the truth."""
-    truth = {'start_time': start, **values_of(rig, PARAMETERS)}
+    truth = {'start_time': 0.0153, **values_of(rig, PARAMETERS)}
     for name in names:
         if name in found.fit:
             value, error = found.fit[name]
             assert value == pytest.approx(truth[name], abs=errors * error), name
 
 
-def test_rig_fit_gives_the_reference_values(reference_throw):
+def test_rig_fit_agrees_with_the_reference(reference_throw):
     tracks = {
         body: replace(getattr(reference_throw, body), known_noise=2e-5)
         for body in ('plate', 'projectile')
     }
-    found = fit_rig(
-        [replace(reference_throw, **tracks)],
-        replace(KNOWN, gravity=0.0),
-        FitDescription(IDEAL_BENCH, 'absolute', 'centre'),
-    ).fit
-    assert set(found.names) == set(REFERENCE)
+    found = fit_rig([replace(reference_throw, **tracks)], replace(KNOWN, gravity=0.0), EXACT).fit
     for name, (value, error) in REFERENCE.items():
-        assert found[name].value == pytest.approx(value, abs=2e-2 * error)
-        assert found[name].error == pytest.approx(error, rel=5e-3)
-    assert found.chi2 == pytest.approx(1000.6256902061018, rel=1e-6)
-    assert found.dof == 995
+        assert found[name].value == pytest.approx(value, abs=2.0 * error)
+        # The reference knows the heights at rest
+        assert 0.95 * error < found[name].error < 2.5 * error
+    assert found.chi2 == pytest.approx(1000.6, abs=8.0)
+    assert found.dof == 993
     assert fit_warnings(found) == []
 
 
-@pytest.mark.parametrize(
-    ('thickness', 'frequency', 'wave_speed', 'gravity'),
-    [
-        (2.0e-3, 31.1, 7.8, 0.0),  # caught up after the first release
-        (5.6e-3, 63.2, 15.0, 9.81),
-        (23.4e-3, 63.2, 4.0, 9.81),
-        (29.1e-3, 31.1, 7.8, 0.0),
-    ],
-)
-def test_wave_speed_is_found_without_a_guess(
-    make_throw, thickness, frequency, wave_speed, gravity
-):
-    rig = Rig(
-        engine=Engine(frequency=frequency),
-        layer=Layer(thickness=thickness, wave_speed=wave_speed),
-        gravity=gravity,
-    )
-    seen = make_throw(rig, rate=3000.0, duration=0.02 + 3.0 / frequency, zeros=(0.3, -0.2))
-    known = replace(KNOWN, layer=Layer(thickness=thickness, wave_speed=50.0), gravity=gravity)
-    found = fit_rig([seen], known, EXACT)
-    assert_true(found, rig)
-    assert found.fit['layer.wave_speed'].error < 0.03 * wave_speed
-    assert found.fit['plate_offset'].value == pytest.approx(-0.3, abs=1e-5)
-    rest = 0.2 + thickness - rig.static_sag
-    assert found.fit['projectile_offset'].value == pytest.approx(rest, abs=1e-5)
+def test_values_of_rigs_are_found_within_their_errors_without_a_guess(fits):
+    pulls = []
+    for rig, found in fits.values():
+        assert fit_warnings(found.fit) == []
+        truth = values_of(rig, PARAMETERS)
+        for name, (value, error) in found.estimates().items():
+            pulls.append(abs(value - truth[name]) / error)
+        assert found.estimate('layer.wave_speed').error < 0.05 * rig.layer.wave_speed
+        assert found.fit['plate_offset'].value == pytest.approx(-0.3, abs=1e-5)
+        assert found.fit['start_time'].value == pytest.approx(0.0153, abs=3e-5)
+    assert max(pulls) < 3.0
+    assert np.mean(np.array(pulls) < 1.96) > 0.93
 
 
-@pytest.mark.parametrize(
-    ('heights', 'reference'), [('common', 'centre'), ('absolute', 'centre'), ('absolute', 'face')]
-)
-def test_heights_from_a_common_zero_determine_the_thickness(make_throw, heights, reference):
-    # Under its weight a projectile of 20 g sinks by 0.9 mm
-    rig = Rig(projectile=Projectile(mass=0.02, length=0.05))
-    assert rig.static_sag > 4e-4
-    zero = 0.1 if heights == 'common' else 0.0
-    up = 0.025 if reference == 'centre' else 0.0
-    seen = make_throw(rig, rate=2000.0, duration=0.15, zeros=(zero, zero - up))
-    known = replace(KNOWN, projectile=rig.projectile, layer=Layer(thickness=0.03))
-    description = FitDescription({**IDEAL_BENCH, 'layer.thickness': FREE}, heights, reference)
-    found = fit_rig([seen], known, description)
-    assert_true(found, rig)
-    assert found.fit['layer.thickness'].error < 5e-5
-    assert ('plate_offset' in found.fit) is (heights == 'common')
+def test_wave_speed_in_the_throw_is_better_known_than_at_rest(fits):
+    for _, found in fits.values():
+        speed, at_rest = found.estimate('layer.wave_speed'), found.rest_wave_speed()
+        assert at_rest.value == speed.value
+        assert at_rest.error > 1.2 * speed.error
+
+
+def test_errors_grow_with_the_noise_of_the_tracks(fits):
+    for name in ('usual', 'caught up', 'thick'):
+        for value in DEFAULT_FREE:
+            low, high = (fits[name, noise][1].estimate(value).error for noise in (5e-6, 2e-5))
+            assert high > 1.1 * low
+
+
+@pytest.mark.parametrize('imperfections', [
+    Imperfections(ringing=0.02), Imperfections(second_mode=0.02),
+])
+def test_other_motions_of_the_plate_enlarge_all_errors(see, fits, imperfections):
+    tracks, _ = imperfect_throw(see, Rig(), imperfections, noise=5e-6)
+    found, clean = fit_rig([tracks], Rig()), fits['usual', 5e-6][1]
+    assert clean.growth < 1.5
+    assert found.growth > 2.0 * clean.growth
+    for name in DEFAULT_FREE:
+        assert found.estimate(name).error > 1.5 * clean.estimate(name).error
 
 
 @pytest.mark.slow
@@ -141,35 +130,6 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     assert held['layer.wave_speed'].error < 0.1 * speed.error
 
 
-def drifting_late_and_rare(time, heights, rng):
-    heights += 0.02 * 2e-3 * time / time[-1] * [[1.0], [-1.0]]
-    kept = rng.uniform(size=time.size) > 0.03
-    return (time[kept], *heights[:, kept]), 1e-4
-
-
-def scaled_with_outliers(time, heights, rng):
-    heights[1] *= 1.005
-    sizes = rng.uniform(3e-4, 3e-3, heights.shape) * rng.choice([-1.0, 1.0], heights.shape)
-    return (time, *(heights + sizes * (rng.uniform(size=heights.shape) < 0.005))), 0.0
-
-
-def rounded(time, heights, _rng):
-    return (time, *(2e-5 * np.rint(heights / 2e-5))), 0.0
-
-
-@pytest.mark.parametrize('fault', [drifting_late_and_rare, scaled_with_outliers, rounded])
-def test_sensor_faults_are_within_the_errors(make_throw, see, fault):
-    seen = make_throw(Rig(), zeros=(0.1, -0.2), noise=1.5e-5)
-    heights = np.array([seen.plate.position, seen.projectile.position])
-    wrong, delay = fault(seen.plate.time, heights, np.random.default_rng(1))
-    wrong = see(*wrong, noise=0.0)
-    late = replace(wrong.projectile, time=wrong.projectile.time + delay)
-    found = fit_rig([replace(wrong, projectile=late)], Rig(layer=Layer(wave_speed=20.0)))
-    assert_true(found, Rig(), (*DEFAULT_FREE, 'start_time'), errors=3.5)
-    assert found.fit['engine.frequency'].error < 0.03
-    assert fit_warnings(found.fit) == []
-
-
 def followed(see, rig, *, duration=0.08):
     """Tracks of a throw by the model that is fitted."""
     time = np.arange(0.0, duration, 2e-4)
@@ -178,33 +138,12 @@ def followed(see, rig, *, duration=0.08):
     return see(time, Underdamped.of(rig.engine).position(since), path.position)
 
 
-IMPERFECTIONS = {
-    'a second mode': (Layer(), Imperfections(second_mode=0.01)),
-    'large strain': (Layer(stress_strain_law='neo_hookean'), None),
-}
-
-
-@pytest.mark.parametrize('case', IMPERFECTIONS)
-def test_effects_outside_the_model_are_within_the_errors(see, case):
-    layer, imperfections = IMPERFECTIONS[case]
-    tracks, release = imperfect_throw(see, Rig(layer=layer), imperfections)
-    found = fit_rig([tracks], Rig())
-    truth = values_of(Rig(), DEFAULT_FREE)
-    for name in DEFAULT_FREE:
-        is_speed = name == 'layer.wave_speed'
-        estimate = found.rest_wave_speed() if is_speed else found.estimate(name)
-        assert estimate.value == pytest.approx(truth[name], abs=2.5 * estimate.error), name
-    first = ejection_of(found).first
-    for estimate, value in ((first.time, release.time), (first.speed, release.velocity)):
-        assert estimate.value == pytest.approx(value, abs=2.5 * estimate.error)
-
-
-def imperfect_throw(see, rig, imperfections):
+def imperfect_throw(see, rig, imperfections, **options):
     """Return tracks and the first release of a throw whose plate is imperfect."""
     thrown = throw(rig, imperfections, until=0.07, start=-0.016)
     time = np.arange(0.0, 0.08, 2e-4)
     since = time - 0.0153
-    return see(time, thrown.plate(since), thrown.projectile(since)), thrown.events[0]
+    return see(time, thrown.plate(since), thrown.projectile(since), **options), thrown.events[0]
 
 
 def test_free_loss_may_be_zero(see):
@@ -232,21 +171,6 @@ def test_layer_of_large_strain_is_fitted_if_stated(see):
     speed = found.estimate('layer.wave_speed')
     assert speed.value == pytest.approx(rig.layer.wave_speed, abs=3.5 * speed.error)
     assert not found.fit.is_mismatch
-
-
-def test_value_held_for_one_of_two_layers_is_kept(make_throw):
-    stiff = Rig(layer=Layer(thickness=5.6e-3, wave_speed=40.0))
-    throws = [
-        replace(make_throw(rig, rate=2000.0, duration=0.04), name=name)
-        for name, rig in (('a', stiff), ('b', Rig()))
-    ]
-    held = {'layer.wave_speed': FIXED._replace(value=7.8)}
-    thickness = {'layer.thickness': FIXED._replace(value=5.6e-3)}
-    layers = {'a': {**thickness, 'layer.wave_speed': FREE}, 'b': held}
-    found = fit_rig(throws, Rig(layer=Layer(wave_speed=50.0)), replace(EXACT, throws=layers))
-    assert not found.fit.is_mismatch
-    speed = found.fit['layer.wave_speed[1]']
-    assert speed.value == pytest.approx(40.0, abs=4.0 * speed.error)
 
 
 def test_throws_have_separate_amplitudes(make_throw):

@@ -3,7 +3,6 @@
 """The model of a fit."""
 
 from dataclasses import replace
-import math
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from soft_throw_ros.identification.least_squares import Estimate
 TREATMENTS = {
     'engine.amplitude': FREE._replace(is_per_throw=True),
     'layer.thickness': Treatment(True, error=1e-4),
-    'layer.stiffening': Treatment(True, error=0.4),
     'projectile.mass': Treatment(True, error=0.02, is_relative=True),
     'projectile.delay': Treatment(True, error=1e-4),
     'plate.drift': Treatment(True, error=0.02, is_per_throw=True),
@@ -50,7 +48,7 @@ def changed(model, changes):
 
 
 def test_derivatives_agree_with_differences_of_predictions(model):
-    values = changed(model, {DELAY: 3e-5, 'layer.stiffening': 0.1, 'plate.drift[1]': 0.01})
+    values = changed(model, {DELAY: 3e-5, 'plate.drift[1]': 0.01})
     jacobian = model.jacobian(values)
     assert jacobian.shape == (model.predict(values).size, len(model.layout.names))
     for index, name in enumerate(model.layout.names):
@@ -86,23 +84,18 @@ def test_priors_are_those_of_the_description_for_each_value(model):
     rig = Rig()
     assert known == {
         'layer.thickness': Estimate(rig.layer.thickness, 1e-4),
-        'layer.stiffening': Estimate(0.0, 0.4),
         'projectile.mass': Estimate(rig.projectile.mass, 0.02 * rig.projectile.mass),
         DELAY: Estimate(0.0, 1e-4),
         **{f'plate.drift[{throw}]': Estimate(0.0, 0.02) for throw in (1, 2)},
     }
 
 
-def test_rig_has_the_mean_amplitude_and_the_wave_speed_at_its_strain(model):
-    before = model.rig_of(model.start(), 1)
-    values = changed(model, {'engine.amplitude[2]': 1e-4, 'layer.stiffening': 0.5})
+def test_rig_has_the_mean_amplitude(model):
+    values = changed(model, {'engine.amplitude[2]': 1e-4})
     first, second, both = (model.rig_of(values, throw) for throw in (0, 1, None))
-    amplitude = second.engine.amplitude
-    assert amplitude == pytest.approx(before.engine.amplitude + 1e-4)
-    assert both.engine.amplitude == pytest.approx(0.5 * (first.engine.amplitude + amplitude))
-    plate_speed = 2.0 * math.pi * second.engine.frequency * amplitude
-    rise = second.layer.wave_speed - before.layer.wave_speed
-    assert rise == pytest.approx(0.5 * plate_speed)
+    amplitudes = [rig.engine.amplitude for rig in (first, second)]
+    assert amplitudes[1] > amplitudes[0] + 5e-5
+    assert both.engine.amplitude == pytest.approx(np.mean(amplitudes))
 
 
 def test_cut_leaves_out_late_samples_of_projectiles_alone(model, throws):

@@ -18,7 +18,7 @@ from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values
-from soft_throw_ros.nodes.measured import _to_sample
+from soft_throw_ros.nodes.measured import _to_samples
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -189,10 +189,10 @@ THROW = [
 def test_damaged_messages_never_reach_the_outputs(damaged: dict[int, bytes]) -> None:
     run, reader = Run(engine__motion='measured'), JointStateReader()
     for number, message in enumerate(THROW):
-        values = accepted(partial(reader.read, damaged.get(number, message)))
-        sample = values and _to_sample(values, JOINTS)
-        if sample is not None:
-            run.session.measure([sample])
+        values = accepted(partial(reader.read_all, [damaged.get(number, message)]))
+        samples = values and _to_samples(values, JOINTS)
+        if samples is not None:
+            run.session.measure(samples)
         if number % 5 == 0:
             (outputs,) = run.go(1)
             assert all(map(math.isfinite, outputs.state))

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from typing import Any
 
-from bags import saved
+from bags import notes, saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -22,7 +22,6 @@ from soft_throw_ros.nodes import recording
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.recording import writer_thread
-from soft_throw_ros.storage.bag_reader import BagReader
 from std_msgs.msg import String
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -124,9 +123,7 @@ def test_losses_are_in_diagnostics_and_bag(
     assert values('losses', DiagnosticStatus.WARN, 'lost', 2)['/talk'] == 2
     path = node.recording.bag
     node.close()
-    with BagReader(path) as bag:
-        notes = {item.name: item.metadata for item in bag.metadata}
-    assert notes['losses'] == {'total': '2', '/talk': '2'}
+    assert notes(path)['losses'] == {'total': '2', '/talk': '2'}
 
 
 QUIET = """
@@ -224,9 +221,7 @@ def test_later_publisher_of_another_quality_of_service_is_reported_as_missing(
     assert response.success
     assert LATER in response.message
     assert texts(bag) == ['a', 'c']
-    with BagReader(bag) as reader:
-        notes = {item.name: item.metadata for item in reader.metadata}
-    assert LATER in notes['not recorded']
+    assert LATER in notes(bag)['not recorded']
     assert listener.trigger(RECORDER_SERVICES.start).success
     bag = node.recording.bag
     for one in (publisher, later):

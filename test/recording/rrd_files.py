@@ -83,9 +83,6 @@ class RrdFile:
     def last(self, entity: str, component: str) -> Any:
         return self.series(entity, component)[1][-1]
 
-    def components(self, entity: str) -> set[str]:
-        return {name for batch in self.entities[entity] for name in batch.schema.names}
-
 
 def record(
     path: Path, messages: Sequence[Any], batch: int = 1000, **options: Any

@@ -10,13 +10,9 @@ import pytest
 figures = pytest.importorskip('matplotlib.figure')
 
 from soft_throw_ros.configuration import TWIN  # noqa: E402, I100
-from soft_throw_ros.core.closed_form import first_release  # noqa: E402
 from soft_throw_ros.core.rig import Layer, Rig  # noqa: E402
 from soft_throw_ros.recording import charts  # noqa: E402
-from soft_throw_ros.recording.charts import (  # noqa: E402
-    draw_energy_map,
-    energy_transfer,
-)
+from soft_throw_ros.recording.charts import draw_energy_map  # noqa: E402
 
 
 def test_colours_distinguish_signs_and_are_grey_without_a_value() -> None:
@@ -35,28 +31,11 @@ def test_colours_distinguish_signs_and_are_grey_without_a_value() -> None:
 BEST = {'thickness': 0.0418, 'wave_speed': 22.65, 'energy_transfer': 4.143}
 
 
-def test_energy_transfer_of_other_layers_agrees_with_the_model() -> None:
-    rig = Rig(layer=Layer(density=900.0), gravity=5.0)
-    thickness, wave_speed = np.array([[5e-3, 20e-3]]), np.array([[4.0], [10.0], [30.0]])
-    computed = energy_transfer(rig, thickness, wave_speed)
-    for row, column in np.ndindex(3, 2):
-        layer = Layer(thickness=thickness[0, column], wave_speed=wave_speed[row, 0], density=900.0)
-        other = Rig(layer=layer, gravity=5.0)
-        release = first_release(
-            mass_ratio=other.mass_ratio,
-            speed_ratio=other.speed_ratio,
-            damping_ratio=other.engine.damping_ratio,
-            gravity_ratio=other.gravity_ratio,
-        )
-        assert computed[row, column] == pytest.approx(release.energy_transfer, rel=1e-9)
-
-
 @pytest.mark.parametrize(
     ('values', 'expected'),
     [
         ({}, ['now: α 3.637']),
         (BEST, ['now: α 3.637', 'recommended: α 4.143']),
-        ({'thickness': 0.0169, 'wave_speed': 7.8}, ['now, as recommended: α 3.637']),
         ({'now.energy_transfer': 3.5, **BEST}, ['now: α 3.500', 'recommended: α 4.143']),
     ],
 )

@@ -77,12 +77,6 @@ class Twin(TwinMessages):
                 messages.append(message)
         return messages
 
-    def flipped(self, message: Message, offset: int, bit: int = 0) -> list[Message]:
-        """Return the messages with another bit in one of them."""
-        data = bytearray(message.data)
-        data[offset] ^= 1 << bit
-        return self.damaged(message, bytes(data))
-
     def damaged(self, message: Message, data: bytes) -> list[Message]:
         return [
             other._replace(data=data) if other is message else other for other in self.messages
@@ -115,6 +109,16 @@ def plain() -> Twin:
     twin = Twin(throw__period=0.4)
     twin.go(2200)
     twin.session.close()
+    return twin
+
+
+@pytest.fixture(scope='module')
+def changed() -> Twin:
+    """Return a twin whose gravity changes after its first throw."""
+    twin = Twin(throw__period=0.3)
+    twin.go(350)
+    twin.session.change({'gravity': 9.0})
+    twin.go(1000)
     return twin
 
 
@@ -208,78 +212,54 @@ def test_two_twins_in_a_bag_are_checked_and_a_foreign_journal_is_reported(tmp_pa
 # something different
 
 
-@pytest.mark.parametrize(
-    ('step', 'index', 'bit'),
-    [(0, 0, 63), (399, 1, 30), (610, 2, 63), (1000, 3, 0), (2098, 4, 30), (2199, 5, 63)],
-)
+@pytest.mark.parametrize(('step', 'index', 'bit'), [(0, 0, 63), (610, 2, 30), (2199, 5, 0)])
 def test_one_bit_of_a_recorded_state_is_found_and_named(plain, check, step, index, bit) -> None:
+    message = plain.of('joint_states')[step]
     blank = JointStateEncoder('rig', JOINTS).encode(0, State(*range(1, 7)))
-    offset = blank.index(struct.pack('<d', index + 1)) + bit // 8
-    result = check(plain.flipped(plain.of('joint_states')[step], offset, bit % 8))
-    assert result.exit_code == 1
+    data = bytearray(message.data)
+    data[blank.index(struct.pack('<d', index + 1)) + bit // 8] ^= 1 << bit % 8
+    result = check(plain.damaged(message, bytes(data)))
+    assert (result.exit_code, result.results.different) == (1, 0)
     assert result.states == Count(same=2199, different=1)
-    assert result.results.different == 0
     (difference,) = result.differences
     assert f'step {step}:' in difference
     assert State._fields[index] in difference
 
 
-def test_one_bit_of_a_stamp_is_found(plain, check) -> None:
-    result = check(plain.flipped(plain.of('joint_states')[50], 8))
-    assert result.exit_code == 1
-    assert result.states == Count(same=2199, different=1, missing=1)
+@pytest.mark.parametrize('topic', ['joint_states', 'journal'])
+def test_unreadable_message_is_a_difference(plain, check, topic) -> None:
+    assert check(plain.damaged(plain.of(topic)[2], b'\0\1\0\0\0')).exit_code == 1
 
 
-def test_unreadable_message_is_a_difference(plain, check) -> None:
-    for topic in ('joint_states', 'journal'):
-        messages = plain.damaged(plain.of(topic)[2], b'\0\1\0\0\0')
-        assert check(messages).exit_code == 1
+def change_number(entry: dict[str, Any], name: str) -> dict[str, Any]:
+    value = entry[name]
+    return {**entry, name: math.nextafter(value, 1e9) if isinstance(value, float) else value ^ 1}
 
 
-@pytest.mark.parametrize(
-    ('kind', 'name'), [('checksum', 'states'), ('checksum', 'fields'), ('result', 'states')]
-)
-def test_wrong_checksum_is_found(plain, check, kind, name) -> None:
-    (line, *_) = [
-        entry['line'] for entry in plain.entries() if entry['kind'] == kind and name in entry
-    ]
-    result = check(plain.edited(lambda e: {**e, name: e[name] ^ 1} if e['line'] == line else e))
-    assert result.exit_code == 1
-    assert result.results.different == 1
-
-
-def test_wrong_values_of_results_are_found_and_named(plain, check) -> None:
-    names = {2: 'ejection_speed', 3: 'recontacts'}
-
+@pytest.mark.parametrize(('kind', 'name', 'count'), [
+    ('checksum', 'states', 2), ('checksum', 'fields', 1), ('result', 'ejection_speed', 9),
+])
+def test_wrong_checksums_and_results_are_found_and_named(plain, check, kind, name, count) -> None:
     def edit(entry: dict[str, Any]) -> dict[str, Any]:
-        name = names.get(entry['result']['throw']) if entry['kind'] == 'result' else None
-        if name is None:
-            return entry
-        value = entry['result'][name]
-        other = math.nextafter(value, 1e9) if isinstance(value, float) else value + 1
-        return {**entry, 'result': {**entry['result'], name: other}}
+        if entry['kind'] == 'result' == kind:
+            return {**entry, 'result': change_number(entry['result'], name)}
+        return change_number(entry, name) if entry['kind'] == kind and name in entry else entry
 
     result = check(plain.edited(edit))
     assert result.exit_code == 1
-    assert result.results.different == len(result.differences) == 4
-    for line in result.differences:
-        assert any(f'throw {number}' in line and name in line for number, name in names.items())
+    assert result.results.different == len(result.differences) >= count
+    assert all(name in line for line in result.differences)
 
 
 # messages that are missing, doubled or not in order
 
 
-@pytest.mark.parametrize('lost', [range(700, 710), range(10), range(2200), range(2090, 2200)])
+@pytest.mark.parametrize('lost', [range(700, 710), range(2090, 2200)])
 def test_missing_states_are_counted_and_no_difference(plain, check, lost) -> None:
     states = {id(plain.of('joint_states')[number]) for number in lost}
-    empty = plain.of('joint_states')[0]._replace(data=b'', log_time=0, publish_time=0)
-    messages = [item for item in plain.messages if id(item) not in states]
-    if len(lost) == 2200:  # so that the topic is known
-        messages.insert(0, empty)
-    result = check(messages)
-    assert result.exit_code == (1 if len(lost) == 2200 else 0)
-    assert result.states.same == 2200 - len(lost)
-    assert result.states.missing == len(lost)
+    result = check([item for item in plain.messages if id(item) not in states])
+    assert result.exit_code == 0
+    assert result.states == Count(same=2200 - len(lost), missing=len(lost))
 
 
 def test_bag_that_begins_late_is_checked_from_the_next_throw_on(plain, check) -> None:
@@ -291,19 +271,16 @@ def test_bag_that_begins_late_is_checked_from_the_next_throw_on(plain, check) ->
     assert result.results.missing == sum(entry['step'] < 450 for entry in plain.entries())
 
 
-def test_missing_lines_are_counted_and_the_next_throw_is_checked(plain, measured, check) -> None:
-    for twin, kind in ((plain, 'throw'), (measured, 'samples')):
-        entries = twin.entries()
-        line = [entry['line'] for entry in entries if entry['kind'] == kind][1]
-        last = max(entry['line'] for entry in entries if entry['kind'] == 'result')
-        result = check(
-            twin.edited(lambda e, cut=(line, last): None if e['line'] in cut[:1] or
-                        e['line'] > cut[1] else e)
-        )
-        assert (result.exit_code, result.results.missing) == (0, 1)
-        compared = [entry for entry in entries if entry['kind'] in ('result', 'checksum')]
-        assert 0 < result.results.same < len(compared)
-        assert result.states.same + result.states.missing < len(twin.of('joint_states'))
+@pytest.mark.parametrize(('name', 'kind'), [('plain', 'throw'), ('measured', 'samples')])
+def test_missing_lines_are_counted_and_the_next_throw_is_checked(
+    request, check, name, kind
+) -> None:
+    twin = request.getfixturevalue(name)
+    line = [entry['line'] for entry in twin.entries() if entry['kind'] == kind][1]
+    result = check(twin.edited(lambda entry: None if entry['line'] == line else entry))
+    assert (result.exit_code, result.results.missing) == (0, 1)
+    compared = [entry for entry in twin.entries() if entry['kind'] in ('result', 'checksum')]
+    assert 0 < result.results.same < len(compared)
 
 
 @pytest.mark.parametrize(
@@ -316,12 +293,8 @@ def test_missing_lines_are_counted_and_the_next_throw_is_checked(plain, measured
         {'step': 2**61},
     ],
 )
-def test_inconsistent_journal_is_a_difference(check, values) -> None:
-    twin = Twin(throw__period=0.3)
-    twin.go(350)
-    twin.session.change({'gravity': 9.0})
-    twin.go(1000)
-    result = check(twin.edited(lambda e: {**e, **values} if e['kind'] == 'input' else e))
+def test_inconsistent_journal_is_a_difference(changed, check, values) -> None:
+    result = check(changed.edited(lambda e: {**e, **values} if e['kind'] == 'input' else e))
     assert result.exit_code == 1
     assert result.results.same >= 1  # the next throw is checked again
 
@@ -346,12 +319,10 @@ def test_session_of_another_version_is_reported_as_not_compared(plain, check) ->
     ({'layer.library': '/etc/passwd', 'layer.stack': '0.01 silicone'}, 'silicone'),
 ])
 @pytest.mark.parametrize('part', ['settings', 'pending', 'values'])
-def test_file_that_a_journal_names_is_not_opened(check, monkeypatch, values, words, part) -> None:
-    twin = Twin(throw__period=0.3)
-    twin.go(350)
-    twin.session.change({'gravity': 9.0})
-    twin.go(10)
-    messages = twin.edited(lambda e: {**e, part: {**e[part], **values}} if part in e else e)
+def test_file_that_a_journal_names_is_not_opened(
+    changed, check, monkeypatch, values, words, part
+) -> None:
+    messages = changed.edited(lambda e: {**e, part: {**e[part], **values}} if part in e else e)
     opened: list[Any] = []
     monkeypatch.setattr(configuration.motions, 'read', opened.append)
     monkeypatch.setattr(configuration.twin, 'library', opened.append)

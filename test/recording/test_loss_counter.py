@@ -10,44 +10,29 @@ from soft_throw_ros.recording.loss_counter import LossCounter
 FIRST, SECOND = b'first', b'second'
 
 
-def test_gaps_of_named_publishers_are_losses_and_first_numbers_are_not() -> None:
-    counter = LossCounter()
-    for number, publisher in ((8, FIRST), (1, SECOND), (9, FIRST), (3, SECOND), (12, FIRST)):
-        counter.add(number, publisher)
-    counter.update([FIRST, SECOND], 99)
-    assert counter.lost == 1 + 2
-
-
-@pytest.mark.parametrize('publisher', [FIRST, None])
-@pytest.mark.parametrize(('numbers', 'lost'), [
-    ([6, 7, 10, 20], 2 + 9),
-    ([1, 2, 2, 1, 3], 0),  # repeated
-    ([8, 9, 3, 4, 5, 6, 7, 10], 0),  # latched messages that come late
-    ([5001], 0),
+@pytest.mark.parametrize(('updates', 'lost'), [
+    # Gaps of named publishers are losses, and first numbers are not
+    ([([(8, FIRST), (1, SECOND), (9, FIRST), (3, SECOND), (12, FIRST)], [FIRST, SECOND], 99)], 3),
+    # The same holds for the only publisher, named or not
+    *(
+        ([([(number, publisher) for number in numbers], [FIRST], 99), ([], [FIRST], 99)], lost)
+        for publisher in (FIRST, None)
+        for numbers, lost in (
+            ([6, 7, 10, 20], 2 + 9),
+            ([1, 2, 2, 1, 3], 0),  # repeated
+            ([8, 9, 3, 4, 5, 6, 7, 10], 0),  # latched messages that come late
+            ([5001], 0),
+        )
+    ),
+    # Reports count from the second unnamed publisher on, or without numbers
+    ([([(1, None), (2, None), (4, None)], [FIRST], 0), ([(100, None)], [FIRST, SECOND], 0),
+      ([(7, None)], [SECOND], 3)], 1 + 3),
+    ([([(None, None)], [FIRST], 4)], 4),
 ])
-def test_numbers_of_the_only_publisher_are_counted(publisher, numbers, lost) -> None:
+def test_lost_messages_are_counted(updates, lost) -> None:
     counter = LossCounter()
-    for number in numbers:
-        counter.add(number, publisher)
-    counter.update([FIRST], 99)
-    counter.update([FIRST], 99)
+    for messages, publishers, reported in updates:
+        for number, publisher in messages:
+            counter.add(number, publisher)
+        counter.update(publishers, reported)
     assert counter.lost == lost
-
-
-def test_reports_count_from_the_second_unnamed_publisher_on() -> None:
-    counter = LossCounter()
-    for number in (1, 2, 4):
-        counter.add(number, None)
-    counter.update([FIRST], 0)
-    counter.add(100, None)
-    counter.update([FIRST, SECOND], 0)
-    counter.add(7, None)
-    counter.update([SECOND], 3)
-    assert counter.lost == 1 + 3
-
-
-def test_reports_count_if_there_are_no_numbers() -> None:
-    counter = LossCounter()
-    counter.add(None, None)
-    counter.update([FIRST], 4)
-    assert counter.lost == 4

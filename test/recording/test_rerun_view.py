@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.recording.timeseries import find_throws
+from soft_throw_ros.recording.twin_journal import find_throws
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Message
 from twin_messages import TwinMessages
@@ -92,32 +92,24 @@ def test_side_view_is_to_scale(twin, recording) -> None:
     in_contact = (times_of_layer >= begin) & (times_of_layer < begin + 7_600_000)
     at_layer = np.interp(times_of_layer[in_contact], times, z_of_projectile)
     assert in_contact.sum() > 100
-    np.testing.assert_allclose(top[in_contact], at_layer, atol=0.01)
+    np.testing.assert_allclose(top[in_contact], at_layer, atol=0.08)  # straight between states
     np.testing.assert_allclose(width, 12.0)
     np.testing.assert_allclose(height[0], 16.8 - 1e3 * Rig().static_sag, atol=1e-4)
     body = recording.last('/twin/side/projectile/body', 'Transform3D:scale')
     assert body[0][:2] == pytest.approx([12.0, 8.2])
 
 
-def test_strain_of_every_throw_is_a_picture_with_its_ejection_time(twin, recording) -> None:
-    times, pictures = recording.series('/twin/strain/picture', 'Image:buffer')
-    assert times.tolist() == [twin.schedule.deadline(step) for step in (500, 1000)]
-    assert [len(picture[0]) for picture in pictures] == [3 * 64 * 200] * 2
-    times, _ = recording.series('/twin/strain/frame', 'EncodedImage:blob')
-    assert times.tolist() == [twin.schedule.deadline(step) for step in (500, 1000)]
-    left, top, width, height = charts.FRAME_BOX
-    ((corner, scale),) = {
-        (tuple(corner[0]), tuple(scale[0]))
-        for corner, scale in zip(
-            recording.series('/twin/strain/picture', 'Transform3D:translation')[1],
-            recording.series('/twin/strain/picture', 'Transform3D:scale')[1],
-            strict=True,
-        )
-    }
-    assert corner[:2] == (left, top)
-    assert (200.0 * scale[0], 64.0 * scale[1]) == pytest.approx((width, height))
-    (label,) = recording.last('/twin/strain/ejection/text', 'Points2D:labels')
-    assert f'{1e3 * simulate(Rig()).ejection_time:.2f} ms' in label
+def test_strain_of_every_throw_is_a_picture_with_a_cursor(twin, recording) -> None:
+    starts = [twin.schedule.deadline(step) for step in (500, 1000)]
+    for entity, component in (('picture', 'Image:buffer'), ('frame', 'EncodedImage:blob')):
+        times, _ = recording.series(f'/twin/strain/{entity}', component)
+        assert times.tolist() == starts
+    first = twin.outputs[[bool(item.throw_field) for item in twin.outputs].index(True)]
+    field = first.throw_field()
+    pixels = np.array(recording.last('/twin/strain/picture', 'Image:buffer')[0], np.uint8)
+    columns = pixels.reshape(64, 200, 3).sum(axis=(0, 2))
+    ejection_time = field.times[np.flatnonzero(columns == 0)]  # black
+    assert ejection_time == pytest.approx(simulate(Rig()).ejection_time, rel=0.02)
     _, lines = recording.series('/twin/strain/now', 'LineStrips2D:strips')
     assert [len(line) for line in lines] == 2 * ([1] * 200 + [0])
 
@@ -150,31 +142,6 @@ def maps(monkeypatch) -> list[Any]:
     return figures
 
 
-def test_map_marks_the_layers_of_the_table_where_it_is_brightest(twin, maps, tmp_path) -> None:
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
-    text = recording.last('/twin/recommendation', 'TextDocument:text')[0]
-    heads, thickness, wave_speed, _, alpha, *_ = table_of(text)
-    assert heads[1:] == ['now', 'other thickness', 'other wave speed', 'both']
-    assert [float(cell) for cell in thickness[1:]] == pytest.approx(
-        [16.8, 13.4, 16.8, 41.8], abs=0.1
-    )
-    panel = maps[-1].axes[0]
-    marks = [line.get_label() for line in panel.lines]
-    assert [mark.split('α ')[1] for mark in marks] == [f'{float(alpha[n]):.3f}' for n in (1, 4)]
-    assert [mark.split(':')[0] for mark in marks] == ['now', 'recommended']
-    points = [line.get_xydata()[0] for line in panel.lines]
-    for column, point in zip((1, 4), points, strict=True):
-        expected = float(thickness[column]), float(wave_speed[column])
-        assert point == pytest.approx(expected, rel=2e-3)
-    (mesh,) = panel.collections
-    values = np.nan_to_num(np.ma.filled(mesh.get_array(), -1.0), nan=-1.0)
-    row, column = np.unravel_index(values.argmax(), values.shape)
-    x, y = np.geomspace(*panel.get_xlim(), 160), np.geomspace(*panel.get_ylim(), 100)
-    assert [x[column], y[row]] == pytest.approx(points[1], rel=0.17)
-    blob = bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])
-    assert blob.startswith(b'\x89PNG')
-
-
 def test_map_and_table_are_of_the_recommended_rig_or_empty(
     maps, tmp_path
 ) -> None:
@@ -189,6 +156,7 @@ def test_map_and_table_are_of_the_recommended_rig_or_empty(
             twin.messages.remove(last)
         recording, _ = record(tmp_path / f'{number}.rrd', twin.messages)
         table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
+        assert bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])[1:4] == b'PNG'
         alphas = [line.get_label().split('α ')[1] for line in maps[-1].axes[0].lines]
         if number < 2:
             assert alphas == [f'{float(table[4][n]):.3f}' for n in (1, 4)]

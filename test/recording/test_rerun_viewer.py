@@ -11,10 +11,10 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
-from test.recording.conftest import wait_until
 import time
 from typing import Any
 
+from bags import wait_until
 import pytest
 from soft_throw_ros.recording.rerun_viewer import (
     free_port,

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Definitions of message types, from installed packages and from texts."""
 
-import os
 from pathlib import Path
 import re
 
@@ -22,23 +21,18 @@ LINE = '=' * 80
 
 
 @pytest.fixture
-def prefix(tmp_path):
-    """Return an install prefix that is also a function which installs a type."""
+def install(tmp_path):
+    """Return a function that installs a type below a prefix, `tmp_path`."""
 
-    class Prefix(os.PathLike):
+    def install(name, text, description=None):
+        package, name = name.split('/')
+        folder = tmp_path / 'share' / package / 'msg'
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f'{name}.msg').write_text(text)
+        if description is not None:
+            (folder / f'{name}.json').write_text(description)
 
-        def __fspath__(self):
-            return str(tmp_path)
-
-        def __call__(self, name, text, description=None):
-            package, name = name.split('/')
-            folder = tmp_path / 'share' / package / 'msg'
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / f'{name}.msg').write_text(text)
-            if description is not None:
-                (folder / f'{name}.json').write_text(description)
-
-    return Prefix()
+    return install
 
 
 @pytest.mark.parametrize('name', INSTALLED)
@@ -52,12 +46,12 @@ def test_text_has_the_hash_computed_by_rosbags(name):
     assert schema.type_hash == types.hash_rihs01(name)
 
 
-def test_text_is_assembled_as_by_rosbag2(prefix):
-    prefix('a/Top', 'b/Second[] list\nOwn own # b/Not\nb/First first\nstring text "b/Nor"\n')
-    prefix('a/Own', 'b/msg/First again\nint32 NUMBER=3\n')
-    prefix('b/First', 'float64 x\n')
-    prefix('b/Second', 'First[<=3] a\nFirst[2] b\nstring<=10 c\nwstring[<=2] d\n')
-    assert find_schema('a/msg/Top', [prefix]).text == (
+def test_text_is_assembled_as_by_rosbag2(install, tmp_path):
+    install('a/Top', 'b/Second[] list\nOwn own # b/Not\nb/First first\nstring text "b/Nor"\n')
+    install('a/Own', 'b/msg/First again\nint32 NUMBER=3\n')
+    install('b/First', 'float64 x\n')
+    install('b/Second', 'First[<=3] a\nFirst[2] b\nstring<=10 c\nwstring[<=2] d\n')
+    assert find_schema('a/msg/Top', [tmp_path]).text == (
         'b/Second[] list\nOwn own # b/Not\nb/First first\nstring text "b/Nor"\n'
         f'\n{LINE}\nMSG: a/Own\nb/msg/First again\nint32 NUMBER=3\n'
         f'\n{LINE}\nMSG: b/First\nfloat64 x\n'
@@ -65,16 +59,16 @@ def test_text_is_assembled_as_by_rosbag2(prefix):
     )
 
 
-def test_missing_type_is_named_with_the_searched_folders(prefix, tmp_path):
+def test_missing_type_is_named_with_the_searched_folders(install, tmp_path):
     with pytest.raises(SchemaError, match='a/msg/Top') as refusal:
-        find_schema('a/msg/Top', [prefix, '/nowhere'])
+        find_schema('a/msg/Top', [tmp_path, '/nowhere'])
     assert f'{tmp_path}/share, /nowhere/share' in str(refusal.value)
-    prefix('a/Top', 'b/Missing x\n', '{')
+    install('a/Top', 'b/Missing x\n', '{')
     with pytest.raises(SchemaError, match='b/msg/Missing'):
-        find_schema('a/msg/Top', [prefix])
-    prefix('b/Missing', 'float64 x\n')
+        find_schema('a/msg/Top', [tmp_path])
+    install('b/Missing', 'float64 x\n')
     with pytest.raises(SchemaError, match=r'share/a/msg/Top\.json.* a/msg/Top'):  # no hash
-        find_schema('a/msg/Top', [prefix])
+        find_schema('a/msg/Top', [tmp_path])
     for name in ('String', 'std_srvs/srv/Trigger', 'a/msg/../B'):
         with pytest.raises(SchemaError, match=f"'{name}'"):
             find_schema(name, PREFIXES)

@@ -2,77 +2,53 @@
 # SPDX-License-Identifier: Apache-2.0
 """Positions of joints in the messages of a bag."""
 
-import math
-
-from bags import BEGIN, text
-import pytest
+from bags import BEGIN, text, write
+import numpy as np
 from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT
-from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Channel, Message
 from soft_throw_ros.storage.recorded_positions import read_positions
 
-TOPIC, OTHER = '/rig/states', '/other'
-JOINTS = ('plate', 'projectile')
+STATES = Channel(topic='/rig/states', type=JOINT_STATE, schema='string name')
+OTHERS = Channel(topic='/other', type=JOINT_STATE, schema='string name')
+JOURNAL = Channel(topic='/rig/journal', type=TEXT, schema='string data')
 
 
-@pytest.fixture
-def read(tmp_path):
-    """Return a function that records messages as joint states, and reads the positions."""
-
-    def read(messages):
-        with BagWriter(tmp_path / 'bag', distribution='jazzy') as writer:
-            for topic, data in messages:
-                is_text = topic.endswith('journal')
-                channel = Channel(
-                    topic=topic, type=TEXT if is_text else JOINT_STATE,
-                    schema='string data' if is_text else 'string name',
-                )
-                writer.write(Message(channel, data, BEGIN, BEGIN))
-        with BagReader(tmp_path / 'bag') as reader:
-            return read_positions(reader, [TOPIC, OTHER], JOINTS)
-
-    return read
+def read(path, *messages):
+    """Record joint states or texts, and read the positions."""
+    messages = [
+        Message(topic, text(content[0]) if len(content) == 1 else
+                JointStateEncoder('', content[1], series=1).encode(content[0], content[2]),
+                BEGIN, BEGIN)
+        for topic, *content in messages
+    ]
+    with BagReader(write(path / 'bag', messages)) as reader:
+        recorded = read_positions(reader, ['/rig/states', '/other'], ('plate', 'projectile'))
+    return recorded['/rig/states'], recorded['/other']
 
 
-def encode(stamp, joints, positions):
-    return JointStateEncoder('', joints, series=1).encode(stamp, positions)
+def test_joints_are_found_by_name_and_other_messages_are_counted(tmp_path):
+    states, others = read(
+        tmp_path,
+        (STATES, 0, ('projectile', 'arm', 'plate'), [2.0, 9.0, 1.0]),
+        (STATES, 5, ('plate',), [3.0]),
+        (STATES, 5, ('plate',), [4.0]),  # the first of equal stamps counts
+        (STATES, 'no joint state'),
+        (OTHERS, 0, ('arm',), [4.0]),
+    )
+    np.testing.assert_equal(states.rows, {0: [1.0, 2.0], 5: [3.0, np.nan]})
+    assert (states.unreadable, states.names) == (1, {'plate', 'projectile', 'arm'})
+    np.testing.assert_equal(others.rows, {0: [np.nan, np.nan]})
 
 
-def test_joints_are_found_by_name_and_missing_ones_are_nan(read):
-    recorded = read([
-        (TOPIC, encode(BEGIN, ('projectile', 'arm', 'plate'), [2.0, 9.0, 1.0])),
-        (TOPIC, encode(BEGIN + 5, ('plate',), [3.0])),
-        (OTHER, encode(BEGIN, ('arm',), [4.0])),
-    ])
-    rows = recorded[TOPIC].rows
-    assert rows[BEGIN] == [1.0, 2.0]
-    assert rows[BEGIN + 5][0] == 3.0
-    assert math.isnan(rows[BEGIN + 5][1])
-    assert all(map(math.isnan, recorded[OTHER].rows[BEGIN]))
-
-
-def test_first_of_equal_stamps_counts(read):
-    recorded = read([(TOPIC, encode(BEGIN, JOINTS, [height, 0.0])) for height in (1.0, 2.0)])
-    assert recorded[TOPIC].rows == {BEGIN: [1.0, 0.0]}
-
-
-def test_messages_of_another_content_are_counted(read):
-    recorded = read([(TOPIC, text('no joint state')), (TOPIC, encode(BEGIN, JOINTS, [1.0, 2.0]))])
-    assert recorded[TOPIC].unreadable == 1
-    assert len(recorded[TOPIC].rows) == 1
-
-
-def test_journal_names_the_joints_and_the_time_scale(read):
+def test_journal_names_the_joints_and_the_time_scale(tmp_path):
     settings = '{"kind":"start","settings":{"joint_names.plate":"table","time_scale":0.1}}'
-    recorded = read([
-        ('/rig/journal', text(settings)),
-        (TOPIC, encode(BEGIN, ('plate', 'table'), [1.0, 2.0])),
-        (OTHER, encode(BEGIN, ('plate', 'table'), [3.0, 4.0])),
-    ])
-    assert recorded[TOPIC].rows[BEGIN][0] == 2.0
-    assert recorded[TOPIC].time_scale == 0.1
-    assert recorded[OTHER].rows[BEGIN][0] == 3.0
-    assert recorded[OTHER].time_scale == 1.0
-    assert recorded[TOPIC].names == {'plate', 'table'}
+    states, others = read(
+        tmp_path,
+        (JOURNAL, settings),
+        (STATES, 0, ('plate', 'table'), [1.0, 2.0]),
+        (OTHERS, 0, ('plate', 'table'), [3.0, 4.0]),
+    )
+    assert (states.rows[0][0], states.time_scale) == (2.0, 0.1)
+    assert (others.rows[0][0], others.time_scale) == (3.0, 1.0)

@@ -20,7 +20,9 @@ def test_every_row_has_trials_with_a_truth_determined_by_the_seed(row):
         assert np.isfinite(record).all()
         assert (np.diff(record[:, 0]) > 0.0).all()
         assert np.array_equal(record, same)
-    assert trial.truth['layer.wave_speed'] > 0.0
+    speeds = {'layer.wave_speed', 'layer.rest_wave_speed'} & set(trial.truth)
+    assert all(trial.truth[name] > 0.0 for name in speeds)
+    assert len(speeds) == 1
 
 
 def test_truth_within_a_reported_alternative_is_right():

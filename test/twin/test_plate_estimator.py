@@ -19,9 +19,10 @@ from soft_throw_ros.twin.plate_estimator import (
     PAST,
     PlateEstimator,
     PlateStates,
+    SampleCounts,
     SampledSpan,
 )
-from soft_throw_ros.twin.sample_buffer import Sample
+from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT
 
@@ -31,7 +32,7 @@ def run(estimator: PlateEstimator, samples: list[Sample], *, batch: int = 5) -> 
     motions = []
     for first in range(0, len(samples), batch):
         now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
-        estimator.add_samples(samples[slice(first, first + batch)], now_ns)
+        estimator.add_samples(Samples.of(samples[first:first + batch]), now_ns)
         motions.append(estimator.advance(now_ns))
     times, states, errors = (np.concatenate([motion[k] for motion in motions]) for k in range(3))
     return PlateStates(times, states, errors, max(motion.gap for motion in motions))
@@ -43,7 +44,7 @@ def same(ours: PlateStates, theirs: PlateStates) -> bool:
 
 def test_plate_is_smoothed_by_local_fits_at_eighths_of_the_window() -> None:
     samples = make_samples(onset=0.01, noise=5e-6)
-    motion = run(PlateEstimator(MEASUREMENT), samples)
+    motion = run(PlateEstimator(MEASUREMENT, SampleCounts()), samples)
     assert np.diff(motion.times) == pytest.approx(0.25e-3, rel=1e-9)
     assert motion.gap == pytest.approx(2e-4)
     fit = smooth(
@@ -59,7 +60,9 @@ def test_plate_is_smoothed_by_local_fits_at_eighths_of_the_window() -> None:
 
 def test_plate_is_known_up_to_a_quarter_of_the_window_before_the_watermark() -> None:
     for latency_ns in (0, 1_000_000):
-        estimator = PlateEstimator(replace(MEASUREMENT, latency_ns=latency_ns))
+        estimator = PlateEstimator(
+            replace(MEASUREMENT, latency_ns=latency_ns), SampleCounts()
+        )
         samples = make_samples()
         motion = run(estimator, samples, batch=1)
         newest = (samples[-1].stamp_ns - BEGIN) / SECOND
@@ -84,7 +87,7 @@ def test_order_of_arrival_within_the_latency_changes_no_bit(seed, batch, doubled
     shuffled = [samples[k] for k in order]
     for k in doubled:
         shuffled.insert(shuffled.index(samples[k]) + 1, samples[k])
-    ordered, mixed = PlateEstimator(config), PlateEstimator(config)
+    ordered, mixed = (PlateEstimator(config, SampleCounts()) for _ in range(2))
     assert same(run(ordered, samples), run(mixed, shuffled, batch=batch))
     assert mixed.counts.refused == ({'doubled': len(doubled)} if doubled else {})
     assert ordered.counts.refused == {}
@@ -93,10 +96,12 @@ def test_order_of_arrival_within_the_latency_changes_no_bit(seed, batch, doubled
 def test_late_samples_are_refused_and_change_nothing() -> None:
     samples = make_samples(onset=0.01, noise=5e-6)
     late = samples.pop(50)
-    without, with_late = PlateEstimator(MEASUREMENT), PlateEstimator(MEASUREMENT)
+    without, with_late = (
+        PlateEstimator(MEASUREMENT, SampleCounts()) for _ in range(2)
+    )
     expected = run(without, samples, batch=1)
     before = run(with_late, samples[:60], batch=1)
-    assert with_late.add_samples([late], samples[59].stamp_ns) == []
+    assert not with_late.add_samples(Samples.of([late]), samples[59].stamp_ns)
     after = run(with_late, samples[60:], batch=1)
     assert same(
         expected, PlateStates(*map(np.concatenate, zip(before[:3], after[:3], strict=True)))
@@ -118,17 +123,17 @@ def test_late_samples_are_refused_and_change_nothing() -> None:
     ],
 )
 def test_bad_samples_are_refused_with_a_reason(sample, reason) -> None:
-    estimator = PlateEstimator(MEASUREMENT)
-    assert estimator.add_samples([sample], BEGIN) == []
+    estimator = PlateEstimator(MEASUREMENT, SampleCounts())
+    assert not estimator.add_samples(Samples.of([sample]), BEGIN)
     assert estimator.counts.refused == {reason: 1}
     assert estimator.advance(BEGIN).times.size == 0
 
 
 def test_missing_samples_are_bridged_and_the_gap_is_reported() -> None:
     samples = make_samples(onset=0.005)
-    whole = run(PlateEstimator(MEASUREMENT), samples)
+    whole = run(PlateEstimator(MEASUREMENT, SampleCounts()), samples)
     samples = [sample for k, sample in enumerate(samples) if k % 3 and not 60 <= k < 66]
-    motion = run(PlateEstimator(MEASUREMENT, origin_ns=BEGIN), samples)
+    motion = run(PlateEstimator(MEASUREMENT, SampleCounts(), origin_ns=BEGIN), samples)
     assert motion.gap == pytest.approx(8 * INTERVAL / SECOND)
     shared = np.isin(whole.times, motion.times)
     assert shared.sum() > 60
@@ -141,10 +146,10 @@ def test_missing_samples_are_bridged_and_the_gap_is_reported() -> None:
 def test_gap_longer_than_the_window_is_reported_once() -> None:
     samples = make_samples(200)
     del samples[80:140]
-    estimator = PlateEstimator(MEASUREMENT)
+    estimator = PlateEstimator(MEASUREMENT, SampleCounts())
     gaps = []
     for sample in samples:
-        estimator.add_samples([sample], sample.stamp_ns)
+        estimator.add_samples(Samples.of([sample]), sample.stamp_ns)
         gaps.append(estimator.advance(sample.stamp_ns).gap)
     assert sum(gap > 1e-3 for gap in gaps) == 1
     assert max(gaps) == pytest.approx(61 * INTERVAL / SECOND)

@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 from soft_throw_ros.twin.plate_estimator import Onset, SampleCounts
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
-from soft_throw_ros.twin.sample_buffer import Sample
-from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
 
 
 def detect(samples: list[Sample]) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
-    monitor = PlateMonitor(MEASUREMENT, SampleCounts(), SensorChecks())
+    monitor = PlateMonitor(MEASUREMENT, SampleCounts())
     for count, sample in enumerate(samples, 1):
-        monitor.estimator.add_samples([sample], sample.stamp_ns)
+        monitor.estimator.add_samples(Samples.of([sample]), sample.stamp_ns)
         _, onset = monitor.advance(sample.stamp_ns)
         if onset is not None:
             return onset, count

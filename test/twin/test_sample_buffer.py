@@ -5,29 +5,35 @@
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.sample_buffer import Sample, SampleBuffer, seconds_since, to_samples
+from soft_throw_ros.twin.sample_buffer import Sample, SampleBuffer, Samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 BEGIN = 1_700_000_000 * SECOND
 
 
+def to_list(samples: Samples) -> list[Sample]:
+    rows = zip(samples.stamps.tolist(), samples.heights.tolist(), strict=True)
+    return [Sample(stamp_ns, *heights) for stamp_ns, heights in rows]
+
+
 @pytest.mark.parametrize('seed', range(3))
 def test_buffer_agrees_with_a_sorted_list(seed) -> None:
     random = np.random.default_rng(seed)
-    buffer, expected, newest = SampleBuffer(), [], BEGIN
-    for _ in range(2000):
-        newest += int(random.integers(1, 1000))
-        late = int(random.integers(0, 5000)) if random.uniform() < 0.2 else 0
-        sample = Sample(newest - late, float(random.uniform()), 0.5)
-        if sample.stamp_ns in {other.stamp_ns for other in expected[-50:]}:
-            continue
-        buffer.insert(sample)
-        insort(expected, sample)
-        if random.uniform() < 0.05:
+    buffer, expected, newest = SampleBuffer(Samples.of([])), [], BEGIN
+    for _ in range(1000):
+        batch = []
+        for _ in range(random.integers(0, 5)):
+            newest += int(random.integers(1, 1000))
+            late = int(random.integers(0, 5000)) if random.uniform() < 0.2 else 0
+            sample = Sample(newest - late, float(random.uniform()), 0.5)
+            if sample.stamp_ns not in {other.stamp_ns for other in expected[-50:]}:
+                batch.append(sample)
+                insort(expected, sample)
+        buffer.add(Samples.of(batch))
+        if random.uniform() < 0.1:
             oldest = newest - int(random.integers(100_000, 300_000))
             buffer.drop_before(oldest)
             del expected[: bisect_left(expected, (oldest,))]
@@ -39,18 +45,17 @@ def test_buffer_agrees_with_a_sorted_list(seed) -> None:
             kept = [sample for sample, is_removed in pairs if not is_removed]
             expected[first:] = kept + expected[first + 10:]
         assert len(buffer) == len(expected)
-    assert to_samples(buffer.rows) == expected
+    assert to_list(buffer.samples) == expected
     begin, end = expected[10].stamp_ns, expected[-10].stamp_ns
-    assert to_samples(buffer.between(begin, end)) == expected[10:-10]
-    assert to_samples(buffer.between(begin + 1)) == expected[11:]
-    assert len(buffer.between(-math.inf, math.inf)) == len(expected)
+    assert to_list(buffer.between(begin, end)) == expected[10:-10]
+    assert to_list(buffer.between(begin + 1)) == expected[11:]
 
 
 def test_buffer_memory_does_not_grow_with_past_samples() -> None:
-    buffer = SampleBuffer([Sample(BEGIN + k, 0.1 * k) for k in range(50)])
-    for k in range(50, 20_000):
-        buffer.insert(Sample(BEGIN + k, 0.1 * k))
+    buffer = SampleBuffer(Samples.of([]))
+    for k in range(20_000):
+        buffer.add(Samples.of([Sample(BEGIN + k, 0.1 * k)]))
         buffer.drop_before(BEGIN + k - 99)
     assert len(buffer) == 100
-    assert buffer.rows.base.nbytes < 100_000
-    assert seconds_since(BEGIN, buffer.rows)[0] == 19_900 / SECOND
+    assert buffer.samples.stamps.base.nbytes < 10_000
+    assert buffer.samples.seconds_since(BEGIN)[0] == 19_900 / SECOND

@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The rig, the settings and the throws of a twin over time, from the lines of its journal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import contextlib
+from dataclasses import dataclass, replace
+import functools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
+from soft_throw_ros.configuration.interface import find_topic, Topic
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.storage.cdr import decode
+from soft_throw_ros.storage.message import Message
+from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.results import Floats
+from soft_throw_ros.twin.tick_schedule import SECOND
+
+Stamps = NDArray[np.int64]
+
+DECODING_ERRORS = (
+    ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
+)
+"""Errors caused by damaged bytes, or by another program's messages on a topic of that name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThrowStart:
+    """Start of a throw [ns]; `time_scale` is time of the rig over time of the stamps [-]."""
+
+    stamp: int
+    number: int
+    time_scale: float
+    ejection_time: float | None = None  # from the start; None if there is none so far [s]
+    is_over: bool = False  # whether its end has been reported
+
+    def seconds_to(self, stamps: Any) -> Any:
+        """Return the time of the rig from the start to a stamp or an array of stamps [s]."""
+        return (stamps - self.stamp) * (self.time_scale / SECOND)
+
+    def stamps_at(self, seconds: Floats) -> Stamps:
+        """Return the stamps for times of the rig since the start [ns]."""
+        return self.stamp + np.rint(seconds * (SECOND / self.time_scale)).astype(np.int64)
+
+
+class TwinJournal:
+    """The state of a twin after the lines of its journal so far."""
+
+    def __init__(self) -> None:
+        self.rig: Rig | None = None  # of the present throw; None while unknown
+        self.settings: Settings = TWIN.defaults()  # of the present throw
+        self.wanted: Settings = {}  # of the next throw, with all pending changes
+        self.throw: ThrowStart | None = None  # the last one
+        # Heights of a measured plate and projectile before the throw [m]
+        self.rest_heights: tuple[float, float] | None = None
+        self.clock_offset_ns = 0  # of the stamps of measurements [ns]
+        self._motions: dict[str, str] = {}  # encoded motions by file
+
+    @property
+    def time_scale(self) -> float:
+        """Time of the rig over time of the stamps [-]."""
+        is_measured = self.settings['engine.motion'] == 'measured'
+        return 1.0 if is_measured else float(self.settings['time_scale'])
+
+    @property
+    def wanted_rig(self) -> Rig | None:
+        """The rig of the next throw, with all pending changes; None if unknown."""
+        return rig_of(self.wanted, self._motion_of) if self.wanted else None
+
+    def read(self, message: Message) -> None:
+        """Apply a line; raise one of `DECODING_ERRORS` if it is damaged."""
+        entry = journal.decode(str(decode(message).data))
+        self._motions |= entry.get('motions', {})
+        match entry['kind']:
+            case 'input' if entry.get('input') == 'parameters':
+                self.wanted = {**self.wanted, **_known(entry['values'])}
+            case 'input' if entry.get('input') == 'reset' and self.wanted:
+                self._take_effect(self.wanted)
+            case 'start':
+                self._take_effect(_complete(entry))
+            case 'throw':
+                self._start_throw(entry)
+            case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
+                time = entry['result'].get('ejection_time')
+                is_release = isinstance(time, float) and time > 0.0
+                self.throw = replace(
+                    self.throw,
+                    ejection_time=time if is_release else None,
+                    is_over=entry['result'].get('stage') == 'final',
+                )
+
+    def _take_effect(self, settings: Settings) -> None:
+        """Apply settings, and clear pending changes."""
+        if self.rig is None or settings != self.settings:
+            self.rig = rig_of(settings, self._motion_of)
+        self.settings = self.wanted = settings
+
+    def _motion_of(self, path: str) -> SampledMotion:
+        """Return the motion of a file from the journal; the file itself is not opened."""
+        return _decode_motion(self._motions[path])
+
+    def _start_throw(self, entry: journal.Entry) -> None:
+        settings, pending = _complete(entry), _known(entry.get('pending', {}))
+        if 'onset' in entry:
+            onset = journal.decode_onset(entry['onset'])
+            stamp, self.clock_offset_ns = onset.onset_ns, onset.clock_offset_ns
+            rest_heights = onset.rest.plate, onset.rest.projectile
+        else:
+            stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
+            rest_heights = None
+        self._take_effect(settings)
+        self.wanted = {**settings, **pending}
+        self.rest_heights = rest_heights
+        self.throw = ThrowStart(stamp=stamp, number=entry['throw'], time_scale=self.time_scale)
+
+
+@functools.cache
+def identify(name: str, type_name: str) -> tuple[str, Topic | None]:
+    """Return the node and the entry of a topic; the entry is None for topics of other packages."""
+    return find_topic(name, type_name) or ('', None)
+
+
+def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
+    """Return the throws of each twin in journals; of a repeated one, that which is complete."""
+    throws: dict[str, dict[int, ThrowStart]] = {}  # by twin and stamp
+    journals: dict[str, TwinJournal] = {}
+    for message in messages:
+        node, _ = identify(message.channel.topic, message.channel.type)
+        twin = journals.setdefault(node, TwinJournal())
+        with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
+            twin.read(message)
+        if (throw := twin.throw) is not None:
+            known = throws.setdefault(node, {})
+            if throw.is_over or not known.get(throw.stamp, throw).is_over:
+                known[throw.stamp] = throw
+    return {node: list(by_stamp.values()) for node, by_stamp in throws.items()}
+
+
+def _complete(entry: journal.Entry) -> Settings:
+    """Return the settings of an entry, with defaults for missing ones."""
+    return {**TWIN.defaults(), **_known(entry['settings'])}
+
+
+def _known(settings: Mapping[str, Any]) -> Settings:
+    """Return the known settings; raise ValueError for a bad value."""
+    return {
+        name: TWIN.check_value(name, value)
+        for name, value in settings.items()
+        if name in TWIN.by_name
+    }
+
+
+@functools.lru_cache(maxsize=4)
+def _decode_motion(text: str) -> SampledMotion:
+    """Decode a motion; the same text gives the same object, so that rigs are equal."""
+    return motions.decode(text)

@@ -1,0 +1,214 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The command `design` and its tasks, beside the functions that they call."""
+
+from functools import partial
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rosbags.typesys import get_typestore, Stores
+from scipy.io import netcdf_file
+from soft_throw_ros.commands import design, throw
+from soft_throw_ros.configuration import motions
+from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.core.rig import Engine, Projectile, Rig
+from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.design.aiming import aim
+from soft_throw_ros.design.landscape import compute_landscape
+from soft_throw_ros.design.motion import PlateLimits
+from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.design.score import Limits, robust, versatile
+from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+import yaml
+
+COMMAND = (design.main,)
+ROOT = Path(__file__).parents[2]
+MINE = """\
+jelly:
+  description: Firm jelly
+  source: measured
+  density: 1050.0
+  wave_speed: {value: 18.0, range: [17.0, 19.0]}
+  loss_tangent: 0.01
+  thicknesses: [10e-3, 20e-3, 40e-3]
+"""
+CLUSTER = """
+import filecmp
+
+from distributed import LocalCluster
+from soft_throw_ros.commands.design import main
+
+if __name__ == '__main__':
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None
+    ) as cluster:
+        words = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '--release', 'last', '--output']
+        assert main([*words, 'here.nc']) == 0
+        assert main([*words, 'there.nc', '--dask', cluster.scheduler_address]) == 0
+    assert filecmp.cmp('here.nc', 'there.nc', shallow=False)
+"""
+
+
+def test_recommendation_is_complete_in_json_and_in_the_table(command):
+    args = ('recommend', '--mass', 2e-3, '--vary', 'wave_speed')
+    rig = Rig(projectile=Projectile(mass=2e-3))
+    best = recommend(rig, vary='wave_speed')
+    data, printed = command.json(*args), command.run(*args)
+    result = data['recommendation']
+    assert result['wave_speed'] == best.wave_speed
+    assert result['now']['energy_transfer'] == predict(rig).energy_transfer
+    assert result['by_thickness']['thickness'] == best.by_thickness.thickness
+    assert result['tolerances'] == best.tolerances
+    assert data['parameters']['recommendation.vary'] == 'wave_speed'
+    assert data['uncertainty'] == prediction_uncertainty(best.rig).values()
+    assert result['summary'] == best.summary == printed.splitlines()[0]
+    columns = (best.now, best, best.by_thickness, best.by_wave_speed)
+    for name, scale in (('thickness', 1e3), ('energy_transfer', 1.0), ('plate_work', 1e3)):
+        expected = [scale * getattr(column, name) for column in columns]
+        assert list(map(float, command.row(printed, name))) == pytest.approx(expected, rel=1e-5)
+
+
+def test_layer_without_a_throw_is_null_in_json(command):
+    args = ('recommend', '--mass', 0.3, '--vary', 'thickness')
+    result = command.json(*args)['recommendation']
+    assert (result['now'], result['now_score']) == (None, 0.0)
+    assert command.row(command.run(*args), 'energy_transfer')[0] == '-'
+
+
+@pytest.mark.parametrize(
+    ('words', 'rig', 'request_'),
+    [
+        (
+            '--objective robust --vary thickness -p recommendation.thickness_max:=0.012 '
+            '-p uncertainty.wave_speed:=6e-1 -p uncertainty.mass:=0.05',
+            Rig(),
+            {
+                'vary': 'thickness', 'limits': Limits(thickness_max=0.012),
+                'objective': partial(
+                    robust, uncertainties=Uncertainties(wave_speed=0.6, mass=0.05)
+                ),
+            },
+        ),
+        (
+            '--objective versatile -p recommendation.masses:=[1e-3,3e-3] '
+            '-p recommendation.frequencies:=[50,70]',
+            Rig(),
+            {'objective': partial(versatile, masses=(1e-3, 3e-3), frequencies=(50.0, 70.0))},
+        ),
+        (
+            '--config FILE --max-strain 0.11',
+            Rig(engine=Engine(frequency=58.0)),
+            {'vary': 'thickness', 'limits': Limits(thickness_max=0.03, max_strain=0.11)},
+        ),
+    ],
+)
+def test_options_and_file_define_the_request(command, write, words, rig, request_):
+    path = write(
+        'twin: {ros__parameters: {engine.motion: measured, engine.frequency: 58.0,\n'
+        '  recommendation: {vary: thickness, thickness_max: 0.03, max_strain: 0.12}}}\n'
+    )
+    result = command.json('recommend', *words.replace('FILE', str(path)).split())
+    best = recommend(rig, **request_)
+    found = result['recommendation']
+    assert (found['thickness'], found['score']) == (best.thickness, best.score)
+
+
+def test_layer_is_chosen_from_a_user_library(command, write):
+    words = ('recommend', '--vary', 'library', '--library', write(MINE))
+    result = command.json(*words)['recommendation']
+    best, *_ = result['candidates']
+    assert result['layer'] == best['layer'] == 'jelly_40.0mm'
+    assert best['score'] == pytest.approx(result['energy_transfer'], rel=1e-6)
+    assert 'jelly_40.0mm' in command.run(*words).partition('from the library')[2]
+
+
+def test_aim_reaches_the_target_of_an_option_or_of_a_file(command, write):
+    best = aim(Rig(), height=0.15)
+    printed = command.run('aim', '--target-height', 0.15)
+    assert printed.startswith(f'{best.summary}\n\n')
+    for name, expected in (('amplitude', [2.0, 1e3 * best.amplitude]), ('height', [100.5, 150.0])):
+        shown = list(map(float, command.row(printed, name)))
+        assert shown == pytest.approx(expected, rel=1e-3)
+    rig = 'twin: {ros__parameters: {gravity: 5.0'
+    aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
+    assert command.json('aim', '--config', aims)['aim']['speed'] == pytest.approx(1.5)
+    assert 'no target' in command.refused('aim', '--config', write(rig + '}}', 'other.yaml'))
+
+
+def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
+    files = [tmp_path / f'best.{ending}' for ending in ('csv', 'yaml', 'png')]
+    printed = command.run('motion', '-p', 'gravity:=0', '--output', *files)
+    speed = float(command.row(printed, 'ejection_speed')[1])
+    assert all(path.stat().st_size > 1000 for path in files)
+    assert throw.main(['--verbose', '--motion', str(files[0]), '-p', 'gravity:=0']) == 0
+    assert float(command.row(capsys.readouterr().out, 'ejection_speed')[0]) == speed
+    # read by an independent parser
+    types = get_typestore(Stores.ROS2_JAZZY).types
+    duration = types['builtin_interfaces/msg/Duration']
+    message = yaml.safe_load(files[1].read_text())
+    points = [
+        types['trajectory_msgs/msg/JointTrajectoryPoint'](
+            time_from_start=duration(**point.pop('time_from_start')),
+            **{name: np.array(values) for name, values in point.items()}, effort=np.empty(0),
+        )
+        for point in message['points']
+    ]
+    assert message['joint_names'] == ['plate']
+    times = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points]
+    np.testing.assert_allclose(times, motions.read(files[0]).times, rtol=1e-14)  # whole ns
+    # A controller that interpolates by quintics keeps the limits and throws once, at equal speed
+    states = [(p.positions[0], p.velocities[0], p.accelerations[0]) for p in points]
+    sent = SampledMotion(np.array(times), np.array(states))
+    limits, plate = PlateLimits.of(Rig().engine), PlateLimits.of(Engine(motion=sent))
+    assert plate.speed <= limits.speed * (1.0 + 1e-9)
+    assert np.abs(sent.states[:, 2]).max() <= limits.acceleration * (1.0 + 1e-9)
+    assert plate.travel <= limits.travel * (1.0 + 1e-9)
+    result = simulate(Rig(engine=Engine(motion=sent), gravity=0.0))
+    assert result.recontacts == 0
+    assert result.ejection_speed == pytest.approx(speed, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_recorded_motion_is_improved(command):
+    track = ROOT / 'test/data/reference_tracks.csv'
+    throws = command.json('motion', '-p', 'gravity:=0', '--motion', track)['motion']
+    assert throws['ejection_speed'] > throws['now']['ejection_speed']
+
+
+def test_map_is_summarised_and_saved_in_every_format(command, tmp_path):
+    pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
+    files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png')]
+    printed = command.run(
+        'map', 'layer.thickness=2e-3:0.05:40:log', 'projectile.mass=1e-3:5e-3:30',
+        '--frequency', 31.1, '-p', 'gravity:=0', '--output', *files,
+    )
+    axes = {
+        'layer.thickness': np.geomspace(2e-3, 0.05, 40),
+        'projectile.mass': np.linspace(1e-3, 5e-3, 30),
+    }
+    landscape = compute_landscape(Rig(engine=Engine(frequency=31.1), gravity=0.0), axes)
+    thickness, mass = landscape.optimum.coordinates
+    assert f'layer.thickness {thickness:.5g} m, projectile.mass {mass:.5g} kg' in printed
+    assert all(path.stat().st_size > 1000 for path in files)
+    with netcdf_file(files[0], mmap=False) as saved:
+        assert saved.engine_frequency == 31.1
+        for name in ('ejection_phase', 'energy_transfer'):
+            np.testing.assert_array_equal(saved.variables[name][:], getattr(landscape, name))
+
+
+@pytest.mark.slow
+def test_map_by_a_dask_cluster_is_equal(tmp_path):
+    # A separate process, because a cluster leaves threads and warnings behind
+    pytest.importorskip('distributed', reason='comes with the extra [dask]')
+    script = tmp_path / 'cluster.py'
+    script.write_text(CLUSTER)
+    done = subprocess.run(
+        [sys.executable, script],
+        env=os.environ | {'PYTHONPATH': str(ROOT)},
+        cwd=tmp_path, capture_output=True, check=False, text=True, timeout=100,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

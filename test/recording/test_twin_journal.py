@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs and throws read from the journal of a twin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bags import channel, text
+import pytest
+from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.recording.twin_journal import DECODING_ERRORS, find_throws, TwinJournal
+from soft_throw_ros.storage.message import Message
+from twin_runs import Run
+
+JOURNAL = channel('/twin/journal')
+
+
+def lines_of(run: Run) -> list[Message]:
+    return [Message(JOURNAL, text(line), 1, 1) for line in run.journal]
+
+
+def read(run: Run) -> Any:
+    journal = TwinJournal()
+    for message in lines_of(run):
+        journal.read(message)
+    return journal
+
+
+def test_rig_changes_with_a_throw_or_reset_and_requests_are_known_before() -> None:
+    twin = Run(throw__period=0.1, time_scale=0.1)
+    twin.go(1500)
+    twin.session.change({'layer.thickness': 0.01})
+    journal = read(twin)
+    assert (journal.rig, journal.wanted_rig.layer.thickness) == (Rig(), 0.01)
+    twin.go(1000)
+    assert read(twin).rig.layer.thickness == 0.01
+    twin.session.change({'layer.thickness': 0.012})
+    twin.session.reset()
+    twin.go(1)
+    assert read(twin).rig.layer.thickness == 0.012
+
+
+def test_a_throw_is_over_when_its_end_is_reported() -> None:
+    twin = Run(throw__period=0.3)
+    twin.go(620)  # the second throw has been released
+    journal = lines_of(twin)
+    first, second = find_throws(journal)['/twin'][-2:]
+    assert first.ejection_time == second.ejection_time
+    assert first.stamp == twin.schedule.deadline(twin.starts()[-2])
+    assert (first.is_over, second.is_over) == (True, False)
+    last = next(item for item in reversed(journal) if '"throw":1,' in str(item.data))
+    cut = journal[:journal.index(last)]  # repeated, up to before the end of the first throw
+    assert find_throws(journal + cut)['/twin'][-2].is_over
+
+
+def test_measured_throw_starts_with_its_plate() -> None:
+    twin = Run(engine__motion='measured')
+    twin.measure(duration=0.1)
+    (throw,) = find_throws(lines_of(twin))['/twin']
+    assert throw.stamp == pytest.approx(twin.schedule.time_ns + 50_000_000, abs=5000)
+    assert read(twin).rest_heights is not None
+
+
+@pytest.mark.parametrize(
+    'line',
+    [
+        '{}',
+        '[' * 100_000,
+        '{"kind": "throw", "step": 3}',
+        '{"kind": "start", "step": 3, "settings": {"layer.thickness": "thick"}}',
+        '{"kind": "start", "step": 3, "settings": [1]}',
+        '{"kind": "throw", "step": 3, "throw": 1, "settings": {}, "schedule": {"rate": -1}}',
+    ],
+)
+def test_invalid_journal_lines_are_refused_like_damage(line) -> None:
+    journal = TwinJournal()
+    with pytest.raises(DECODING_ERRORS):
+        journal.read(Message(JOURNAL, text(line), 5, 5))
+    assert journal.rig is None
