@@ -24,7 +24,7 @@ _MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
 
 class Diagnostics:
-    """Summary of a session, its ticks and its measurements over one second."""
+    """Summary of a session, its ticks, its measurements and `compared` throws, once a second."""
 
     def __init__(
         self, session: Session, ticker: Ticker, measurement: Measurement, *, node_name: str
@@ -34,7 +34,7 @@ class Diagnostics:
         self._measurement = measurement
         self._node_name = node_name
         self._status = partial(status_to_msg, node_name)
-        self._compared: ThrowResult | None = None
+        self.compared: ThrowResult | None = None  # the last one
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
         self._measured: Counter[str] = Counter()
@@ -47,8 +47,6 @@ class Diagnostics:
 
         `result` is that of the last throw; `duplicate_nodes` other nodes have the same name.
         """
-        if result is not None and result.stage == 'final' and result.comparison is not None:
-            self._compared = result
         pending = self._session.pending
         statuses = [
             *self._timing_and_load(),
@@ -137,7 +135,7 @@ class Diagnostics:
 
     def _model(self) -> DiagnosticStatus:
         """Return how well the model predicted the last throw."""
-        result = self._compared
+        result = self.compared
         if result is None or result.comparison is None:
             return self._status('model', 'no throw has been compared')
         return self._status(

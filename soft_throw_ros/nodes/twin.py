@@ -183,6 +183,8 @@ class Twin(RealTimeNode):
         if result.stage == 'release' or (result.stage == 'final' and first is None):
             for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
                 send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
+        if result.stage == 'final' and result.comparison is not None:
+            self._diagnostics.compared = result
         if warning := self._warning_of(result, last):
             self.get_logger().warning(warning)
         elif result.stage == 'release' or (result.stage == 'final' and first is None):
