@@ -88,7 +88,6 @@ class Calibrator(RunnableNode):
         twin, rig = full_name(self, settings['twin']), settings['rig']
         self._joints = joint_names(settings)
         self._measured = MeasuredPositions(self, twin, self._joints)
-        self.add_cleanup(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
         self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
         command = TWIN_TOPICS.plate_trajectory.at(twin)
@@ -168,7 +167,7 @@ class Calibrator(RunnableNode):
             self._rig_of_throws = result.rig
         if comparison is None or not comparison.is_within_threshold:
             self._predicted = []
-            tracks = self._measured.between(begin_ns, end_ns, name=f'throw {result.throw}')
+            tracks = self._measured.between(begin_ns, end_ns, f'throw {result.throw}')
             self._mispredicted.append(tracks)
             if len(self._mispredicted) >= settings['throws']:
                 self._submit(
@@ -197,7 +196,7 @@ class Calibrator(RunnableNode):
             return
         start_ns = msg_to_time(commands[-1].header.stamp)
         release_ns = start_ns + round(1e9 * result.first.ejection_time)
-        tracks = self._measured.between(start_ns, release_ns, name='')
+        tracks = self._measured.between(start_ns, release_ns)
         motion = msg_to_motion(commands[-1], self._joints[0])
         delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
         throws.append(self._measure_flight(result, release_ns + delay_ns))
@@ -214,7 +213,7 @@ class Calibrator(RunnableNode):
         if gravity:
             duration = min(duration, result.first.ejection_speed / gravity)
         end_ns = release_ns + round(1e9 * duration)
-        tracks = self._measured.between(release_ns, end_ns, name=f'throw {result.throw}')
+        tracks = self._measured.between(release_ns, end_ns)
         assert tracks.projectile is not None
         speed = flight_speed(tracks.projectile, gravity=gravity)
         return MeasuredThrow(speed, gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)

@@ -12,8 +12,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from rclpy.node import Node
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
@@ -40,7 +40,12 @@ class Measurement:
     """
 
     def __init__(
-        self, node: Node, session: Session, joints: tuple[str, str], *, now: Callable[[], int]
+        self,
+        node: RunnableNode,
+        session: Session,
+        joints: tuple[str, str],
+        *,
+        now: Callable[[], int],
     ) -> None:
         self.leads: list[int] = []
         self.age_ns = 0
@@ -54,6 +59,7 @@ class Measurement:
         self._is_warned = False
         self._names: tuple[str, ...] = ()  # of a message without the plate
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
+        node.add_cleanup(self._subscription.close)
         self._reader = JointStateReader()
 
     def read_messages(self) -> None:
@@ -88,10 +94,6 @@ class Measurement:
             'samples_refused': sum(refused.values()),
             **{f'refused.{why}': count for why, count in refused.items()},
         })
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._subscription.close()
 
     def _correct_stamps(self, samples: Samples) -> None:
         """Correct the stamps of samples by the offset of the sensor's clock."""

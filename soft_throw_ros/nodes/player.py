@@ -11,7 +11,6 @@ import time
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -27,12 +26,6 @@ from soft_throw_ros.storage.message import BagError, Channel, Message, SECOND
 
 _DISCOVERY_TIME = 0.5  # time for the discovery of subscriptions before the first message [s]
 _DRAIN_TIMEOUT = 0.5  # longest wait for acknowledgements of the last message [s]
-
-_PUBLISHER_ERRORS = (
-    ImportError, NameValidationException, ValueError, TypeError, KeyError, OverflowError,
-    RuntimeError,
-)
-"""Errors of rclpy if it cannot create a publisher."""
 
 
 class Player(RunnableNode):
@@ -115,13 +108,14 @@ class Player(RunnableNode):
         try:  # the schema first, since an import runs code, and a bag may name any module
             here = find_schema(channel.type, installed_prefixes()).type_hash
             if here and channel.type_hash and here != channel.type_hash:
-                raise ValueError(f'{channel.type} is defined otherwise here than in the bag')
+                self.skipped[channel] = f'{channel.type} is defined otherwise here than in the bag'
+                return
             self._outlets[channel] = self.create_publisher(
                 load_type(channel.type), channel.topic, _offer(channel.qos)
             )
         except SchemaError:
             self.skipped[channel] = f'{channel.type} is not installed here'
-        except _PUBLISHER_ERRORS as error:
+        except Exception as error:  # noqa: BLE001  a bag may have any name and quality
             self.skipped[channel] = str(error).partition('\n')[0] or repr(error)
 
     def _messages(self) -> Iterator[Message]:

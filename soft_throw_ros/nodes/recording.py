@@ -163,7 +163,6 @@ class Recording:
             self.writer.put(self.subscriptions.drain())
 
 
-
 def first_few(names: Sequence[str]) -> str:
     """Return the first names of a list, and the number of the others."""
     others = len(names) - _MAX_NAMES

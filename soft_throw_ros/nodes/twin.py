@@ -84,7 +84,6 @@ class Twin(RealTimeNode):
         self.measurement = Measurement(
             self, session, self._joints, now=lambda: self._current_clock().now()
         )
-        self.add_cleanup(self.measurement.close)
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
         self._diagnostics = Diagnostics(

@@ -63,12 +63,7 @@ PROCESS_TIMEOUT = 110.0
 """Longest wait for another process, including compilation. [s]"""
 
 OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
-"""
-Prefix of messages that Fast DDS prints at every log level of ROS.
-
-Fast DDS prints such a message when two processes open their transports at the same moment: one
-process cannot lock a port of shared memory ("open_and_lock_file failed") and takes the next port.
-"""
+"""Prefix of messages such as of a port in use, which Fast DDS prints at every log level."""
 
 _FUTEX = '202'  # number of the system call on x86-64
 _WAITING = {0, 9}  # its operations that wait, FUTEX_WAIT and FUTEX_WAIT_BITSET

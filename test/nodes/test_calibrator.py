@@ -130,9 +130,7 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
 @pytest.fixture
 def positions(ros) -> MeasuredPositions:
     node = ros.node(RunnableNode, 'calibrator')
-    positions = MeasuredPositions(node, '/twin', ('plate', 'projectile'))
-    node.add_cleanup(positions.close)
-    return positions
+    return MeasuredPositions(node, '/twin', ('plate', 'projectile'))
 
 
 def test_measurements_are_found_again_after_their_clock_was_set_back(
@@ -150,11 +148,11 @@ def test_measurements_are_found_again_after_their_clock_was_set_back(
 
         ros.spin_until(is_received, 'the measurements')
         start_ns = stamps[10]
-        plate = positions.between(start_ns, stamps[30], name='throw').plate
+        plate = positions.between(start_ns, stamps[30]).plate
         assert plate.time.size == 21
         assert plate.position == pytest.approx(1e-9 * start_ns + plate.time)
     with pytest.raises(TrackError):
-        positions.between(SECOND, 2 * SECOND, name='before the first one')
+        positions.between(SECOND, 2 * SECOND)
 
 
 def test_measurements_whose_stamps_stand_still_are_forgotten(
@@ -169,7 +167,7 @@ def test_measurements_whose_stamps_stand_still_are_forgotten(
             sensors.send(Sample(SECOND + since_ns, height, 0.0))
         positions.read_messages()
         with contextlib.suppress(TrackError):  # few have arrived
-            return float(positions.between(SECOND, 2 * SECOND, name='').plate.position[0])
+            return float(positions.between(SECOND, 2 * SECOND).plate.position[0])
         return 0.0
 
     ros.spin_until(lambda: oldest_height() > 0.0, 'room for later measurements')
