@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-The node `viewer`: shows twins live in Rerun.
-
-A recorder starts it as a child process; it may also be started by hand. It has its own
-subscriptions, so neither twins nor recorder wait for the viewer.
-"""
+"""The node `viewer`: shows twins live in Rerun, by subscriptions of its own."""
 
 from __future__ import annotations
 
