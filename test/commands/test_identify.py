@@ -341,23 +341,6 @@ def test_measured_rig_is_the_default_among_several(command, tmp_path, write):
     assert value(result, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
 
 
-@pytest.mark.slow
-def test_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
-    # No noise and few samples per period: the flight is the smoothest phase
-    time, heights = recorded(starts=(0.2, 0.8, 1.4), noise=0.0)
-    messages = joint_states('/twin/joint_states', time[::2], heights[:, ::2])
-    folder = bags.write(tmp_path / 'bag', messages)
-    command.run(folder, '--thickness', 12e-3)
-    assert command.err == ''
-    last = command.json(next(folder.glob('*.mcap')), '--thickness', 12e-3, '--from', 1.2)
-    assert last['sources'] == ['bag_0.mcap']
-    for name, expected in zip(DEFAULT_FREE, (58.0, 0.05, 1.8e-3, 6.9), strict=True):
-        result, error = value(last, name)
-        # One throw hardly distinguishes wave speed and thickness
-        slack = 0.05 * error if name == 'layer.wave_speed' else 0.0
-        assert result == pytest.approx(expected, rel=1e-4, abs=slack)
-
-
 def test_unreadable_messages_of_a_bag_are_reported(command, tmp_path):
     time, heights = recorded(starts=(0.2,), rest=0.1)
     messages = list(joint_states('/rig/joint_states', time, heights, bodies=('plate', 'other')))

@@ -11,8 +11,7 @@ import sys
 
 from numba.core import event
 import pytest
-from soft_throw_ros.commands.kernels import load_kernels, missing_parts, needed_parts, PARTS
-from soft_throw_ros.commands.warm_up import main
+from soft_throw_ros.commands.kernels import load_kernels, missing_parts, needed_parts
 from twin_runs import complete_settings, Run
 
 
@@ -73,10 +72,3 @@ def test_warm_up_leaves_nothing_to_compile_or_load() -> None:
 )
 def test_rig_waits_only_for_kernels_of_its_model(request_, parts) -> None:
     assert set(needed_parts(complete_settings(**request_))) == parts
-
-
-def test_unknown_kernel_group_is_refused_with_the_known_groups(capsys) -> None:
-    with pytest.raises(SystemExit, match='2'):
-        main(['waves'])
-    words = capsys.readouterr().err
-    assert all(part in words for part in ('waves', *PARTS))

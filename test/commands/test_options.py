@@ -5,7 +5,6 @@
 import argparse
 
 import pytest
-from soft_throw_ros.commands import options
 from soft_throw_ros.commands.options import add_rig_options, read_settings, stated_parameters
 from soft_throw_ros.configuration import TWIN
 
@@ -43,15 +42,3 @@ def test_options_and_file_state_parameters(write, words, text, stated):
     if text:
         words += ('--config', str(write(f'twin: {{ros__parameters: {{{text}}}}}')))
     assert stated_parameters(parser.parse_args(words)) == stated
-
-
-@pytest.mark.parametrize(
-    ('text', 'value'),
-    [('1', 1.0), ('2e-3', 2e-3), ('1_000', None), ('\u0661', None), ('x', None)],
-)
-def test_numbers_are_those_of_the_parameter_table(text, value):
-    if value is None:
-        with pytest.raises(argparse.ArgumentTypeError, match=text):
-            options.any_number(text)
-    else:
-        assert options.any_number(text) == options.positive(text) == value

@@ -136,14 +136,6 @@ def test_folder_of_pictures_gives_tracks_without_the_covered_spot(
     assert tracks.count(',,') > 9  # a height is missing between the others
 
 
-def test_overlay_shows_the_paths(command, throw_video, tmp_path):
-    pytest.importorskip('matplotlib')
-    path = tmp_path / 'seen.png'
-    command.run(throw_video, *AS_TAKEN, '--overlay', path)
-    shown = imageio.imread(path)[..., :3].astype(float)
-    assert ((shown.max(axis=-1) - shown.min(axis=-1)) > 60.0).sum() > 100  # the video is grey
-
-
 @pytest.mark.slow
 def test_impossible_rate_is_refused(command, throw_video):
     for rate, scale, value in (

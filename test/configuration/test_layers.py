@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.layers import CUSTOM, default_file, library, Material
-import yaml
+from soft_throw_ros.configuration.layers import CUSTOM, library, Material
 
 INSTALLED = library()
 SPEED, LOSS = 'wave_speed: {value: 20.0, range: [18.0, 23.0]}', 'loss_tangent: 0.1'
@@ -31,15 +30,6 @@ def test_gelatins_of_the_paper_are_installed_in_six_thicknesses() -> None:
         'layer.loss_tangent': 0.0,
         'layer.diameter': 0.012,
     }
-
-
-@pytest.mark.parametrize('entry', yaml.safe_load(default_file().read_text()).items())
-def test_installed_material_is_described_and_sourced(entry: Any) -> None:
-    name, values = entry
-    assert len(values['description']) > 10
-    assert re.search(r'\((19|20)\d\d\)|\barXiv:|Data sheet of|MatWeb', values['source'])
-    thicknesses = INSTALLED.materials[name].thicknesses
-    assert list(thicknesses) == sorted(set(thicknesses))
 
 
 def test_user_materials_and_stacks_extend_the_installed_ones(write: Any) -> None:

@@ -81,11 +81,6 @@ def test_missing_file_is_refused(tmp_path):
         TWIN.change(TWIN.defaults(), {'engine.motion': 'file'})
 
 
-def test_removing_the_file_restores_the_underdamped_motion(write):
-    settings = settings_with(write('\n'.join(lines())))
-    assert TWIN.change(settings, {'engine.motion_file': ''})['engine.motion'] == 'underdamped'
-
-
 def test_encoded_motion_is_decoded_bit_by_bit(write):
     expected = motions.read(write('\n'.join(lines())))
     again = motions.decode(motions.encode(expected))

@@ -16,7 +16,6 @@ from soft_throw_ros.design.motion import (
     find_best_motion,
     PlateLimits,
 )
-from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.score import Limits
 from soft_throw_ros.design.uncertainty import Uncertainties
 
@@ -113,16 +112,6 @@ def test_strain_is_limited_everywhere_at_the_least_cost_in_speed():
     assert throw.peak_strain <= 0.12 * (1.0 + 2e-6)
     assert excess(throw.motion, PlateLimits.of(rig.engine)) < 1.0 + 1e-9
     assert throw.recontacts == 0
-
-
-def test_design_is_compared_with_the_present_throw():
-    design = design_motion(Rig(gravity=0.0))
-    assert design.now == predict(design.present) == predict(Rig(gravity=0.0))
-    assert design.kinetic_energy > design.now.kinetic_energy
-    gain = 100.0 * (design.kinetic_energy / design.now.kinetic_energy - 1.0)
-    assert design.summary.startswith(f'with the same motor, {gain:.2g} % more energy')
-    assert design.rig.engine.motion is design.motion
-    assert design.values()['now.kinetic_energy'] == design.now.kinetic_energy
 
 
 def test_best_motion_keeps_contact_within_the_uncertainties():

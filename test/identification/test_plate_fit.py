@@ -94,17 +94,6 @@ def test_stated_errors_of_stamps_are_part_of_the_noise(true, stated):
     assert frequency.value == pytest.approx(63.2, abs=3.5 * frequency.error)
 
 
-def test_plate_fit_accepts_gaps_and_jitter():
-    rng = np.random.default_rng(5)
-    time = np.sort(rng.uniform(0.0, 0.1, 400))
-    time = time[(time < 0.03) | (time > 0.037)]
-    motion = Underdamped(**TRUTH)
-    found = fit_plate(track_of(motion, time, START, noise=1e-5))
-    for name, truth in (('frequency', 63.2), ('start_time', START)):
-        value, error = found.fit[name]
-        assert value == pytest.approx(truth, abs=4.0 * error)
-
-
 def test_plate_that_falls_or_has_no_recorded_rise_is_refused():
     motion = Underdamped(**TRUTH)
     time = np.arange(0.0, 0.1, 2e-4)

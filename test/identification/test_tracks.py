@@ -27,46 +27,6 @@ def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
     return [form.format(t, scale * t**2, scale * (t + 0.01)) for t in TIME]
 
 
-@pytest.mark.parametrize(
-    ('lines', 'unit'),
-    [
-        (rows(), 'm'),
-        (
-            ['"t [s]"; "projectile [mm]"; frame; "plate (mm)"']
-            + [
-                f'{t:.4f}; {1e3 * t + 10:.6f}; 7; {1e3 * t**2:.6f}'.replace('.', ',')
-                for t in TIME
-            ],
-            'mm',
-        ),
-        (['t,zp [\N{MICRO SIGN}m],z_m', *rows(scale=1e6)], 'um'),
-        (
-            ['time [ms]\tz_p [\N{GREEK SMALL LETTER MU}m]\tz_m [m]', *(
-                f'{1e3 * t:.1f}\t{1e6 * t**2:.6f}\t{t + 0.01:.6f}' for t in TIME
-            )], 'm',
-        ),
-        (['t,plate,projectile', *rows('"{:.4f}","{:.6f}",{:.6f}'), ',,'], 'm'),
-    ],
-    ids=['bare', 'semicolons', 'micrometres', 'own units', 'quotes and an empty row'],
-)
-def test_csv_gives_the_tracks_of_its_bodies(lines, unit):
-    tracks = read_csv(lines, 'file', BODIES, unit=unit)
-    assert set(tracks) == set(BODIES)
-    assert tracks['plate'].time == pytest.approx(TIME, abs=1e-12)
-    assert tracks['plate'].position == pytest.approx(TIME**2, abs=1e-6)
-    assert tracks['projectile'].position == pytest.approx(TIME + 0.01, abs=1e-6)
-
-
-def test_csv_skips_missing_positions():
-    lines = rows()
-    lines[3] = '0.0006,,0.5'
-    lines[5] = '0.0010,0.5,NA'
-    tracks = read_csv(lines, 'file', BODIES)
-    assert tracks['plate'].time == pytest.approx(np.delete(TIME, 3))
-    assert tracks['projectile'].time == pytest.approx(np.delete(TIME, 5))
-    assert 0.5 in tracks['plate'].position
-
-
 def with_line(number, text):
     lines = ['t,plate,projectile', *rows()]
     lines[number - 1] = text
@@ -141,10 +101,6 @@ def test_fall_acceleration_agrees_with_the_free_flight(factor, gravity):
     tracks = [Track(time=factor * time, position=item) for item in heights]
     assert fall_acceleration(*tracks) == pytest.approx(gravity, rel=0.02)
     assert fall_acceleration(tracks[0], tracks[0]) is None
-
-
-def test_noise_is_never_zero():
-    assert noise_of(np.arange(50.0), np.zeros(50)) > 0.0
 
 
 def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):

@@ -70,16 +70,6 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
         np.testing.assert_array_equal(values, expected)
 
 
-def test_energies_are_shown_up_to_the_release(twin, recording) -> None:
-    times, values = recording.scalars('/twin/energy')
-    ends = np.flatnonzero(np.isnan(values[:, 0]))
-    published = [outputs.throw_field().energies for outputs in twin.outputs if outputs.throw_field]
-    assert np.diff(ends, prepend=-1).tolist() == [len(energies) + 1 for energies in published]
-    np.testing.assert_array_equal(values[:ends[0]], 1e3 * published[0][:, 1:])
-    duration = 1e-9 * (times[ends[0]] - times[0])
-    assert duration == pytest.approx(simulate(Rig()).ejection_time, rel=0.05)
-
-
 def test_side_view_is_to_scale(twin, recording) -> None:
     """Downwards in mm: the top of the layer is where the projectile's lower face is."""
     times, translations = recording.series('/twin/side/projectile', 'Transform3D:translation')
@@ -97,29 +87,6 @@ def test_side_view_is_to_scale(twin, recording) -> None:
     np.testing.assert_allclose(height[0], 16.8 - 1e3 * Rig().static_sag, atol=1e-4)
     body = recording.last('/twin/side/projectile/body', 'Transform3D:scale')
     assert body[0][:2] == pytest.approx([12.0, 8.2])
-
-
-def test_strain_of_every_throw_is_a_picture_with_a_cursor(twin, recording) -> None:
-    starts = [twin.schedule.deadline(step) for step in (500, 1000)]
-    for entity, component in (('picture', 'Image:buffer'), ('frame', 'EncodedImage:blob')):
-        times, _ = recording.series(f'/twin/strain/{entity}', component)
-        assert times.tolist() == starts
-    first = twin.outputs[[bool(item.throw_field) for item in twin.outputs].index(True)]
-    field = first.throw_field()
-    pixels = np.array(recording.last('/twin/strain/picture', 'Image:buffer')[0], np.uint8)
-    columns = pixels.reshape(64, 200, 3).sum(axis=(0, 2))
-    ejection_time = field.times[np.flatnonzero(columns == 0)]  # black
-    assert ejection_time == pytest.approx(simulate(Rig()).ejection_time, rel=0.02)
-    _, lines = recording.series('/twin/strain/now', 'LineStrips2D:strips')
-    assert [len(line) for line in lines] == 2 * ([1] * 200 + [0])
-
-
-def test_phases_are_states_at_the_times_of_their_starts(twin, recording) -> None:
-    times, phases = recording.series('/twin/phase', 'StateChange:state')
-    entered = [
-        (stamp, phase.value) for outputs in twin.outputs for phase, stamp in outputs.phases
-    ]
-    assert list(zip(times, (phase for (phase,) in phases), strict=True)) == entered
 
 
 def table_of(text: str) -> list[list[str]]:
