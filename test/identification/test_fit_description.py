@@ -40,13 +40,10 @@ def test_parameter_is_free_or_fixed_or_known_with_an_error(treatment, known, val
     assert all(description.treatment(name).is_varied for name in DEFAULT_FREE)
 
 
-def test_loss_is_searched_unless_something_is_said_about_it():
-    assert FitDescription().searches(LOSS)
-    assert not FitDescription({LOSS: FIXED}).searches(LOSS)
-
-
-def test_measured_quantities_have_the_errors_of_the_paper():
+def test_loss_is_searched_and_measured_quantities_have_the_errors_of_the_paper():
     description = FitDescription()
+    assert description.searches(LOSS)
+    assert not FitDescription({LOSS: FIXED}).searches(LOSS)
     assert description.known('layer.thickness', RIG) == Estimate(0.02, 1e-4)
     assert description.known('projectile.mass', RIG) == Estimate(1e-3, pytest.approx(1e-5))
 
@@ -72,12 +69,10 @@ def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, is_assu
         assert result.treatment('projectile.mass') == FIXED
 
 
-def test_file_agrees_with_the_python_description(tmp_path):
-    path = tmp_path / 'fit.yaml'
-    path.write_text(
+def test_file_agrees_with_the_python_description(write):
+    path = write(
         'free: [layer.thickness]\nprior:\n  projectile.mass: [0.0012, 1.2e-5]\n'
-        'per_throw: [engine.frequency, projectile.mass]\n'
-        'topic: /a\n'
+        'per_throw: [engine.frequency, projectile.mass]\ntopic: /a\n'
     )
     treatments = {
         'layer.thickness': FREE,
@@ -93,19 +88,15 @@ def test_file_agrees_with_the_python_description(tmp_path):
         ('free: [layer.colour]', "'layer.colour'"),
         ('free: layer.thickness', "'layer.thickness'"),
         ('fixed:\n  layer.thickness: often', "'often'"),
-        ('fixed:\n  layer.colour: 1', "'layer.colour'"),
         ('prior:\n  layer.thickness: [1, 0]', '[1, 0]'),
-        ('prior:\n  layer.thickness: 1', '1'),
         ('prior:\n  layer.thickness: [1e400, 1]', '1e400'),
         ('per_throw: [layer.density]', 'layer.density'),
-        ('fixed: 1', '1'),
         ('depths: own', "'depths'"),
         ('- a', 'a mapping'),
         ('free: [', 'expected'),
     ],
 )
-def test_bad_file_is_refused_with_its_name_and_the_value(tmp_path, text, value):
-    path = tmp_path / 'fit.yaml'
-    path.write_text(text)
+def test_bad_file_is_refused_with_its_name_and_the_value(write, text, value):
+    path = write(text)
     with pytest.raises(ValueError, match=re.escape(f'{path}: ') + f'.*{re.escape(value)}'):
         FitDescription.from_file(path)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import FitDescription, FREE, IDEAL_BENCH
+from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.layer_search import (
     find_best_minimum,
     find_layers,
@@ -76,8 +77,7 @@ def fit_near(model, wave_speed):
 
 def test_best_minimum_is_found_from_a_wrong_echo(make_model, make_throw):
     model = make_model(CHATTERING, [throw_of(make_throw, CHATTERING)], IDEAL)
-    right = fit_near(model, 40.0)
-    wrong = fit_near(model, 22.4)
+    right, wrong = fit_near(model, 40.0), fit_near(model, 22.4)
     assert wrong.chi2 > right.chi2 + MAX_EXCESS
     assert wrong['layer.wave_speed'].value < 25.0
     others = candidates_at(22.0, 41.0)
@@ -90,11 +90,11 @@ def test_best_minimum_is_found_from_a_wrong_echo(make_model, make_throw):
 def test_minima_that_are_hardly_worse_increase_the_error(make_model, make_throw):
     model = make_model(CHATTERING, [throw_of(make_throw, CHATTERING, noise=2e-4)], IDEAL)
     fit = fit_near(model, 37.8)
-    others = candidates_at(37.8, 22.4, 57.5)
-    found = find_best_minimum(model, fit, others)
+    found = find_best_minimum(model, fit, candidates_at(37.8, 22.4, 57.5))
     speed, index = found['layer.wave_speed'], model.layout.indices['layer.wave_speed'][0]
     far = [item.values[index] - speed.value for item in found.alternatives]
     assert len(far) == 2
+    assert sum(f'{far[0] + speed.value:.5g}' in text for text in fit_warnings(found)) == 1
     assert all(0.0 <= item.excess < MAX_EXCESS for item in found.alternatives)
     own = fit['layer.wave_speed']
     assert speed.value == own.value

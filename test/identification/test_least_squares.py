@@ -116,7 +116,7 @@ def test_outliers_are_listed_and_hardly_matter(indices):
     assert fit_warnings(fit) == []
 
 
-def test_prior_counts_as_a_sample():
+def test_prior_counts_as_a_sample_and_its_contradiction_is_reported():
     known = Estimate(0.795, 3e-3)
     free = fit_tracks(MODEL, TRUTH, [('decay', track(known=0.01))])
     fit = fit_tracks(replace(MODEL, known={1: known}), TRUTH, [('decay', track(known=0.01))])
@@ -125,9 +125,6 @@ def test_prior_counts_as_a_sample():
     assert fit['rate'].value == pytest.approx(mean, abs=0.2 * known.error)
     assert fit['rate'].error == pytest.approx(weights.sum() ** -0.5, rel=0.05)
     assert fit.dof == free.dof + 1
-
-
-def test_contradiction_of_a_prior_is_reported():
     prior = Estimate(0.7, 3e-3)
     fit = fit_tracks(replace(MODEL, known={1: prior}), TRUTH, [('decay', track())])
     (contradiction,) = (text for text in fit_warnings(fit) if str(prior) in text)

@@ -70,10 +70,11 @@ def test_plate_fit_is_unbiased_and_its_errors_are_correct():
 @pytest.mark.parametrize('frequency', [4.0, 63.2, 400.0])
 @pytest.mark.parametrize('damping_ratio', [0.0, 0.064, 0.6])
 @pytest.mark.parametrize('periods', [0.8, 25.0])
-def test_plate_fit_needs_no_guess(frequency, damping_ratio, periods):
+def test_plate_fit_needs_no_guess_and_accepts_gaps_and_jitter(frequency, damping_ratio, periods):
     motion = Underdamped(frequency=frequency, amplitude=5e-3, damping_ratio=damping_ratio)
     begin = -17.0
-    time = begin + np.linspace(0.0, (periods + 0.4) / frequency, 900)
+    share = np.sort(np.random.default_rng(5).uniform(0.0, 1.0, 1000))
+    time = begin + (periods + 0.4) / frequency * share[(share < 0.6) | (share > 0.65)]
     start = begin + 0.4 / frequency
     found = fit_plate(track_of(motion, time, start, noise=3e-5, offset=0.7)).fit
     truth = dict(zip(NAMES, (frequency, damping_ratio, 5e-3, start, 0.7), strict=True))

@@ -189,6 +189,7 @@ def test_tracks_without_information_on_the_layer_are_refused(make_throw):
     for throws, value in (
         ([replace(seen, projectile=None)], 'layer.wave_speed cannot be found without'),
         ([seen, replace(seen, name='still.csv', plate=still)], 'still.csv: the plate'),
+        ([], 'no throw'),
     ):
         with pytest.raises(FitError, match=re.escape(value)):
             fit_rig(throws, KNOWN)

@@ -1,13 +1,18 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks: read from text, cut into throws, and how noisy they are."""
+"""Tracks: read from text whole or damaged, cut into throws, and how noisy they are."""
 
+import io
+from pathlib import Path
 import re
 
+from damage import accepted, texts
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.track_csv import read_csv
+from soft_throw_ros.identification.track_csv import read_csv, UNITS
 from soft_throw_ros.identification.tracks import (
     fall_acceleration,
     FEWEST,
@@ -20,15 +25,11 @@ from soft_throw_ros.identification.tracks import (
 )
 
 BODIES = ('plate', 'projectile')
-TIME = np.arange(20) * 2e-4
-
-
-def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
-    return [form.format(t, scale * t**2, scale * (t + 0.01)) for t in TIME]
+ROWS = [f'{t:.4f},{t**2:.6f},{t + 0.01:.6f}' for t in np.arange(20) * 2e-4]
 
 
 def with_line(number, text):
-    lines = ['t,plate,projectile', *rows()]
+    lines = ['t,plate,projectile', *ROWS]
     lines[number - 1] = text
     return lines
 
@@ -41,12 +42,28 @@ def with_line(number, text):
         (with_line(1, 'frame,plate,projectile'), 'file:1: no column is named t or time, got'),
         (with_line(1, 't,plate [inch],projectile'), "got 'plate [inch]'"),
         (with_line(1, 't [h],plate,projectile'), 'file:1: time must be in s or ms or us, got'),
-        (rows()[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
+        (ROWS[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
     ],
 )
 def test_bad_csv_is_refused_with_its_line(lines, value):
     with pytest.raises(TrackError, match=re.escape(value)):
         read_csv(lines, 'file', BODIES)
+
+
+LINES = (Path(__file__).parents[1] / 'data/reference_tracks.csv').read_text().splitlines(True)[:16]
+POINTS, HEADLESS = ''.join(LINES), ''.join(LINES[1:]).replace(',', '\t')
+
+
+@settings(max_examples=200)
+@given(
+    text=texts(POINTS, POINTS.replace(',', ';').replace('.', ','), HEADLESS),
+    unit=st.sampled_from(list(UNITS)),
+)
+def test_damaged_csv_gives_finite_tracks_or_is_refused_with_its_name(text, unit):
+    tracks = accepted(lambda: read_csv(io.StringIO(text), 'a.csv', BODIES, unit=unit), 'a.csv')
+    for track in (tracks or {}).values():
+        assert np.isfinite([track.time, track.position]).all()
+        assert (np.diff(track.time) > 0.0).all()
 
 
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
@@ -72,6 +89,7 @@ def test_noise_of_rounded_heights_is_at_least_the_rounding_error(noise):
         noisy = position + noise * np.random.default_rng(seed).normal(size=time.size)
         noises.append(noise_of(time, 2e-5 * np.round(noisy / 2e-5)))
     rounding = 2e-5 / np.sqrt(12.0)
+    assert noise_of(time, np.zeros(time.size)) > 0.0
     assert 0.99 * rounding < np.mean(noises) < 1.1 * np.hypot(noise, rounding)
 
 

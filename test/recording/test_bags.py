@@ -182,6 +182,10 @@ def test_bag_is_locked_and_never_overwritten(tmp_path):
     assert len(read(tmp_path / 'bag')) == 1
     with pytest.raises(BagError, match='file/bag: Not a directory'):
         BagWriter(tmp_path / 'file/bag', distribution='')
+    writer = BagWriter(tmp_path / 'deleted', distribution='')
+    shutil.rmtree(tmp_path / 'deleted')
+    with pytest.raises(BagError, match=r'metadata\.yaml: No such file'):
+        writer.close()
 
 
 @pytest.mark.parametrize('options', [{}, {'max_size': 300_000, 'sync': True}])
@@ -228,14 +232,6 @@ def test_disk_full_at_the_end_is_named_by_close_and_keeps_flushed_messages(tmp_p
     for call in (writer.flush, writer.split, lambda: writer.write(plain(1))):
         with pytest.raises(BagError, match='bag is closed'):
             call()
-
-
-def test_deleted_bag_is_named_at_the_end(tmp_path):
-    writer = BagWriter(tmp_path / 'bag', distribution='')
-    writer.write(plain(0))
-    shutil.rmtree(tmp_path / 'bag')
-    with pytest.raises(BagError, match=r'metadata\.yaml: No such file'):
-        writer.close()
 
 
 KILLED = """

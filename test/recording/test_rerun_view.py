@@ -23,8 +23,6 @@ rr = pytest.importorskip('rerun')
 
 from test.recording.rrd_files import record, RrdFile  # noqa: E402, I100
 
-from soft_throw_ros.recording import charts  # noqa: E402
-
 
 @pytest.fixture(autouse=True, scope='module')
 def mistakes_raise() -> Iterator[None]:
@@ -95,40 +93,18 @@ def table_of(text: str) -> list[list[str]]:
     return [[cell.strip(' *') for cell in row] for row in rows if '--' not in row[0]]
 
 
-@pytest.fixture
-def maps(monkeypatch) -> list[Any]:
-    """Return a list that gets the figures of all maps that are drawn."""
-    figures: list[Any] = []
-    draw_map = charts.draw_energy_map
-
-    def draw(*arguments: Any) -> Any:
-        figures.append(draw_map(*arguments))
-        return figures[-1]
-
-    monkeypatch.setattr(charts, 'draw_energy_map', draw)
-    return figures
-
-
-def test_map_and_table_are_of_the_recommended_rig_or_empty(
-    maps, tmp_path
-) -> None:
+def test_map_and_table_are_of_the_recommended_rig_or_empty(tmp_path) -> None:
     twin = TwinMessages(throw__period=0.2).go(300)
     twin.change(engine__frequency=70.0, layer__thickness=0.012)
-    for number in range(3):
-        if number == 1:
-            twin.go(200)  # the next throw leaves the map unchanged
-        if number == 2:
-            topic = '/twin/recommendation'
-            last = [item for item in twin.messages if item.channel.topic == topic][-1]
-            twin.messages.remove(last)
-        recording, _ = record(tmp_path / f'{number}.rrd', twin.messages)
+    twin.go(200)
+    is_last = [item.channel.topic == '/twin/recommendation' for item in twin.messages]
+    last = len(is_last) - 1 - is_last[::-1].index(True)
+    for messages in (twin.messages, twin.messages[:last] + twin.messages[last + 1:]):
+        recording, _ = record(tmp_path / 'scene.rrd', messages)
         table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
         assert bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])[1:4] == b'PNG'
-        alphas = [line.get_label().split('α ')[1] for line in maps[-1].axes[0].lines]
-        if number < 2:
-            assert alphas == [f'{float(table[4][n]):.3f}' for n in (1, 4)]
-        else:
-            assert (len(alphas), table) == (1, [])
+        assert bool(table) is (messages is twin.messages)
+        assert not table or table[1][1] == '12'
 
 
 def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
@@ -197,7 +173,6 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
     assert recording.ranges == [(-100.0, 100.0)]
     _, measured = recording.scalars('/twin/position/measured')
     assert measured[:, 1].max() > 1e3 * Rig().layer.thickness
-    assert 'Model less measurement (µm)' in recording.views
 
 
 def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -> None:
@@ -218,15 +193,11 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
     alpha, error = map(float, cell.split(' ± '))
     assert error == pytest.approx(accuracy.energy_transfer_error, rel=0.06)
     assert alpha == pytest.approx(simulate(Rig()).energy_transfer, abs=5.0 * error)
-    assert f'{accuracy.samples} samples' in text
     text = recording.last('/twin/track', 'TextDocument:text')[0]
-    for words in ('measurement of', '7 samples left out', 'identification of 7.30 ± 0.02'):
+    for words in ('7 samples left out', '9 samples left out', '7.30 ± 0.02', 'a doubt'):
         assert words in text
-    assert '9 samples left out' in text
-    assert 'a doubt' in text
     assert 'another' not in text
     assert 'timing' not in text
-    assert 'Measured track' in recording.views
 
 
 @pytest.mark.slow
