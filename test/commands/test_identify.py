@@ -320,7 +320,7 @@ def test_measured_rig_is_the_default_among_several(command, tmp_path, write):
     assert value(result, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
 
 
-def test_unreadable_messages_of_a_bag_are_reported(command, tmp_path):
+def test_unreadable_messages_of_a_bag_are_reported_and_a_cut_bag_is_refused(command, tmp_path):
     time, heights = recorded(starts=(0.2,), rest=0.1)
     messages = list(joint_states('/rig/joint_states', time, heights, bodies=('plate', 'other')))
     unreadable = b'\0\1\0\0' + bytes(range(40))

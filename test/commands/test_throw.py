@@ -1,12 +1,15 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The command `throw`."""
+"""The command `throw`, and the options of a rig."""
 
+import argparse
 from pathlib import Path
 import re
 
 import pytest
 from soft_throw_ros.commands import throw
+from soft_throw_ros.commands.options import add_rig_options, read_settings, stated_parameters
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import default_file, library
 from soft_throw_ros.core import spring_mass
 from soft_throw_ros.core.rig import Layer, Rig
@@ -83,3 +86,37 @@ def test_plate_that_gravity_holds_is_explained_with_exit_code_1(command):
 def test_strain_that_no_layer_can_bear_is_called_impossible(command, amplitude, texts):
     printed = command.run('--amplitude', amplitude)
     assert re.findall('linear range|impossible', printed) == texts
+
+
+def test_named_parameter_is_set_like_an_option():
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser, ['layer.thickness'])
+    words = ['--thickness=0.01', '-p', 'layer.thickness:=0.012', '-p',
+             'recommendation.frequencies:=[50, 7e1]']
+    settings = read_settings(parser.parse_args(words))
+    assert settings['layer.thickness'] == 0.012
+    assert settings['recommendation.frequencies'] == (50.0, 70.0)
+
+
+LAYER = set(TWIN.names_in('layer'))
+
+
+@pytest.mark.parametrize(
+    ('words', 'text', 'stated'),
+    [
+        ((), '', set()),
+        (('-p', 'layer.density:=900'), '', {'layer.density'}),
+        (('--mass', '0.002'), '', {'projectile.mass'}),
+        (('--layer', 'gelatin_16.8mm'), '', LAYER),
+        (('--stack', '8e-3 7 1000'), '', LAYER),
+        (('--layer', 'custom'), '', {'layer.name'}),
+        ((), 'layer: {name: gelatin_16.8mm}', LAYER),
+        (('-p', 'gravity:=0'), 'projectile: {mass: 0.002}', {'projectile.mass', 'gravity'}),
+    ],
+)
+def test_options_and_file_state_parameters(write, words, text, stated):
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser)
+    if text:
+        words += ('--config', str(write(f'twin: {{ros__parameters: {{{text}}}}}')))
+    assert stated_parameters(parser.parse_args(words)) == stated

@@ -42,7 +42,7 @@ def write_video(path, pictures):
     return path
 
 
-@pytest.fixture(scope='session')
+@pytest.fixture(scope='module')
 def throw_pictures():
     """Return pictures of a throw; the projectile leaves the pictures at the top."""
     rng = np.random.default_rng(3)
@@ -63,14 +63,9 @@ def throw_pictures():
     ]
 
 
-@pytest.fixture(scope='session')
+@pytest.fixture(scope='module')
 def throw_video(throw_pictures, tmp_path_factory):
     return write_video(tmp_path_factory.mktemp('video') / 'throw.avi', throw_pictures)
-
-
-@pytest.fixture(scope='session')
-def first_pictures(throw_pictures, tmp_path_factory):
-    return write_video(tmp_path_factory.mktemp('video') / 'short.avi', throw_pictures[:10])
 
 
 def test_video_gives_the_filmed_rig(command, capsys, throw_video, tmp_path):
@@ -147,7 +142,10 @@ def test_early_loss_of_the_plate_is_not_explained_by_the_rate(command, throw_pic
         ((), '[video]'),
     ],
 )
-def test_video_error_is_one_line(command, first_pictures, monkeypatch, options, message):
+def test_video_error_is_one_line(
+    command, throw_pictures, tmp_path, monkeypatch, options, message
+):
+    path = write_video(tmp_path / 'short.avi', throw_pictures[:10])
     if not options:
         monkeypatch.setitem(sys.modules, 'trackpy', None)
-    assert message in command.refused(first_pictures, *AS_TAKEN, *options)
+    assert message in command.refused(path, *AS_TAKEN, *options)

@@ -54,12 +54,9 @@ def test_candidates_contain_the_thickness_for_a_guess_that_is_a_third_off(
     throw = throw_of(make_throw, rig, noise=1e-6)
     known = with_layer(rig, wave_speed=50.0, thickness=0.04)
     found = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))
-    best, *others = (candidate.rig for candidate in found)
+    best = found[0].rig
     assert best.layer.thickness == pytest.approx(0.03, rel=0.02)
     assert best.layer.wave_speed == pytest.approx(rig.layer.wave_speed, rel=0.02)
-    assert all(abs(other.layer.wave_speed / best.layer.wave_speed - 1.0) > 5e-3
-               or abs(other.layer.thickness / best.layer.thickness - 1.0) > 5e-3
-               for other in others)
 
 
 def candidates_at(*speeds):

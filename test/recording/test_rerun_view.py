@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from damage import datas
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -107,9 +108,7 @@ def test_map_and_table_are_of_the_recommended_rig_or_empty(tmp_path) -> None:
         assert not table or table[1][1] == '12'
 
 
-def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
-    tmp_path,
-) -> None:
+def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(tmp_path) -> None:
     twins = [TwinMessages(node, throw__period=0.1) for node in ('/rig1/twin', '/rig 2/twin')]
     messages = [message for twin in twins for message in twin.go(150).messages]
     kept = [item for item in messages if item.channel.topic != '/rig1/twin/journal']
@@ -206,12 +205,8 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
 def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> None:
     messages = list(twin.messages[:60])
     index = data.draw(st.integers(0, len(messages) - 1))
-    damaged = bytearray(messages[index].data)
-    for _ in range(data.draw(st.integers(0, 3))):
-        damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= 1 << data.draw(st.integers(0, 7))
-    cut = data.draw(st.integers(0, len(damaged)))
     messages[index] = messages[index]._replace(
-        data=bytes(damaged[:cut]),
+        data=data.draw(datas(messages[index].data)),
         publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
     )
     recording, scene = record(path.with_name('damaged.rrd'), messages)
