@@ -91,7 +91,9 @@ def test_error_is_quoted_with_file_and_material(
 
 
 def test_unreadable_or_large_file_is_named(tmp_path: Path, write: Any) -> None:
-    large = write('# long\n' * 200_000, 'large.yaml')
-    for unreadable in (tmp_path / 'no.yaml', tmp_path, write(b'\xff\xfe'), large):
-        with pytest.raises(ParameterError, match=f'^{re.escape(str(unreadable))}: '):
-            library(unreadable)
+    for path, message in (
+        (tmp_path / 'no.yaml', 'No such file'), (tmp_path, 'not a regular file'),
+        (write(b'\xff\xfe'), 'decode'), (write('# long\n' * 50_000, 'large.yaml'), 'larger than'),
+    ):
+        with pytest.raises(ParameterError, match=f'^{re.escape(str(path))}: .*{message}'):
+            library(path)

@@ -102,7 +102,7 @@ def test_other_motions_of_the_plate_enlarge_all_errors(see, fits, imperfections)
         assert found.estimate(name).error > 1.5 * clean.estimate(name).error
 
 
-def test_model_of_two_throws_has_right_derivatives_and_priors(make_model, make_throw):
+def test_model_of_two_throws_has_right_derivatives_priors_and_cuts(make_model, make_throw):
     delay = 'projectile.delay'
     treatments = {
         'engine.amplitude': FREE._replace(is_per_throw=True),
@@ -128,6 +128,9 @@ def test_model_of_two_throws_has_right_derivatives_and_priors(make_model, make_t
             step[index] *= values[index]
         slope = (model.predict(values + step) - model.predict(values - step)) / (2 * step[index])
         assert 0.02 * np.linalg.norm(slope) > np.linalg.norm(jacobian[:, index] - slope), name
+    for throw, plate in zip(model.cut_after(0.02).throws, model.plates, strict=True):
+        assert throw.projectile.time[-1] <= plate.start_time + 0.02 < throw.plate.time[-1]
+    assert model.cut_after(-1.0).projectiles == []
 
 
 @pytest.mark.slow
