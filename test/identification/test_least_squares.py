@@ -103,6 +103,13 @@ def test_inseparable_parameters_are_reported():
     assert fit['rate'].value == pytest.approx(TRUTH[1], abs=4.0 * fit['rate'].error + 0.01)
 
 
+def test_parameter_without_effect_has_infinite_error():
+    model = model_of(lambda time, size, rate, idle: decay(time, size, rate), 'a', 'b', 'idle')
+    fit = fit_tracks(model, np.array([1.4, 0.7, 0.3]), [('decay', track())])
+    assert fit['idle'].error > 1e10
+    assert fit['b'].error < 0.1
+
+
 @pytest.mark.parametrize('indices', [[0], [1], [57, 58, 120], [199]])
 def test_outliers_are_listed_and_hardly_matter(indices):
     clean = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track())])

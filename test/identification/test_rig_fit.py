@@ -128,8 +128,8 @@ def test_model_of_two_throws_has_right_derivatives_priors_and_cuts(make_model, m
             step[index] *= values[index]
         slope = (model.predict(values + step) - model.predict(values - step)) / (2 * step[index])
         assert 0.02 * np.linalg.norm(slope) > np.linalg.norm(jacobian[:, index] - slope), name
-    for throw, plate in zip(model.cut_after(0.02).throws, model.plates, strict=True):
-        assert throw.projectile.time[-1] <= plate.start_time + 0.02 < throw.plate.time[-1]
+    for cut, plate in zip(model.cut_after(0.02).throws, model.plates, strict=True):
+        assert cut.projectile.time[-1] <= plate.start_time + 0.02 < cut.plate.time[-1]
     assert model.cut_after(-1.0).projectiles == []
 
 

@@ -1,0 +1,20 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+from soft_throw_ros.configuration.interface import (
+    find_topic,
+    JOINT_STATE,
+    RECORDER_TOPICS,
+    TWIN_TOPICS,
+)
+
+OWN = [topic for topic in (*TWIN_TOPICS, *RECORDER_TOPICS) if '~' in topic.name]
+
+
+def test_topic_is_found_by_its_full_name_and_type_and_no_other_is() -> None:
+    for topic in OWN:
+        for node in ('/twin', '/rig1/twin', '/layer'):
+            assert find_topic(topic.at(node).name, topic.type) == (node, topic)
+    assert find_topic('/twin/phase', JOINT_STATE) is None
+    assert find_topic('/twin/joint_states_too', JOINT_STATE) is None
+    assert find_topic('/rig1/diagnostics', TWIN_TOPICS.diagnostics.type) is None
+    assert len({topic.name for topic in TWIN_TOPICS}) == len(TWIN_TOPICS)
