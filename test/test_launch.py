@@ -14,7 +14,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from soft_throw_ros.__main__ import EXECUTABLES
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.recorder import RECORDER
+from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
 from urdf_parser_py.urdf import URDF
 import yaml
 
@@ -132,24 +132,29 @@ def test_twin_starts_alone_with_its_parameter_file():
     assert values == {'use_sim_time': False}
 
 
-BAG = {'storage': 'mcap', 'rerun.sink': 'none'}
-FIRST = {**BAG, 'folder': 'bags', 'name': 'first'}
+FIRST = {'folder': 'bags', 'name': 'first'}
 
 
 @pytest.mark.parametrize(
-    ('arguments', 'expected'),
+    ('arguments', 'node', 'table', 'expected'),
     [
-        ({'record': 'true'}, BAG),
-        ({'rerun': 'viewer'}, {'storage': 'none', 'rerun.sink': 'viewer'}),
-        ({'record': 'true', 'rerun': 'file'}, {**BAG, 'rerun.sink': 'file'}),
-        ({'record': 'true', 'folder': 'bags'}, {**BAG, 'folder': 'bags'}),
-        ({'output': 'bags/first', 'folder': 'other'}, FIRST),  # as in rosbag2
-        ({'uri': 'bags/first', 'folder': 'other'}, FIRST),
+        ({'record': 'true'}, 'recorder', RECORDER, {}),
+        ({'record': 'true', 'folder': 'bags'}, 'recorder', RECORDER, {'folder': 'bags'}),
+        ({'output': 'bags/first', 'folder': 'other'}, 'recorder', RECORDER, FIRST),  # as rosbag2
+        ({'uri': 'bags/first', 'folder': 'other'}, 'recorder', RECORDER, FIRST),
+        ({'rerun': 'file'}, 'viewer', VIEWER, {'sink': 'file', 'file': 'live.rrd'}),
+        ({'rerun': 'file', 'folder': 'a'}, 'viewer', VIEWER,
+         {'sink': 'file', 'file': 'a/live.rrd'}),
+        ({'rerun': 'viewer', 'output': 'a/b'}, 'viewer', VIEWER,
+         {'sink': 'viewer', 'file': 'a/b.rrd'}),
     ],
 )
-def test_recorder_has_the_requested_storage_path_and_sink(arguments, expected):
-    assert nodes(**arguments)['recorder']['parameters'][-1] == expected
-    assert set(expected) <= set(RECORDER.by_name)
+def test_recorder_and_viewer_are_started_on_request(arguments, node, table, expected):
+    started = nodes(**arguments)
+    assert started[node]['parameters'][-1] == expected
+    assert set(expected) <= set(table.by_name)
+    assert ('recorder' in started) is (arguments.keys() & {'record', 'output', 'uri'} != set())
+    assert ('viewer' in started) is ('rerun' in arguments)
 
 
 @pytest.mark.parametrize('argument', ['rviz', 'use_rviz'])
