@@ -69,7 +69,7 @@ _PRIOR_SHARE = 0.5  # error over that of its prior, above which a value rests on
 _MIN_GAIN = 6.0  # smallest decrease of the information criterion for which a loss is fitted
 _INITIAL_LOSSES = (0.03, 0.1)  # loss tangents that are tried if none is stated
 _MAX_TRIAL_EVALUATIONS = 8  # largest number of evaluations of the model with each of them
-_MAX_LOSS_EVALUATIONS = 60  # largest number of evaluations with the better one
+_MAX_LOSS_EVALUATIONS = 120  # largest number of evaluations with the better one
 _MAX_LANDING_ROUNDS = 4  # largest number of fits to find the time of the landing
 
 _SECONDS_PER_THROW = 60.0
