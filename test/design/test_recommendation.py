@@ -13,7 +13,7 @@ import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.design.recommendation import (
     MAX_STUCK_FRACTION,
     predict,
