@@ -85,7 +85,9 @@ demo loop: SHELL := /bin/bash
 
 demo: $(SHOWABLE) $(KERNELS)
 	@$(BEGIN_NODES); \
-	$(BIN)/soft-throw recorder --ros-args --params-file config/demo.yaml & \
+	for node in recorder viewer; do \
+		$(BIN)/soft-throw $$node --ros-args --params-file config/demo.yaml & \
+	done; \
 	$(BIN)/soft-throw twin --ros-args --params-file config/demo.yaml $(ARGS) & \
 	$(END_NODES)
 

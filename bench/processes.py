@@ -78,16 +78,6 @@ def usage(pid: int) -> Usage:
     return Usage(processor, memory, sum(1 for _ in (folder / 'fd').iterdir()))
 
 
-def children_of(pid: int) -> list[int]:
-    """Return the numbers of all child processes."""
-    children = []
-    for path in Path('/proc').glob('[0-9]*/stat'):
-        with contextlib.suppress(OSError):
-            if int(path.read_text('utf-8').rpartition(')')[2].split()[1]) == pid:
-                children.append(int(path.parent.name))
-    return children
-
-
 def stamp_of(data: bytes) -> int:
     """Read the stamp of a serialized message that starts with a header [ns]."""
     seconds, nanoseconds = struct.unpack_from('<iI', data, 4)

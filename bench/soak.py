@@ -74,7 +74,7 @@ def main(args: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog='python -m bench.soak', description=__doc__)
     parser.add_argument('--minutes', type=float, default=30.0, help='duration (default 30)')
     parser.add_argument('--sink', default='serve', choices=('viewer', 'serve', 'file', 'none'),
-                        help='sink of the recorder (default serve, which needs no screen)')
+                        help='sink of the viewer (default serve, which needs no screen)')
     parser.add_argument('--subscribe', type=Path, metavar='FILE', help=argparse.SUPPRESS)
     arguments = parser.parse_args(args)
     if arguments.subscribe is not None:
@@ -103,9 +103,12 @@ class _Soak:
         self._seconds = 0.0
         self._changes: list[str] = []  # reason of each rejected change, empty if accepted
         self._codes: dict[str, int] = {}
-        recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag', '-p', f'rerun.sink:={sink}')
+        recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag')
+        viewer = ('-p', f'sink:={sink}', '-p', f'file:={folder}/live.rrd')
         subscriber = (sys.executable, '-m', 'bench.soak', '--subscribe')
+        viewers = {'viewer': (*SOFT_THROW, 'viewer', '--ros-args', *viewer)}
         self._commands = {
+            **(viewers if sink != 'none' else {}),
             'recorder': (*SOFT_THROW, 'recorder', '--ros-args', *recorder),
             **{
                 f'subscriber {number}': (*subscriber, str(folder / str(number)))
@@ -138,8 +141,7 @@ class _Soak:
         client = AsyncParameterClient(heard.node, '/twin')
         begin = time.monotonic()
         while (now := time.monotonic()) < begin + seconds:
-            sinks = {f'viewer {pid}': pid for pid in processes.children_of(pids['recorder'])}
-            for name, pid in (pids | sinks).items():
+            for name, pid in pids.items():
                 with contextlib.suppress(OSError):  # has ended; judge() checks its exit code
                     usage = processes.usage(pid)
                     self.usages.setdefault(name, []).append((now, *usage))
@@ -175,7 +177,7 @@ class _Soak:
         yield 'the twin reports late and skipped ticks', text, is_kept
         texts, is_flat = [], True
         for name, usages in self.usages.items():
-            if not name.startswith('viewer'):  # keeps messages for a Rerun that connects later
+            if name != 'viewer':  # keeps messages for a Rerun that connects later
                 _, _, memory, _, handles = _summary(usages)
                 texts.append(f'{memory:+.1f} MB {handles:+g}')
                 limit = MAX_GROWTH + INDEX_GROWTH * self._seconds * (name == 'recorder')

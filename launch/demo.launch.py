@@ -17,9 +17,7 @@ ARGUMENTS = (
         description='Parameter file of all nodes',
     ),
     DeclareLaunchArgument('record', default_value='true', description='Record into a bag'),
-    DeclareLaunchArgument(
-        'rerun', default_value='viewer', description='rerun.sink of the recorder'
-    ),
+    DeclareLaunchArgument('rerun', default_value='viewer', description='Live display in Rerun'),
 )
 
 

@@ -74,7 +74,7 @@ ARGUMENTS = (
         'rerun',
         default_value='none',
         choices=['none', 'viewer', 'serve', 'file'],
-        description='rerun.sink of the recorder',
+        description='Live display: sink of the viewer',
     ),
     _flag('description', 'Publish the frames of the rig and its model, robot_description'),
     _flag('use_rviz', 'Start RViz with the model of the rig; sets description:=true'),
@@ -101,9 +101,14 @@ def _nodes(context: LaunchContext) -> list[Node]:
     parameters = [values['params_file'], {'use_sim_time': use_sim_time}]
     motion = [{'engine.motion': values['motion']}] if values['motion'] else []
     nodes = [_ours('twin', parameters=[*parameters, *motion], **common)]
-    if recording := _recording(values):
+    recording = _recording(values)
+    if recording is not None:
         recorder = {**common, 'parameters': [*parameters, recording], 'on_exit': _on_recorder_exit}
         nodes.append(_ours('recorder', **recorder))
+    if values['rerun'] != 'none':
+        name = values['output'] or values['uri'] or str(Path(values['folder'], 'live'))
+        display = {'sink': values['rerun'], 'file': f'{name}.rrd'}
+        nodes.append(_ours('viewer', **common, parameters=[*parameters, display]))
     with_rviz = _is_set(values, 'use_rviz', 'rviz')
     if with_rviz:
         _check_installed('use_rviz', 'robot_state_publisher', 'rviz2')
@@ -125,8 +130,8 @@ def _on_recorder_exit(event: ProcessExited, _context: LaunchContext) -> None:
         raise RuntimeError(f'the recorder has ended with exit code {event.returncode}')
 
 
-def _recording(values: dict[str, str]) -> dict[str, str]:
-    """Return the parameters of the recorder, or none without a recorder."""
+def _recording(values: dict[str, str]) -> dict[str, str] | None:
+    """Return the parameters of the recorder, or None without a recorder."""
     paths = {name: values[name] for name in ('output', 'uri') if values[name]}
     if len(paths) > 1:
         given = ' and '.join(f'{name}:={path}' for name, path in paths.items())
@@ -134,12 +139,9 @@ def _recording(values: dict[str, str]) -> dict[str, str]:
     for name, path in paths.items():
         if Path(path).exists():
             raise RuntimeError(f'{name}:={path}: exists already, and no bag is overwritten')
-    records = _is_set(values, 'record') or bool(paths)
-    if not records and values['rerun'] == 'none':
-        return {}
-    recording = {'storage': 'mcap' if records else 'none', 'rerun.sink': values['rerun']}
-    if values['folder']:
-        recording['folder'] = values['folder']
+    if not paths and not _is_set(values, 'record'):
+        return None
+    recording = {'folder': values['folder']} if values['folder'] else {}
     for path in paths.values():
         recording |= {'folder': str(Path(path).parent), 'name': Path(path).name}
     return recording

@@ -14,7 +14,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from soft_throw_ros.__main__ import EXECUTABLES
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.recorder import RECORDER
+from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
 from urdf_parser_py.urdf import URDF
 import yaml
 
@@ -131,28 +131,22 @@ def test_twin_starts_alone_with_its_parameter_file():
     assert values == {'use_sim_time': False}
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'storage', 'sink'),
-    [
-        ({'record': 'true'}, 'mcap', 'none'),
-        ({'rerun': 'viewer'}, 'none', 'viewer'),
-        ({'record': 'true', 'rerun': 'file'}, 'mcap', 'file'),
-    ],
-)
 @pytest.mark.parametrize('folder', ['', 'bags'])
-def test_recorder_has_the_requested_storage_and_sink(arguments, storage, sink, folder):
-    recording = nodes(folder=folder, **arguments)['recorder']['parameters'][-1]
-    expected = {'storage': storage, 'rerun.sink': sink} | ({'folder': folder} if folder else {})
-    assert recording == expected
-    assert set(recording) <= set(RECORDER.by_name)
+def test_recorder_and_viewer_are_started_on_request(folder):
+    recorder = nodes(folder=folder, record='true')['recorder']
+    assert recorder['parameters'][-1] == ({'folder': folder} if folder else {})
+    started = nodes(folder=folder, rerun='file')
+    assert 'recorder' not in started
+    display = started['viewer']['parameters'][-1]
+    assert display == {'sink': 'file', 'file': str(Path(folder, 'live.rrd'))}
+    assert set(display) <= set(VIEWER.by_name)
+    assert nodes(output='a/b', rerun='viewer')['viewer']['parameters'][-1]['file'] == 'a/b.rrd'
 
 
 def test_one_path_of_a_bag_starts_the_recorder_as_in_rosbag2():
     for name in ('output', 'uri'):
         recording = nodes(folder='other', **{name: 'bags/first'})['recorder']['parameters'][-1]
-        assert recording == {
-            'storage': 'mcap', 'rerun.sink': 'none', 'folder': 'bags', 'name': 'first'
-        }
+        assert recording == {'folder': 'bags', 'name': 'first'}
         assert set(recording) <= set(RECORDER.by_name)
     with pytest.raises(RuntimeError, match='output:=a and uri:=b'):
         nodes(output='a', uri='b')

@@ -27,7 +27,7 @@ from soft_throw_ros.nodes.conversions import (
     time_to_msg,
 )
 from soft_throw_ros.nodes.recommendations import recommend_for, uncertainty_values
-from soft_throw_ros.nodes.throw_texts import throw_text
+from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.recording.schemas import find_schema
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Channel, Message

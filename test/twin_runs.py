@@ -15,7 +15,7 @@ from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.nodes.sensor_texts import sensor_text
+from soft_throw_ros.nodes.texts import sensor_text
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample, Samples

@@ -18,15 +18,13 @@ from dataclasses import asdict
 from functools import partial
 import json
 import multiprocessing
-import os
 from pathlib import Path
 import sys
-import threading
 
 from soft_throw_ros.commands.options import add_dask_option, open_map
 from soft_throw_ros.core.batch import usable_processors
 from trials import table
-from trials.judge import judge, Verdict
+from trials.judge import end_with_parent, judge, Verdict
 from trials.rows import Row, ROWS
 
 
@@ -63,7 +61,7 @@ def main(args: list[str] | None = None) -> int:
     else:
         spawn = multiprocessing.get_context('spawn')  # threads do not survive a fork
         with ProcessPoolExecutor(
-            arguments.workers, mp_context=spawn, initializer=_end_with_parent
+            arguments.workers, mp_context=spawn, initializer=end_with_parent
         ) as workers:
             verdicts = _run(rows, arguments, workers.map)
     if arguments.log:
@@ -71,18 +69,6 @@ def main(args: list[str] | None = None) -> int:
         arguments.log.write_text('\n'.join(lines) + '\n', encoding='utf-8')
     print('', table.summary(verdicts, [row.name for row in rows if row.is_clean]), sep='\n')
     return 0
-
-
-def _end_with_parent() -> None:
-    """End this worker when its parent has been killed."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def wait() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
 
 
 def _run(

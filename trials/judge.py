@@ -10,8 +10,11 @@ from dataclasses import dataclass
 import io
 import json
 import math
+import multiprocessing
+import os
 from pathlib import Path
 import tempfile
+import threading
 import time
 from typing import Any, NamedTuple
 import zlib
@@ -134,3 +137,15 @@ def compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Dev
 
 def _or_infinite(error: float | None) -> float:
     return math.inf if error is None else error
+
+
+def end_with_parent() -> None:
+    """End this worker process when its parent has been killed."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

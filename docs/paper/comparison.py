@@ -223,48 +223,6 @@ def _misprint(number: float) -> str:
     )
 
 
-def table_one() -> list[tuple[str, str, str]]:
-    """Return the rows of Table I: symbol, value of the paper, computed value."""
-    layer = Layer()
-    lengths = [series.projectile_length for series in SERIES]
-    thinnest, thickest = min(THICKNESSES), max(THICKNESSES)
-    throws = np.concatenate([
-        series.throws(damping_ratio=DAMPING_RATIO).ejection_speed for series in SERIES
-    ])
-    speeds = sorted({series.engine_speed for series in SERIES})
-
-    def ends(low: float, high: float, digits: int = 1) -> str:
-        return f'{low:.{digits}f} to {high:.{digits}f}'
-
-    shares = [series.x_of(thickness) for series in SERIES for thickness in (thinnest, thickest)]
-    return [
-        ('f (Hz)', '31.1 and 63.2', ' and '.join(
-            f'{frequency:g}' for frequency in sorted({series.frequency for series in SERIES}))),
-        ('zeta (-)', '0.064', f'{DAMPING_RATIO:g}'),
-        ('rho_r (kg/m3)', '1300', f'{PROJECTILE_DENSITY:g}'),
-        ('rho_s (kg/m3)', '1000', f'{layer.density:g}'),
-        ('A (mm)', '~2', f'{1e3 * Engine().amplitude:g}'),
-        ('E_r (GPa)', '3.6', f'{1e-9 * scheme.MODULUS:g}'),
-        ('E_s (kPa)', '~61', f'{1e-3 * layer.youngs_modulus:.1f}'),
-        ('L (mm)', '10.2 to 45.4',
-         ends(1e3 * (thinnest + min(lengths)), 1e3 * (thickest + max(lengths)))),
-        ('L_r (mm)', '8.2 to 16.3',
-         ends(1e3 * min(lengths), 1e3 * max(lengths))),
-        ('L_s (mm)', '2.0 to 29.1',
-         ends(1e3 * thinnest, 1e3 * thickest)),
-        ('x (-)', '-', ends(*_range(np.array(shares)), 3)),
-        ('t_s (ms)', '-',
-         ends(1e3 * thinnest / layer.wave_speed, 1e3 * thickest / layer.wave_speed, 2)),
-        ('T_0 (ms)', '~10',
-         ends(2e3 * thinnest / layer.wave_speed, 2e3 * thickest / layer.wave_speed)),
-        ('V_e (m/s)', '~1', ends(*_range(throws), 2)),
-        ('V_p* (m/s)', '~1', ends(*speeds, 3)),
-        ('c_r (m/s)', '1700',
-         f'{math.sqrt(scheme.MODULUS / PROJECTILE_DENSITY):.0f}'),
-        ('c_s (m/s)', '7.8', f'{layer.wave_speed:g}'),
-    ]
-
-
 @functools.lru_cache(maxsize=1)
 def beyond() -> tuple[tuple[str, str], ...]:
     """Compute quantities beyond the paper for builders of a rig: their names and texts."""

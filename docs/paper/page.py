@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 import re
 
-from comparison import beyond, published, table_one, throws_of_the_rig
+from comparison import beyond, published, throws_of_the_rig
 
 _HEADS = ('L_s (mm)', 't_e (ms)', 'V_e (m/s)', 'alpha', 'strain (%)')
 
@@ -17,7 +17,6 @@ def update_page(page: str) -> str:
     for name, heads, rows in (
         ('published', ('quantity (section)', 'paper', 'ours', 'remark'),
          [row.cells for row in published()]),
-        ('table one', ('symbol', 'paper', 'ours'), table_one()),
         ('throws', _HEADS, throws_of_the_rig()),
         ('beyond', ('quantity', 'ours'), beyond()),
     ):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Compile the kernels once, in parts, beginning with the parts that a node needs first.
+Compile the kernels once, in parts.
 
 numba caches compiled kernels on disk. Processes that start together would still compile the same
 kernels, so each part has a lock: one process compiles the part, and the others load it.
@@ -18,8 +18,7 @@ import threading
 import time
 from types import ModuleType
 
-from soft_throw_ros.configuration import Settings, TWIN
-from soft_throw_ros.configuration.twin import layer_of
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
 from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.twin import outlier_filter, plate_estimator, plate_observer
@@ -54,12 +53,6 @@ PARTS: dict[str, Callable[[], object]] = {
     'cells': lambda: _step(cell_stepper, loss_tangent=0.1),
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""
-
-
-def needed_parts(settings: Settings) -> list[str]:
-    """Return the names of the parts that a rig with these settings needs."""
-    stepper = 'cells' if layer_of(settings).needs_cells else 'travelling_wave'
-    return [stepper, *(['measured'] if settings['engine.motion'] == 'measured' else [])]
 
 
 def missing_parts() -> list[str]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the recorder, and of the viewer that it starts."""
+"""The parameters of the recorder and of the viewer."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ RECORDER = Table(
             'Topics to record, or namespaces of which all topics are recorded, relative to the '
             'namespace of the recorder unless they begin with /; `/` records everything',
             kind='the name of a topic or namespace', pattern=f'/|{NAME}'),
-        row('storage', 'mcap', 'Format of the bag; `none` shows the topics without recording',
-            choices=('mcap', 'none')),
         row('folder', '.', 'Folder of the bags'),
         row('name', '',
             'Name of the new bag, which must not exist; empty for a name from the current time'),
@@ -30,15 +28,6 @@ RECORDER = Table(
             'Wait every second until the disk has stored all data, against power failures'),
         row('buffer', 256_000_000, 'Data that may wait for the disk before messages are dropped',
             unit='byte', low=1_000_000, high=16_000_000_000),
-        row('rerun.sink', 'none',
-            'Live display in Rerun: `viewer` opens a window, `serve` waits for viewers, '
-            '`file` writes a recording beside the bag',
-            choices=('none', 'viewer', 'serve', 'file')),
-        row('rerun.port', 9876, 'Port of the viewer, or for viewers, on 127.0.0.1',
-            low=1024, high=65535),
-        row('rerun.python', '',
-            'Python that has Rerun, rclpy and this package; empty for the one that runs the '
-            'recorder; cannot be changed after the start'),
     ),
 )
 """The parameters of the recorder; all take effect when recording is started."""

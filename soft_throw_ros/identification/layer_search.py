@@ -132,10 +132,19 @@ def find_best_minimum(model: RigModel, fit: Fit, candidates: Sequence[LayerCandi
         best = model.fit(best.values)
     minima = [best]
     for other in others:
-        is_near = other.chi2 - best.chi2 < MAX_EXCESS
-        if is_near and all(_is_separate(minimum, other) for minimum in minima):
-            minima.append(other)
-    return best.spanning([Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]])
+        if _is_new(other, minima):
+            ended = model.fit(other.values)  # which may join another minimum
+            if _is_new(ended, minima):
+                minima.append(ended)
+    best, *others = sorted(minima, key=attrgetter('chi2'))
+    return best.spanning([Alternative(item.values, item.chi2 - best.chi2) for item in others])
+
+
+def _is_new(fit: Fit, minima: Sequence[Fit]) -> bool:
+    """Return whether a fit is nearly as good as the first minimum, and apart from all."""
+    return fit.chi2 - minima[0].chi2 < MAX_EXCESS and all(
+        _is_separate(minimum, fit) for minimum in minima
+    )
 
 
 def _is_separate(fit: Fit, other: Fit) -> bool:

@@ -4,8 +4,7 @@
 The node `calibrator`: identifies the rig again when the twin's predictions are wrong.
 
 The node collects the tracks of consecutive throws that the twin predicted wrongly, or that were
-too noisy for it. When it has enough tracks, a worker thread identifies the rig and sets the
-parameters of the twin. This takes seconds, including the wait for the twin's answers.
+too noisy for it. A worker thread identifies the rig from them and sets the parameters of the twin.
 
 After `motion_after` throws in a row that the twin predicted well, the calibrator makes the twin
 command the best motion of the plate, and measures the gain in ejection speed.
@@ -15,12 +14,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
+import math
 import threading
-from typing import Any
+import traceback
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from soft_throw_ros.configuration.interface import (
@@ -34,7 +36,8 @@ from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
 from soft_throw_ros.identification.fit_warnings import fit_warnings
-from soft_throw_ros.identification.flight import motion_delay
+from soft_throw_ros.identification.flight import flight_speed, motion_delay
+from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 from soft_throw_ros.nodes.conversions import (
@@ -42,10 +45,8 @@ from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,
     msg_to_time,
     msg_to_values,
-    status_to_msg,
 )
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
-from soft_throw_ros.nodes.motion_gain import describe_gain, flight_duration, MeasuredThrow
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.service_calls import call, get_parameters, set_parameters
@@ -61,18 +62,20 @@ _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
 _AFTER = 6.5  # length of the track from the start of the throw on [plate periods]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
+_RELEASE_TIME_ERROR = 1e-4  # standard error of a release, by delays of the sensors [s]
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
 _KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'projectile.mass')  # of the twin
 _DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
+_OF_COMMAND = ('engine.motion', 'engine.motion_file', 'recommendation.vary')
 
 
-@dataclass
-class _MotionTrial:
-    """Throws before and after the twin commands the best motion of the plate."""
+class MeasuredThrow(NamedTuple):
+    """A throw whose projectile was measured in flight."""
 
-    before: list[MeasuredThrow]
-    after: list[MeasuredThrow] = field(default_factory=list)
+    speed: Estimate  # at the release, with the error by the scatter of the heights [m/s]
+    common_error: float  # of the speeds of all such throws [m/s]
+    peak_plate_speed: float  # [m/s]
 
 
 class Calibrator(RunnableNode):
@@ -85,45 +88,34 @@ class Calibrator(RunnableNode):
         twin, rig = full_name(self, settings['twin']), settings['rig']
         self._joints = joint_names(settings)
         self._measured = MeasuredPositions(self, twin, self._joints)
-        self.add_cleanup(self._measured.close)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
-        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
+        self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
+        command = TWIN_TOPICS.plate_trajectory.at(twin)
+        create_subscription(self, command, self._on_command)
         self._get_of_twin = self.create_client(GetParameters, f'{twin}/get_parameters')
         self._set_of_twin = self._make_setter(twin)
         self._set_of_rig = self._make_setter(full_name(self, rig)) if rig else None
-        self._apply = self.create_client(
-            Trigger, resolve(TWIN_SERVICES.apply_recommendation.name, twin)
-        )
-        self.create_steady_timer(READ_PERIOD, self._read_measurements)
+        apply = resolve(TWIN_SERVICES.apply_recommendation.name, twin)
+        self._apply = self.create_client(Trigger, apply)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
-        self._status = status_to_msg(
-            self.get_fully_qualified_name(), 'identification', 'nothing has been identified yet'
-        )
-        self.create_steady_timer(1.0, self._publish_status)
+        self._make_status = partial(self._outgoing.status, 'identification')
+        self._status = self._make_status('nothing has been identified yet')
         self._ended: tuple[ThrowResult, int] | None = None  # last throw and its stamp, until used
-        self._mispredicted: list[ThrowTracks] = []
         self._rig_of_throws: Rig | None = None  # of the collected throws
-        self._predicted: list[MeasuredThrow] = []  # in a row that the twin predicted well
-        self._trial: _MotionTrial | None = None  # until the gain is known
-        self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
+        self._mispredicted: list[ThrowTracks] = []  # in a row
+        self._predicted: list[MeasuredThrow] = []  # in a row
+        self._commanded: list[MeasuredThrow] | None = None  # until their gain is known
         self._is_busy = False
         self._closing = threading.Event()
-        self._worker = LatestOnlyWorker(
-            self._run_task,
-            self._on_finished,
-            on_failure=lambda _task, error: self._report_failure(repr(error)),
-            log=self.get_logger().error,
-        )
+        self._worker = LatestOnlyWorker(self._run_task)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self.add_cleanup(self._closing.set)
+        self.create_steady_timer(READ_PERIOD, self._read_measurements)
+        self.create_steady_timer(1.0, self._publish_status)
 
     def _make_setter(self, name: str) -> Client:
         """Return a client that sets parameters of a node."""
         return self.create_client(SetParametersAtomically, f'{name}/set_parameters_atomically')
-
-    def start(self) -> None:
-        """Log that the node is ready; its timers are running already."""
-        self.get_logger().info('ready')
 
     # Executor thread
 
@@ -148,61 +140,55 @@ class Calibrator(RunnableNode):
         if self._ended is None:
             return
         result, stamp_ns = self._ended
-        end_ns = result.start_ns + round(1e9 * _AFTER / result.rig.engine.frequency)
+        period_ns = 1e9 / result.rig.engine.frequency
+        begin_ns = result.start_ns - round(_BEFORE * period_ns)
+        end_ns = result.start_ns + round(_AFTER * period_ns)
         if self._measured.newest_ns < end_ns:
             return
         self._ended = None
         try:
-            if self._trial is None:
-                self._on_measured_throw(result, end_ns)
+            if self._commanded is None:
+                self._on_measured_throw(result, begin_ns, end_ns)
             elif result.is_valid and result.accuracy is None:
-                self._on_commanded_throw(self._trial, result, stamp_ns)
+                self._on_commanded_throw(self._commanded, result, stamp_ns)
         except ValueError as error:  # of the tracks, or a command
             self._warn_of_throw(result.throw, error)
 
     def _warn_of_throw(self, number: object, error: Exception) -> None:
         self.get_logger().warning(f'throw {number} cannot be used: {error}')
 
-    def _on_measured_throw(self, result: ThrowResult, end_ns: int) -> None:
-        """Collect a throw, or count it if the twin predicted it well."""
-        comparison = result.comparison
+    def _on_measured_throw(self, result: ThrowResult, begin_ns: int, end_ns: int) -> None:
+        """Collect a throw; identify the rig, or command a motion, after enough of them."""
+        comparison, settings = result.comparison, self.parameters.settings
         if result.disturbances is None or result.ended_by == 'gap':  # there is no whole track
             return
         if result.rig != self._rig_of_throws:  # one fit needs throws of one rig
             self._mispredicted, self._predicted = [], []
             self._rig_of_throws = result.rig
-        if comparison is not None and comparison.is_within_threshold:
-            self._mispredicted.clear()
-            if result.first is not None:
-                self._on_well_predicted(result, result.first.release_ns)
-            return
-        self._predicted = []
-        begin_ns = result.start_ns - round(1e9 * _BEFORE / result.rig.engine.frequency)
-        tracks = self._measured.between(begin_ns, end_ns, name=f'throw {result.throw}')
-        self._mispredicted.append(tracks)
-        if len(self._mispredicted) >= self.parameters.settings['throws']:
-            self.get_logger().info(
-                f'the last {len(self._mispredicted)} throws deviated from the prediction, or '
-                'were too noisy for one; identifying the rig'
-            )
-            self._submit(partial(self._identify, self._mispredicted, result.rig))
-            self._mispredicted = []
-
-    def _on_well_predicted(self, result: ThrowResult, release_ns: int) -> None:
-        """Measure a throw; command the best motion after enough of them."""
-        required = self.parameters.settings['motion_after']
-        if required:
-            self._predicted.append(self._measure_flight(result, release_ns))
-            if len(self._predicted) >= required:
-                self.get_logger().info(
-                    f'the last {required} throws followed the prediction; designing the motion '
-                    'of the plate'
+        if comparison is None or not comparison.is_within_threshold:
+            self._predicted = []
+            tracks = self._measured.between(begin_ns, end_ns, f'throw {result.throw}')
+            self._mispredicted.append(tracks)
+            if len(self._mispredicted) >= settings['throws']:
+                self._submit(
+                    partial(self._identify, self._mispredicted, result.rig),
+                    f'the last {len(self._mispredicted)} throws deviated from the prediction, or '
+                    'were too noisy for one; identifying the rig',
                 )
-                self._submit(partial(self._command_motion, self._predicted))
-                self._predicted = []
+                self._mispredicted = []
+            return
+        self._mispredicted = []
+        if settings['motion_after'] and result.first is not None:
+            self._predicted.append(self._measure_flight(result, result.first.release_ns))
+            if len(self._predicted) >= settings['motion_after']:
+                self._submit(
+                    self._command_motion,
+                    f'the last {len(self._predicted)} throws followed the prediction; designing '
+                    'the motion of the plate',
+                )
 
     def _on_commanded_throw(
-        self, trial: _MotionTrial, result: ThrowResult, end_ns: int
+        self, throws: list[MeasuredThrow], result: ThrowResult, end_ns: int
     ) -> None:
         """Measure a throw whose motion the twin commanded, and report the gain after some."""
         commands = [msg for msg in self._commands if msg_to_time(msg.header.stamp) < end_ns]
@@ -210,39 +196,64 @@ class Calibrator(RunnableNode):
             return
         start_ns = msg_to_time(commands[-1].header.stamp)
         release_ns = start_ns + round(1e9 * result.first.ejection_time)
-        tracks = self._measured.between(start_ns, release_ns, name='')
+        tracks = self._measured.between(start_ns, release_ns)
         motion = msg_to_motion(commands[-1], self._joints[0])
         delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
-        trial.after.append(self._measure_flight(result, release_ns + delay_ns))
-        if len(trial.after) == self.parameters.settings['throws']:
-            message, values = describe_gain(trial.before, trial.after)
+        throws.append(self._measure_flight(result, release_ns + delay_ns))
+        if len(throws) == self.parameters.settings['throws']:
+            message, values = describe_gain(self._predicted, throws)
             self.get_logger().info(message)
-            self._set_status(message, values)
-            self._trial = None
+            self._status = self._make_status(message, values)
+            self._predicted, self._commanded = [], None
 
     def _measure_flight(self, result: ThrowResult, release_ns: int) -> MeasuredThrow:
-        """Measure the ejection speed of a throw, or raise TrackError."""
-        end_ns = release_ns + round(1e9 * flight_duration(result))
-        tracks = self._measured.between(release_ns, end_ns, name=f'throw {result.throw}')
+        """Measure a throw by its track from the release to the apex, or raise TrackError."""
+        assert result.first is not None
+        gravity, duration = result.rig.gravity, 1.0 / result.rig.engine.frequency
+        if gravity:
+            duration = min(duration, result.first.ejection_speed / gravity)
+        end_ns = release_ns + round(1e9 * duration)
+        tracks = self._measured.between(release_ns, end_ns)
         assert tracks.projectile is not None
-        return MeasuredThrow.from_track(result, tracks.projectile)
+        speed = flight_speed(tracks.projectile, gravity=gravity)
+        return MeasuredThrow(speed, gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)
 
-    def _submit(self, task: Callable[[], None]) -> None:
+    def _submit(self, task: Callable[[], None], reason: str) -> None:
+        self.get_logger().info(reason)
         self._is_busy = True
         self._worker.submit(task)
 
     def _publish_status(self) -> None:
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(CALIBRATOR_TOPICS.diagnostics, now, [self._status])
+        self._outgoing.report(CALIBRATOR_TOPICS.diagnostics, [self._status])
 
     # Worker thread
 
     def _run_task(self, task: Callable[[], None], _cancelled: Callable[[], bool]) -> None:
+        """Run a task; log and publish the reason if it has changed nothing."""
         try:
             task()
-        except (RequestRejected, ValueError) as error:
+        except Exception as error:  # noqa: BLE001  later throws must still be used
+            if not isinstance(error, (RequestRejected, ValueError)):
+                self.get_logger().error(traceback.format_exc())
+            message = f'nothing has been changed: {str(error) or repr(error)}'
             if not self._closing.is_set():
-                self._report_failure(str(error))
+                self.get_logger().warning(message)
+            self._status = self._make_status(message, warn=True)
+            self._predicted = []
+        self._is_busy = False
+
+    def _command_motion(self) -> None:
+        """Make the twin command the best motion of the plate, or leave its parameters."""
+        before = get_parameters(self._get_of_twin, _OF_COMMAND)
+        try:
+            set_parameters(self._set_of_twin, {'recommendation.vary': 'motion'})
+            applied = self._apply_recommendation()
+            set_parameters(self._set_of_twin, {'engine.command': True})
+        except RequestRejected:
+            set_parameters(self._set_of_twin, before)
+            raise
+        self.get_logger().info(f'commanded: {applied}')
+        self._commanded = []
 
     def _identify(self, tracks: list[ThrowTracks], rig: Rig) -> None:
         """Identify the rig and apply the result."""
@@ -254,46 +265,27 @@ class Calibrator(RunnableNode):
         throws = [item.apply(with_error) for item in tracks]
         self._apply_fit(fit_rig(throws, rig, _DESCRIPTION))
 
-    def _command_motion(self, before: list[MeasuredThrow]) -> None:
-        """Make the twin command the best motion of the plate, after throws without it."""
-        set_parameters(self._set_of_twin, {'recommendation.vary': 'motion'})
-        applied = self._apply_recommendation()
-        set_parameters(self._set_of_twin, {'engine.command': True})
-        self.get_logger().info(f'commanded: {applied}')
-        self._trial = _MotionTrial(before)
-
-    def _report_failure(self, reason: str) -> None:
-        """Log and publish the reason why an identification has changed nothing."""
-        message = f'nothing has been changed: {reason}'
-        self.get_logger().warning(message)
-        self._set_status(message, warn=True)
-
-    def _on_finished(self, _result: None) -> None:
-        self._is_busy = False
-
     def _apply_fit(self, rig_fit: RigFit) -> None:
         """Set the fitted parameters of the twin, and give the rig the recommended layer."""
-        for warning in fit_warnings(rig_fit.fit):
+        fit, warnings = rig_fit.fit, fit_warnings(rig_fit.fit)
+        for warning in warnings:
             self.get_logger().warning(warning)
-        if rig_fit.fit.is_mismatch:
+        if fit.is_mismatch:
             raise ValueError('no parameters of the model reproduce the motion of the projectile')
-        if not rig_fit.fit.is_converged:
+        if not fit.is_converged:
             raise ValueError('the fit stopped at its limit before it converged')
         values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
-        set_parameters(
-            self._set_of_twin, {name: value.value for name, value in values.items()}
-        )
-        words = (
-            f'{name} {value.value:.5g} +- {value.error:.1g}' for name, value in values.items()
-        )
+        set_parameters(self._set_of_twin, {name: each.value for name, each in values.items()})
+        words = (f'{name} {each.value:.5g} +- {each.error:.1g}' for name, each in values.items())
         message = f'identified: {", ".join(words)}'
         self.get_logger().info(message)
-        estimates = {name: str(value) for name, value in rig_fit.estimates().items()}
-        outliers = sum(len(residual.outliers) for residual in rig_fit.fit.residuals)
-        warnings = {f'warning {n}': text for n, text in enumerate(fit_warnings(rig_fit.fit), 1)}
-        self._set_status(
-            message, estimates | {'outliers': str(outliers)} | warnings, warn=bool(warnings)
-        )
+        outliers = sum(len(residual.outliers) for residual in fit.residuals)
+        rows = {
+            **{name: str(value) for name, value in rig_fit.estimates().items()},
+            'outliers': str(outliers),
+            **{f'warning {n}': text for n, text in enumerate(warnings, 1)},
+        }
+        self._status = self._make_status(message, rows, warn=bool(warnings))
         if self._set_of_rig is not None:
             before = get_parameters(self._get_of_twin, _LAYER)
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
@@ -301,13 +293,6 @@ class Calibrator(RunnableNode):
             changes = {name: after[name] for name in after if after[name] != before[name]}
             if changes:
                 set_parameters(self._set_of_rig, changes)
-
-    def _set_status(
-        self, message: str, values: dict[str, str] | None = None, *, warn: bool = False
-    ) -> None:
-        """Set the diagnostic status."""
-        name = self.get_fully_qualified_name()
-        self._status = status_to_msg(name, 'identification', message, values or {}, warn=warn)
 
     def _apply_recommendation(self) -> str:
         """Request that the twin applies its recommendation; return the answer of the service."""
@@ -318,6 +303,39 @@ class Calibrator(RunnableNode):
             if self._closing.wait(_PAUSE):
                 break
         raise RequestRejected(f'{self._apply.srv_name}: {response.message}')
+
+
+def describe_gain(
+    by_engine: Sequence[MeasuredThrow], commanded: Sequence[MeasuredThrow]
+) -> tuple[str, dict[str, str]]:
+    """Return the gain of the commanded motion as a sentence, and its values."""
+    values = _means('engine', by_engine) | _means('commanded', commanded)
+    message = (
+        f'measured gain by the commanded motion: ejection speed '
+        f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
+        f'energy transfer {values["engine.energy_transfer"]} -> '
+        f'{values["commanded.energy_transfer"]}'
+    )
+    return message, values
+
+
+def _means(prefix: str, throws: Sequence[MeasuredThrow]) -> dict[str, str]:
+    """Return mean results, with the larger scatter, among or within throws, and common errors."""
+    speeds, errors = np.transpose([throw.speed for throw in throws])
+    plate_speed = float(np.mean([throw.peak_plate_speed for throw in throws]))
+    speed = float(speeds.mean())
+    scatter = math.sqrt(float(np.mean(errors**2)))
+    if speeds.size > 1:
+        scatter = max(scatter, float(speeds.std(ddof=1)))
+    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].common_error)
+    energy_transfer = (speed / plate_speed) ** 2
+    return {
+        f'{prefix}.ejection_speed': str(Estimate(speed, error)),
+        f'{prefix}.energy_transfer': str(
+            Estimate(energy_transfer, 2.0 * energy_transfer * error / speed)
+        ),
+        f'{prefix}.throws': str(speeds.size),
+    }
 
 
 main = partial(run, 'calibrator', Calibrator)

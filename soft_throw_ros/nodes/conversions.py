@@ -16,14 +16,8 @@ from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import numpy as np
 from numpy.typing import NDArray
+from rclpy import qos
 from rclpy.duration import Duration
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2, PointField
@@ -33,7 +27,7 @@ from soft_throw_ros.configuration.motions import trajectory_points
 from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.throw_texts import throw_text
+from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.storage.bag_metadata import load_profiles
 from soft_throw_ros.storage.message import LATEST, SECOND
 from soft_throw_ros.twin.results import ThrowResult
@@ -41,10 +35,10 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 _POLICIES = {
-    'history': HistoryPolicy,
-    'reliability': ReliabilityPolicy,
-    'durability': DurabilityPolicy,
-    'liveliness': LivelinessPolicy,
+    'history': qos.HistoryPolicy,
+    'reliability': qos.ReliabilityPolicy,
+    'durability': qos.DurabilityPolicy,
+    'liveliness': qos.LivelinessPolicy,
 }
 
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
@@ -67,22 +61,18 @@ def time_to_msg(time_ns: int) -> TimeMessage:
     return Time(nanoseconds=time_ns).to_msg()
 
 
-def profile_to_dict(profile: QoSProfile) -> dict[str, object]:
+def profile_to_dict(profile: qos.QoSProfile) -> dict[str, object]:
     """Return a profile in rosbag2's form."""
+    times = {name: divmod(getattr(profile, name).nanoseconds, SECOND) for name in _TIMES}
     return {
-        'history': profile.history.name.lower(),
+        **{name: getattr(profile, name).name.lower() for name in _POLICIES},
+        **{name: {'sec': sec, 'nsec': nsec} for name, (sec, nsec) in times.items()},
         'depth': profile.depth,
-        'reliability': profile.reliability.name.lower(),
-        'durability': profile.durability.name.lower(),
-        'deadline': _time_to_dict(profile.deadline),
-        'lifespan': _time_to_dict(profile.lifespan),
-        'liveliness': profile.liveliness.name.lower(),
-        'liveliness_lease_duration': _time_to_dict(profile.liveliness_lease_duration),
         'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
     }
 
 
-def text_to_profiles(text: str) -> list[QoSProfile]:
+def text_to_profiles(text: str) -> list[qos.QoSProfile]:
     """
     Parse the quality-of-service profiles in a bag, as written by any version of rosbag2.
 
@@ -95,22 +85,17 @@ def text_to_profiles(text: str) -> list[QoSProfile]:
         return []
 
 
-def _time_to_dict(time: Duration) -> dict[str, int]:
-    return dict(zip(('sec', 'nsec'), divmod(time.nanoseconds, SECOND), strict=True))
-
-
-def _dict_to_profile(item: Mapping[str, Any]) -> QoSProfile:
+def _dict_to_profile(item: Mapping[str, Any]) -> qos.QoSProfile:
     values: dict[str, Any] = {'depth': int(item.get('depth', 0)) or UNKNOWN_DEPTH}
     for name, kind in _POLICIES.items():
-        policy = item.get(name, 'unknown')
         for known in kind:
-            if known.name != 'UNKNOWN' and policy in (known.name.lower(), known.value):
+            if known.name != 'UNKNOWN' and item.get(name) in (known.name.lower(), known.value):
                 values[name] = known
     for name in _TIMES:
         if name in item:
             time = int(item[name]['sec']) * SECOND + int(item[name]['nsec'])
             values[name] = Duration(nanoseconds=min(time, LATEST))
-    return QoSProfile(**values)
+    return qos.QoSProfile(**values)
 
 
 def status_to_msg(
@@ -123,12 +108,16 @@ def status_to_msg(
     level: bytes | None = None,
 ) -> DiagnosticStatus:
     """Create a diagnostic status of a node from its full name; numbers keep all their digits."""
+    texts = {
+        key: str(value).lower() if isinstance(value, bool) else str(value)
+        for key, value in values.items()
+    }
     return DiagnosticStatus(
         name=f'{node_name}: {task}',
         hardware_id=node_name,
         message=message,
         level=level or (DiagnosticStatus.WARN if warn else DiagnosticStatus.OK),
-        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+        values=[KeyValue(key=key, value=text) for key, text in texts.items()],
     )
 
 
@@ -148,11 +137,7 @@ def statuses_to_msg(
 def cloud_to_msg(
     stamp_ns: int, names: Sequence[str], points: NDArray[np.float64], frame: str = FRAME
 ) -> PointCloud2:
-    """
-    Return points whose fields have the given names as a message.
-
-    `points` has the shape (columns, fields), or (rows, columns, fields) for an organized cloud.
-    """
+    """Return points, of shape (columns, fields) or (rows, columns, fields), as a message."""
     rows, columns, count = (1, *points.shape)[-3:]
     data = points.astype('<f8').tobytes()
     return PointCloud2(
@@ -173,12 +158,7 @@ def cloud_to_msg(
 def throw_result_to_msg(
     result: ThrowResult, node_name: str, additional: Mapping[str, float] = MappingProxyType({})
 ) -> DiagnosticStatus:
-    """
-    Create a status from the result of a throw, its rig, and additional values.
-
-    The level is a warning if the strain exceeds the linear range, if the throw is invalid, or if
-    too many samples of the plate were outliers.
-    """
+    """Create a status from the result of a throw, its rig, and additional values."""
     values = {**result.values(), **additional, **rig_values(result.rig)}
     is_clean = result.accuracy is None or result.accuracy.is_clean
     is_bad = not (result.is_linear and result.is_valid and is_clean)
@@ -208,13 +188,8 @@ def values_to_rig(values: Settings) -> Rig:
     return rig_of({'engine.motion': 'underdamped', 'layer.library': '', **named})
 
 
-def _text(value: object) -> str:
-    """Format a value; numbers keep all their digits, booleans are lower case."""
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
 def _value(text: str) -> Scalar:
-    """Parse a text written by `_text`."""
+    """Parse the text of a value."""
     if text in ('true', 'false'):
         return text == 'true'
     number = number_of(text)
@@ -249,16 +224,7 @@ def encode_command(start_ns: int, motion: SampledMotion, joint: str, frame: str)
 
 
 def msg_to_motion(message: JointTrajectory, joint: str) -> SampledMotion:
-    """
-    Return the motion of the plate, which is a joint, in a message.
-
-    Raises
-    ------
-    ValueError
-        If another joint moves, a point lacks position, velocity or acceleration, or the points
-        are no motion.
-
-    """
+    """Return the motion of the plate, which is a joint, or raise ValueError."""
     if list(message.joint_names) != [joint]:
         raise ValueError(f'the joints must be [{joint!r}], got {list(message.joint_names)!r:.80}')
     states = [

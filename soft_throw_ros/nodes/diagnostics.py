@@ -14,20 +14,17 @@ import numpy as np
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.realtime import Ticker
-from soft_throw_ros.nodes.throw_texts import comparison_text
+from soft_throw_ros.nodes.texts import comparison_text
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import known_values, ThrowResult
 from soft_throw_ros.twin.session import Session
 
-MAX_LATE_SHARE = 0.01
-"""Fraction of late ticks above which the status is a warning [-]."""
-
-MAX_COMPUTE_SHARE = 0.5
-"""Fraction of the time spent in ticks above which the status is a warning [-]."""
+_MAX_LATE_SHARE = 0.01  # fraction of late ticks above which the status is a warning [-]
+_MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
 
 class Diagnostics:
-    """Summary of a session, its ticks and its measurements over one second."""
+    """Summary of a session, its ticks, its measurements and `compared` throws, once a second."""
 
     def __init__(
         self, session: Session, ticker: Ticker, measurement: Measurement, *, node_name: str
@@ -37,12 +34,10 @@ class Diagnostics:
         self._measurement = measurement
         self._node_name = node_name
         self._status = partial(status_to_msg, node_name)
-        self._compared: ThrowResult | None = None
+        self.compared: ThrowResult | None = None  # the last one
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
-        self._measured: dict[str, int] = {}
-        self._max_lateness = 0  # since the last line of the log [ns]
-        self._logged_skips = 0
+        self._measured: Counter[str] = Counter()
 
     def statuses(
         self, result: ThrowResult | None, *, duplicate_nodes: int = 0
@@ -52,37 +47,37 @@ class Diagnostics:
 
         `result` is that of the last throw; `duplicate_nodes` other nodes have the same name.
         """
-        if result is not None and result.stage == 'final' and result.comparison is not None:
-            self._compared = result
+        pending = self._session.pending
         statuses = [
             *self._timing_and_load(),
-            self._parameters(),
+            self._status(
+                'parameters',
+                f'{len(pending)} parameter changes wait for the next throw or ~/reset',
+                {'pending': len(pending), **pending},
+            ),
             self._layer(result),
-            self._name(duplicate_nodes),
+            self._status(
+                'name',
+                duplicate_name_warning(self._node_name) if duplicate_nodes else 'unique',
+                {'duplicate_nodes': duplicate_nodes},
+                warn=duplicate_nodes > 0,
+            ),
         ]
         if self._session.is_measured:
             statuses += [self._measurements(), self._model()]
         return statuses
-
-    def take_lateness(self) -> str:
-        """Return the lateness and the skips of ticks since the last call, for a log."""
-        lateness, self._max_lateness = self._max_lateness, 0
-        skipped = self._ticker.counts['ticks_skipped']
-        skips, self._logged_skips = skipped - self._logged_skips, skipped
-        return f'ticks at most {1e3 * lateness / SECOND:.1f} ms late, {skips} skipped'
 
     def _timing_and_load(self) -> list[DiagnosticStatus]:
         """Return the statuses of the lateness and of the processor time of the ticks."""
         session, ticker, now = self._session, self._ticker, time.monotonic()
         times = ticker.take_times()
         lateness, compute = [late for late, _ in times], [duration for _, duration in times]
-        self._max_lateness = max([self._max_lateness, *lateness])
         passed, self._time = now - self._time, now
         ticks = ticker.counts.copy()
         new, self._ticks = ticks - self._ticks, ticks
         late, skipped = new['ticks_late'], new['ticks_skipped']
-        is_bad = skipped > 0 or late > MAX_LATE_SHARE * len(lateness)
-        text = f'{late} ticks late, {skipped} skipped' if is_bad else 'ticks are on time'
+        is_bad = skipped > 0 or late > _MAX_LATE_SHARE * len(lateness)
+        text = f'{late} ticks late, {skipped} skipped'
         if not new['ticks']:
             is_bad, text = True, f'no tick since the last status: {ticker.stall_reason()}'
         share = sum(compute) / SECOND / passed
@@ -93,84 +88,54 @@ class Diagnostics:
             'time_scale': session.time_scale,
             'rate': session.rate,
         }
+        timing = {**_percentiles('lateness', lateness), **ticks, 'scheduler': ticker.scheduler}
+        is_loaded = share > _MAX_COMPUTE_SHARE
         return [
-            self._status(
-                'timing',
-                text,
-                {**_percentiles('lateness', lateness), **ticks, 'scheduler': ticker.scheduler},
-                warn=is_bad,
-            ),
-            self._status(
-                'load',
-                f'ticks take {100.0 * share:.1f} % of the time',
-                load,
-                warn=share > MAX_COMPUTE_SHARE,
-            ),
+            self._status('timing', text, timing, warn=is_bad),
+            self._status('load', f'{100.0 * share:.1f} % of the time', load, warn=is_loaded),
         ]
-
-    def _parameters(self) -> DiagnosticStatus:
-        """Return the status of the pending parameter changes."""
-        pending = self._session.pending
-        noun = 'change' if len(pending) == 1 else 'changes'
-        text = f'{len(pending)} parameter {noun} pending until the next throw or ~/reset'
-        return self._status(
-            'parameters',
-            text if pending else 'no parameter change pending',
-            {'pending': len(pending), **pending},
-        )
 
     def _layer(self, result: ThrowResult | None) -> DiagnosticStatus:
         """Return whether the strain of the last throw stayed within the linear range."""
         if result is None:
             return self._status('layer', 'no throw yet')
-        strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
-        beyond = 'within' if result.is_linear else 'beyond'
         return self._status(
             'layer',
-            f'strain of {strain:.1f} % in throw {result.throw}, {beyond} the linear range of '
-            f'{limit:.3g} %',
+            f'strain of {100.0 * result.peak_strain:.1f} % in throw {result.throw}, the linear '
+            f'range ends at {100.0 * result.max_strain:.3g} %',
             {name: getattr(result, name) for name in ('throw', 'peak_strain', 'max_strain')},
             warn=not result.is_linear,
         )
 
-    def _name(self, duplicate_nodes: int) -> DiagnosticStatus:
-        """Return whether other nodes publish under the name of this node."""
-        text = 'no other node has this name'
-        if duplicate_nodes:
-            text = duplicate_name_warning(self._node_name)
-        values = {'duplicate_nodes': duplicate_nodes}
-        return self._status('name', text, values, warn=duplicate_nodes > 0)
-
     def _measurements(self) -> DiagnosticStatus:
         """Return the status of the received samples and of the prediction lead."""
-        counts = self._measurement.count()
-        new = {name: count - self._measured.get(name, 0) for name, count in counts.items()}
-        reasons = {name: new.pop(name) for name in counts if name.startswith('refused.')}
+        measurement, clock = self._measurement, self._measurement.clock
+        counts = measurement.count()
+        new = {name: count - self._measured[name] for name, count in counts.items()}
         self._measured = counts
-        leads, self._measurement.leads = self._measurement.leads, []
+        leads, measurement.leads = measurement.leads, []
         lead = min(leads) / SECOND if leads else math.nan
-        clock = self._measurement.clock
-        is_bad = not new['samples'] or new['samples_refused'] or new['messages_lost']
-        return self._status(
-            'measurement',
+        is_lossy = not new['samples'] or new['samples_refused'] or new['messages_lost']
+        problems = [clock.problem] if clock.problem else []
+        if lead <= 0.0:
+            problems.append(f'prediction {-1e3 * lead:.2f} ms behind the tick')
+        text = (
             f'{new["samples"]} samples, {new["messages_lost"]} lost, '
             f'{new["samples_refused"]} refused'
-            + (f'; {clock.problem}' if clock.problem else '')
-            + (f'; prediction {-1e3 * lead:.2f} ms behind the tick' if lead <= 0.0 else ''),
-            {
-                'at_rest': self._session.is_at_rest,
-                **new,
-                'clock_offset': clock.offset_ns / SECOND,
-                'age': self._measurement.age_ns / SECOND,
-                'lead_min': lead,
-                **{name: count for name, count in reasons.items() if count},
-            },
-            warn=bool(is_bad) or lead <= 0.0 or bool(clock.problem),
         )
+        values = {
+            'at_rest': self._session.is_at_rest,
+            **{name: count for name, count in new.items() if count or '.' not in name},
+            'clock_offset': clock.offset_ns / SECOND,
+            'age': measurement.age_ns / SECOND,
+            'lead_min': lead,
+        }
+        is_bad = bool(is_lossy or problems)
+        return self._status('measurement', '; '.join([text, *problems]), values, warn=is_bad)
 
     def _model(self) -> DiagnosticStatus:
         """Return how well the model predicted the last throw."""
-        result = self._compared
+        result = self.compared
         if result is None or result.comparison is None:
             return self._status('model', 'no throw has been compared')
         return self._status(

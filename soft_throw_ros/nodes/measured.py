@@ -3,17 +3,17 @@
 """
 Measurements of a rig, read from their topic by the tick thread before every step.
 
-There are thousands of messages per second. An executor would need one callback for each;
-draining the queue costs a tenth of this.
+There are thousands of messages per second; draining the queue costs a tenth of an executor.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from rclpy.node import Node
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
@@ -30,37 +30,18 @@ MAX_DATA_RATE = 16e6
 
 class Measurement:
     """
-    Subscription to the measurements of a rig, which passes them to a session.
+    Subscription of a node to the measurements of a rig, which passes them to a session.
 
     A message that is damaged, lacks the plate, or is larger than `MAX_MESSAGE_SIZE` is refused and
-    counted as 'unreadable', 'names' or 'too large'. A constant error of the sensor's clock is
-    removed and logged, see `SensorClock`.
-
-    Parameters
-    ----------
-    node : Node
-        Node that subscribes.
-    session : Session
-        Session that receives the samples.
-    joints : tuple of str
-        Names of plate and projectile.
-    now : callable
-        Returns the time on the clock of the ticks. [ns]
-
-    Attributes
-    ----------
-    clock : SensorClock
-        Estimate of the offset of the stamps.
-    age_ns : int
-        Time from the stamp of the newest sample to its arrival. [ns]
-    leads : list of int
-        Prediction lead at every step of a throw. [ns]
-
+    counted as 'unreadable', 'names' or 'too large'. A constant error of the sensor's `clock` is
+    removed and logged. `joints` are the names of plate and projectile, `now` returns the time on
+    the clock of the ticks [ns]. `age_ns` is the time from the stamp of the newest sample to its
+    arrival, `leads` are the prediction leads of the steps of a throw [ns].
     """
 
     def __init__(
         self,
-        node: Node,
+        node: RunnableNode,
         session: Session,
         joints: tuple[str, str],
         *,
@@ -78,6 +59,7 @@ class Measurement:
         self._is_warned = False
         self._names: tuple[str, ...] = ()  # of a message without the plate
         self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
+        node.add_cleanup(self._subscription.close)
         self._reader = JointStateReader()
 
     def read_messages(self) -> None:
@@ -91,14 +73,19 @@ class Measurement:
             for samples in self._samples([message.data for message in messages]):
                 self._correct_stamps(samples)
                 self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
-                self._warn_of_units()
+            if not self._is_warned and self._session.sample_counts.refused['out of range']:
+                self._is_warned = True
+                self._logger.warning(
+                    f'heights of the samples are beyond {FARTHEST:g} m: if they are in '
+                    'millimetres, divide them by 1000'
+                )
 
-    def count(self) -> dict[str, int]:
+    def count(self) -> Counter[str]:
         """Return the numbers of messages and samples so far, by their treatment."""
         self._subscription.poll_losses()
         counts = self._session.sample_counts
         refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
-        return {
+        return Counter({
             'samples': counts.taken,
             'samples_out_of_order': counts.out_of_order,
             'samples_jumped': counts.outliers,
@@ -106,29 +93,7 @@ class Measurement:
             'messages_lost': self._subscription.lost,
             'samples_refused': sum(refused.values()),
             **{f'refused.{why}': count for why, count in refused.items()},
-        }
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._subscription.close()
-
-    def _warn_of_units(self) -> None:
-        """Log once that heights out of range may be in millimetres."""
-        if not self._is_warned and self._session.sample_counts.refused['out of range']:
-            self._is_warned = True
-            self._logger.warning(
-                f'heights of the samples are beyond {FARTHEST:g} m: if they are in millimetres, '
-                'divide them by 1000'
-            )
-
-    def _warn_of_names(self, names: tuple[str, ...]) -> None:
-        """Log the joints of refused messages once."""
-        if names != self._names:
-            self._names = names
-            self._logger.warning(
-                f'measured messages have the joints {list(names)!r:.200}, and the heights of '
-                f'joint_names.plate {self._joints[0]!r} are missing'
-            )
+        })
 
     def _correct_stamps(self, samples: Samples) -> None:
         """Correct the stamps of samples by the offset of the sensor's clock."""
@@ -143,9 +108,7 @@ class Measurement:
         """
         Compare the stamps that arrived before the clock moved with the clock.
 
-        `/clock` moves in steps of many milliseconds. The samples arrived somewhere between the
-        last step and this one, so stamps within that interval are right.
-
+        `/clock` moves in steps of many milliseconds; stamps within a step are right.
         """
         if not self._arrived or now < self._arrival_ns:  # a bag that is played again
             return
@@ -173,7 +136,12 @@ class Measurement:
             samples = _to_samples(values, self._joints)
             if samples is None:
                 refused['names'] += len(values.stamps)
-                self._warn_of_names(values.names)
+                if values.names != self._names:  # log the joints of refused messages once
+                    self._names = values.names
+                    self._logger.warning(
+                        f'measured messages have the joints {list(values.names)!r:.200}, and the '
+                        f'heights of joint_names.plate {self._joints[0]!r} are missing'
+                    )
             else:
                 yield samples
 

@@ -38,6 +38,7 @@ class MeasuredPositions:
         self._log = node.get_logger()
         topic = TWIN_TOPICS.measured_joint_states.at(twin)
         self._subscription = RawSubscription.of(node, topic)
+        node.add_cleanup(self._subscription.close)
         self._read = JointStateReader().read_all
         self.clock_offset_ns = 0
         self._batches: deque[tuple[NDArray[np.int64], Floats]] = deque(maxlen=_KEPT_READS)
@@ -67,23 +68,16 @@ class MeasuredPositions:
             self._batches.clear()
         self._batches.append((states.stamps, states.position[:, columns]))
 
-    def between(self, start_ns: int, end_ns: int, *, name: str) -> ThrowTracks:
+    def between(self, start_ns: int, end_ns: int, name: str = '') -> ThrowTracks:
         """Return the tracks of a throw, over the time since `start_ns`, or raise TrackError."""
         start_ns, end_ns = start_ns - self.clock_offset_ns, end_ns - self.clock_offset_ns
         if not self._batches or self._batches[0][0][0] > start_ns:
             raise TrackError('measurements of its start were not received')
-        stamps = np.concatenate([batch[0] for batch in self._batches])
-        positions = np.concatenate([batch[1] for batch in self._batches])
+        stamps, positions = map(np.concatenate, zip(*self._batches, strict=True))
         stamps, order = np.unique(stamps, return_index=True)
         inside = (stamps >= start_ns) & (stamps <= end_ns)
         time = 1e-9 * (stamps[inside] - start_ns)
-        plate, projectile = positions[order][inside].T
-        return ThrowTracks(
-            name=name,
-            plate=Track(time=time, position=plate),
-            projectile=Track(time=time, position=projectile),
+        plate, projectile = (
+            Track(time=time, position=column) for column in positions[order][inside].T
         )
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._subscription.close()
+        return ThrowTracks(name=name, plate=plate, projectile=projectile)

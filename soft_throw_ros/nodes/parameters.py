@@ -15,52 +15,22 @@ from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
-LOG_PERIOD = 0.5
-"""Time between two logs of changes [s]: short for a user, and long for a slider."""
+_LOG_PERIOD = 0.5  # time between two logs of changes, long for a slider [s]
 
 
 class NodeParameters:
     """
-    Declare all parameters of a table on a node, and check their changes.
+    The parameters of a table, declared on a node, and the checks of their changes.
 
-    Parameters
-    ----------
-    node : RunnableNode
-        Made without `automatically_declare_parameters_from_overrides`.
-    table : Table
-        The parameters.
-    on_changed : callable
-        Called after `settings` has been replaced, with the changed values by name.
-    describe : callable, optional
-        Returns for the name of a changed parameter when the change takes effect, for the log.
-    check : callable, optional
-        Called with complete settings before they are accepted, and with its result for the
-        present ones, None at first; raises ValueError to refuse. The result becomes `checked`.
-    arguments : sequence of str
-        The command line, so that errors name the file of a bad value.
+    `settings` are all present values; they are replaced at every change, so that any thread may
+    read them, and `on_changed` is then called with the changes. `check` is called with complete
+    settings before they are accepted, and with its result for the present ones, `checked`, which
+    is None at first; it refuses by ValueError. `arguments` are the command line, for the names of
+    files in ParameterError, which is raised in one line if a value or a name is refused.
 
-    Attributes
-    ----------
-    settings : mapping of str to value
-        All present settings; replaced at every change, so that any thread may read it.
-    checked : object
-        The result of `check` for the present settings.
-
-    Raises
-    ------
-    ParameterError
-        If a value is refused, or a name is no parameter; the message is one line.
-
-    Notes
-    -----
     rclpy checks names, types and ranges before it calls the on-set callbacks, and the reasons that
-    it returns lack names and values. So the pre-set callback checks requests. It raises
-    ParameterError, and `RunnableNode.set_parameters_atomically` returns the message as reason.
-    Callbacks of other code never see a part of a refused request, and the descriptors still
-    contain types and ranges for tools.
-
-    Requests arrive in the executor's thread. `apply` and `set_results` belong there too.
-
+    it returns lack names and values. So the pre-set callback checks requests, and callbacks of
+    other code never see a part of a refused request. All calls belong in the executor's thread.
     """
 
     def __init__(
@@ -69,7 +39,6 @@ class NodeParameters:
         table: Table,
         on_changed: Callable[[Settings], None] = lambda _changes: None,
         *,
-        describe: Callable[[str], str] = lambda _name: '',
         check: Callable[[Settings, Any], Any] = lambda _settings, _checked: None,
         arguments: Sequence[str] = (),
     ) -> None:
@@ -77,10 +46,9 @@ class NodeParameters:
         self._table = table
         self._on_changed = on_changed
         self._check = check
-        self._describe = describe
         self._results: dict[str, Value] = {}  # the present ones
         self._lines: dict[str, str] = {}  # of the log that wait, by parameter
-        node.create_steady_timer(LOG_PERIOD, self._log_changes)
+        node.create_steady_timer(_LOG_PERIOD, self._log_changes)
         node.add_cleanup(self._log_changes)
         overrides = parameter_overrides(node)
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
@@ -96,29 +64,18 @@ class NodeParameters:
 
     def apply(self, changes: Settings) -> None:
         """Change several settings as a request would; raise ParameterError if refused."""
-        self._set([Parameter(name, value=value) for name, value in changes.items()])
-
-    def set_results(self, results: Mapping[str, float | str]) -> None:
-        """
-        Set parameters `recommended.*`, which requests cannot change.
-
-        They are named without `recommended.`; those that are missing become nan, or empty.
-
-        """
-        values = {entry.name: entry.default for entry in self._table.entries if entry.is_result}
-        for name, value in results.items():
-            values[f'recommended.{name}'] = value if isinstance(value, str) else float(value)
-        self._results = values
-        self._set([Parameter(name, value=value) for name, value in values.items()])
-
-    def _set(self, parameters: list[Parameter]) -> None:
+        parameters = [Parameter(name, value=value) for name, value in changes.items()]
         result = self._node.set_parameters_atomically(parameters)
         if not result.successful:
             raise ParameterError(result.reason)
 
-    def _present(self, entry: Entry) -> Value:
-        results = self._results if entry.is_result else self.settings
-        return results.get(entry.name, entry.default)
+    def set_results(self, results: Mapping[str, float | str]) -> None:
+        """Set `recommended.*`, named without this prefix; missing ones become nan, or empty."""
+        values = {entry.name: entry.default for entry in self._table.entries if entry.is_result}
+        for name, value in results.items():
+            values[f'recommended.{name}'] = value if isinstance(value, str) else float(value)
+        self._results = values
+        self.apply(values)
 
     def _is_foreign(self, name: str) -> bool:
         """Return whether other code has declared a parameter."""
@@ -138,16 +95,17 @@ class NodeParameters:
         for parameter in parameters:
             name, value = parameter.name, parameter.value
             entry = self._table.by_name.get(name)
-            is_present = entry is not None and repr(value) == repr(self._present(entry))
-            if self._is_foreign(name) or (entry is not None and entry.is_read_only and is_present):
-                passed.append(parameter)  # as it is, so that a dump loads
+            if self._is_foreign(name):
+                passed.append(parameter)
             elif entry is not None and entry.is_read_only:
-                setter = 'set by the twin' if entry.is_result else 'set at the start'
-                raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}', name)
+                present = {**self.settings, **self._results}.get(name, entry.default)
+                if repr(value) != repr(present):  # which may be set, so that a dump loads
+                    setter = 'set by the twin' if entry.is_result else 'set at the start'
+                    raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}')
+                passed.append(parameter)
             elif name in request:
-                raise ParameterError(
-                    f'{name} is given twice, {quote(request[name])} and {quote(value)}'
-                )
+                both = f'{quote(request[name])} and {quote(value)}'
+                raise ParameterError(f'{name} is given twice, {both}')
             else:
                 request[name] = value
         changes = self._table.change(self.settings, request)
@@ -166,8 +124,7 @@ class NodeParameters:
             self.checked = self._candidate
             self._on_changed(changes)
             self._lines |= {
-                name: f'{name} is now {shown(value)}{self._describe(name)}'
-                for name, value in changes.items()
+                name: f'{name} is now {shown(value)}' for name, value in changes.items()
             }
 
     def _log_changes(self) -> None:
@@ -194,7 +151,6 @@ def _descriptor(entry: Entry) -> ParameterDescriptor:
     if isinstance(entry.default, int):
         descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
     else:
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(low), to_value=float(entry.high))
-        ]
+        limits = FloatingPointRange(from_value=float(low), to_value=float(entry.high))
+        descriptor.floating_point_range = [limits]
     return descriptor

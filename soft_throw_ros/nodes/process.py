@@ -1,16 +1,13 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-A node as a process: from its arguments to its exit code.
-
-`run` calls the methods of a node in the order that `RunnableNode` documents.
-"""
+"""A node as a process: from its arguments to its exit code."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 import os
 import signal
 import sys
@@ -31,6 +28,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
 from soft_throw_ros.nodes.transport import describe_discovery, use_transport_profile
+from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
 POLL = 0.1
@@ -42,8 +40,7 @@ EXIT_TIME = 0.6
 STOP_TIMEOUT = 0.3
 """Longest wait for one thread to end [s]."""
 
-REFUSAL_LOG_PERIOD = 1.0
-"""Shortest time between two log lines about requests that raise exceptions [s]."""
+_REFUSAL_LOG_PERIOD = 1.0  # shortest time between two log lines about exceptions [s]
 
 _MORE = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
 
@@ -52,30 +49,16 @@ class RunnableNode(Node):
     """
     Base class of all nodes: a node with a start, an end and an exit code.
 
-    Raises
-    ------
-    ParameterError
-        In one line, if the name, the namespace or a parameter is refused.
-
-    Notes
-    -----
-    A node passes through these stages:
-
-    1. The constructor checks the parameters, compiles missing kernels, and creates publishers,
-       subscriptions, services and timers. A signal interrupts it.
-    2. `start` starts threads and recordings. From now on a signal ends the node in order.
-    3. The executor runs callbacks until a signal comes, a thread dies, or `exit_code` has a value.
-       Ticks run in a thread of their own, see `nodes.realtime`.
-    4. `close` completes files. Threads, publishers and subscriptions still work.
-    5. `destroy_node` calls the functions registered by `add_cleanup`, the latest first, so that a
-       thread stops before anything that was registered earlier and that the thread uses.
-    6. The publishers, subscriptions and services are destroyed, and ROS is shut down.
-
-    Steps 5 and 6 take at most `EXIT_TIME`.
-
+    The constructor checks the parameters, raising ParameterError in one line, and creates
+    publishers, subscriptions and services; a signal interrupts it. `start` starts threads and
+    recordings. The executor then runs callbacks until a signal comes, a thread dies, or
+    `exit_code` is set. `close` completes files, while threads, publishers and subscriptions still
+    work. `destroy_node` calls the functions registered by `add_cleanup`, the latest first, so that
+    a thread stops before anything that it uses; this takes at most `EXIT_TIME`.
     """
 
     def __init__(self, name: str, **kwargs: Any) -> None:
+        self.exit_code: int | None = None
         self._cleanups = ExitStack()
         try:
             super().__init__(name, **kwargs)
@@ -86,19 +69,21 @@ class RunnableNode(Node):
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **kwargs: Any
     ) -> Service:
         """
-        Create a service as `rclpy.node.Node` does, and keep its errors away from the node.
+        Create a service as `rclpy.node.Node` does, and keep its exceptions away from the node.
 
-        The node logs an exception of the callback, and answers with the response so far, which is
-        a refusal in every type of this package and of parameters. rclpy's parameter services raise
-        for a value of an unknown type, which anybody may send.
+        The answer is then the response so far, which is a refusal in every type of this package
+        and of parameters, with the reason in a Trigger. Unexpected exceptions are logged; rclpy's
+        parameter services raise one for a value of an unknown type, which anybody may send.
         """
 
         def guarded(request: Any, response: Any) -> Any:
             try:
                 return callback(request, response)
             except Exception as error:  # noqa: BLE001  no request ends a node
-                reason = f'{srv_name}: a request is refused: {error}'
-                self.get_logger().error(reason, throttle_duration_sec=REFUSAL_LOG_PERIOD)
+                reason = str(error)
+                if not isinstance(error, (RequestRejected, ParameterError)):
+                    reason = f'{srv_name}: a request is refused: {error}'
+                    self.get_logger().error(reason, throttle_duration_sec=_REFUSAL_LOG_PERIOD)
                 if isinstance(response, Trigger.Response):
                     response.message = reason
                 return response
@@ -126,47 +111,24 @@ class RunnableNode(Node):
         self._cleanups.close()
         super().destroy_node()
 
-    @property
-    def exit_code(self) -> int | None:
-        """Return the exit code of a node that has come to its end, None before."""
-        return None
-
     def start(self) -> None:
-        """Start threads and recordings."""
+        """Start threads and recordings, and log that the node is ready."""
+        self.get_logger().info('ready')
 
     def close(self) -> None:
         """Complete files and everything else that must not be cut short."""
 
 
 def run(
-    name: str,
-    make: Callable[..., RunnableNode],
-    args: Sequence[str] | None = None,
-    *,
-    usage: str = '',
+    name: str, make: Callable[..., RunnableNode], args: Sequence[str] | None = None
 ) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP, or until it comes to an end by itself.
 
-    Parameters
-    ----------
-    name : str
-        Name of the executable, the prefix of its messages.
-    make : callable
-        Creates the node from the keyword `arguments` after the initialization of ROS.
-    args : sequence of str or None
-        ROS arguments, or `--help`; the arguments of the process if None.
-    usage : str
-        Usage, printed for `--help` and for unknown arguments; by default that of ROS arguments.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 if an argument or a parameter is refused, the node's own
-        if it has come to an end by itself.
-
+    `make` creates the node from the keyword `arguments`. The exit code is 0 after a signal, 2 if
+    an argument or a parameter is refused, otherwise that of the node.
     """
-    usage = usage or f'{name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
+    usage = f'{name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
         title = (sys.modules[make.__module__].__doc__ or '').strip().partition('\n')[0]
@@ -179,14 +141,13 @@ def run(
         raise KeyboardInterrupt
 
     _on_signals(interrupt)
-    deaths = _watch_threads()
     node = None
     code = 0
     try:
         _init(name, arguments, usage)
         node = make(arguments=arguments)
         node.get_logger().info(describe_discovery())
-        code = _spin(node, is_stopping, deaths)
+        _spin(node, is_stopping)
     except KeyboardInterrupt:
         pass
     except ParameterError as error:
@@ -207,11 +168,7 @@ def exit_after(seconds: float, code: int) -> threading.Timer:
 
 
 def _on_signals(handler: Callable[[int, object], object] | signal.Handlers) -> None:
-    """
-    Handle the signals that ask a process to end.
-
-    SIGHUP is one, which a terminal sends when it is closed; below `nohup` it stays ignored.
-    """
+    """Handle the signals that ask a process to end; SIGHUP stays ignored below `nohup`."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)
@@ -234,50 +191,33 @@ def _init(name: str, arguments: Sequence[str], usage: str) -> None:
         raise ParameterError(f'no such argument: {" ".join(unknown)}; usage: {usage}')
 
 
-def _watch_threads() -> list[threading.ExceptHookArgs]:
-    """Return a list of the exceptions that end threads of this process from now on."""
-    deaths: list[threading.ExceptHookArgs] = []
-
-    def on_death(death: threading.ExceptHookArgs) -> None:
-        threading.__excepthook__(death)  # prints the traceback
-        deaths.append(death)
-
-    threading.excepthook = on_death
-    return deaths
-
-
-def _spin(
-    node: RunnableNode, is_stopping: threading.Event, deaths: list[threading.ExceptHookArgs]
-) -> int:
-    """Serve until a signal comes, the node has an exit code, or one of its threads dies."""
+def _spin(node: RunnableNode, is_stopping: threading.Event) -> None:
+    """Serve until a signal comes, or the node has an exit code."""
     _on_signals(lambda *_: is_stopping.set())
+    threading.excepthook = partial(_on_death, node)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     node.start()
-    code = None
-    while code is None and not is_stopping.is_set():
+    while node.exit_code is None and not is_stopping.is_set():
         executor.spin_once(timeout_sec=POLL)
-        code = node.exit_code
-        for death in deaths:
-            name = death.thread.name if death.thread is not None else 'unknown'
-            node.get_logger().fatal(
-                f'the node ends, since an exception has ended its thread {name!r}: '
-                f'{death.exc_value!r}'
-            )
-            code = 1
-    return code or 0
+
+
+def _on_death(node: RunnableNode, death: threading.ExceptHookArgs) -> None:
+    """End the node after an exception has ended one of its threads."""
+    threading.__excepthook__(death)  # prints the traceback
+    name = death.thread.name if death.thread is not None else 'unknown'
+    node.get_logger().fatal(
+        f'the node ends, since an exception has ended its thread {name!r}: {death.exc_value!r}'
+    )
+    node.exit_code = 1
 
 
 def _shut_down(node: RunnableNode | None, code: int) -> int:
-    """
-    Close and destroy the node in a bounded time, and return the exit code.
-
-    The middleware may wait for a stopped subscriber.
-    """
+    """Close and destroy the node in a bounded time, and return the exit code."""
     if node is not None:
         node.close()
         code = code or node.exit_code or 0
-    watchdog = exit_after(EXIT_TIME, code)
+    watchdog = exit_after(EXIT_TIME, code)  # the middleware may wait for a stopped subscriber
     # The destruction of publishers makes threads fail that still run; this is no error.
     threading.excepthook = lambda _death: None
     if node is not None:

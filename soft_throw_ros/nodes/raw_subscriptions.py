@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator
 from itertools import islice
 import math
-from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import ROSClock
@@ -21,24 +20,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.configuration.interface import find_topic, Topic
+from soft_throw_ros.nodes import rclpy_internals
 from soft_throw_ros.nodes.conversions import profile_to_dict
-from soft_throw_ros.nodes.rclpy_internals import (
-    close_event,
-    open_event,
-    take_event,
-    take_messages,
-)
-from soft_throw_ros.nodes.topics import load_type, qos_profile
+from soft_throw_ros.nodes.topics import load_type, make_profile, qos_profile
 from soft_throw_ros.recording.loss_counter import LossCounter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 from soft_throw_ros.storage.bag_metadata import dump_yaml
 from soft_throw_ros.storage.message import Channel, Message
 
-DEPTH = 10_000
-"""Largest number of waiting messages of a topic: one second of the fastest sensor."""
-
-_UNKNOWN = 2**64 - 1
-"""Sequence number of messages for which the middleware knows no number."""
+_DEPTH = 10_000  # most waiting messages of a topic: a second of the fastest sensor [-]
+_UNKNOWN = 2**64 - 1  # sequence number of messages whose number the middleware does not know
 
 
 class _NotExecuted(ReentrantCallbackGroup):
@@ -51,40 +42,18 @@ class _NotExecuted(ReentrantCallbackGroup):
 
 class RawSubscription:
     """
-    A subscription to the topic of a channel that receives bytes.
+    A subscription to the topic of a channel that receives bytes; ImportError without its type.
 
-    Parameters
-    ----------
-    node : Node
-        The subscribing node.
-    channel : Channel
-        The channel of the topic.
-    profile : QoSProfile
-        The requested quality of service.
-
-    Attributes
-    ----------
-    received : int
-        Number of received messages.
-    is_latched : bool
-        Whether it is transient local, as of topics that may be published only once.
-    publishers : set of bytes
-        Identifiers of the publishers of the topic, as of the last call of `poll_losses`.
-
-    Raises
-    ------
-    ImportError
-        If messages of this type are not installed.
-
+    `received` is the number of received messages. `lost`, the number of lost ones, and
+    `publishers`, the identifiers of the publishers, are those of the last `poll_losses`.
     """
 
     def __init__(self, node: Node, channel: Channel, profile: QoSProfile) -> None:
         self.channel = channel
+        self.profile = profile
         self.received = 0
-        self.is_latched = profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
         self.publishers: set[bytes] = set()
         self._node = node
-        self._profile = profile
         self._counter = LossCounter()
         self._reported = 0  # losses that the middleware has reported
         self._type = load_type(channel.type)
@@ -97,7 +66,7 @@ class RawSubscription:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
-        self._loss_event = open_event(
+        self._loss_event = rclpy_internals.open_event(
             self._subscription.handle, QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
         )
 
@@ -113,14 +82,17 @@ class RawSubscription:
         return self._counter.lost
 
     def drain(self, max_size: float = math.inf) -> list[Message]:
-        """Return the next messages: at most `DEPTH`, and none beyond a total size [bytes]."""
+        """Return the next messages: at most `_DEPTH`, and none beyond a total size [bytes]."""
         messages: list[Message] = []
         size = 0
-        waiting = take_messages(self._subscription, self._type)
-        for data, info in islice(waiting, DEPTH):  # a publisher may be faster than the loop
+        waiting = rclpy_internals.take_messages(self._subscription, self._type)
+        for data, info in islice(waiting, _DEPTH):  # a publisher may be faster than the loop
             number = info['publication_sequence_number']
             number = None if number == _UNKNOWN else number
-            self._counter.add(number, _identifier(info.get('publisher_gid')))
+            gid = info.get('publisher_gid')  # None before Kilted
+            if gid is not None:
+                gid = bytes(gid['data'] if isinstance(gid, dict) else gid)
+            self._counter.add(number, gid)
             times = info['received_timestamp'], info['source_timestamp']
             messages.append(Message(self.channel, data, *times, number or 0))
             size += len(data)
@@ -135,7 +107,7 @@ class RawSubscription:
 
         Return the reason if nothing comes from a new publisher, empty otherwise.
         """
-        event = take_event(self._loss_event)
+        event = rclpy_internals.take_event(self._loss_event)
         if event is not None:
             self._reported = event.total_count
         publishers = self._node.get_publishers_info_by_topic(self.channel.topic)
@@ -143,7 +115,7 @@ class RawSubscription:
         self._counter.update(found, self._reported)
         reason = ''
         for item in (found[gid] for gid in found.keys() - self.publishers):
-            _, text = qos_check_compatible(item.qos_profile, self._profile)
+            _, text = qos_check_compatible(item.qos_profile, self.profile)
             if item.topic_type != self.channel.type:
                 reason = f'its messages are {item.topic_type}'
             elif 'ERROR: ' in text:
@@ -154,28 +126,16 @@ class RawSubscription:
     def close(self) -> None:
         """Unsubscribe."""
         self.poll_losses()
-        close_event(self._loss_event)
+        rclpy_internals.close_event(self._loss_event)
         self._node.destroy_subscription(self._subscription)
 
 
 class RawSubscriptions:
     """
-    Subscriptions of a node to all requested topics and namespaces, made as topics appear.
+    Subscriptions of a node to all `wanted` topics and namespaces, made as topics appear.
 
-    Parameters
-    ----------
-    node : Node
-        The subscribing node.
-    wanted : collection of str
-        Full names of topics and namespaces.
-    is_accepted : callable, optional
-        Returns for the name and type of a requested topic whether to subscribe.
-
-    Attributes
-    ----------
-    refused : dict of str to str
-        Topics, and publishers of topics, that are not received, with the reasons.
-
+    `is_accepted` returns for the name and type of a wanted topic whether to subscribe. `refused`
+    has the topics and publishers that are not received, with the reasons, which are also logged.
     """
 
     def __init__(
@@ -194,9 +154,18 @@ class RawSubscriptions:
     def __iter__(self) -> Iterator[RawSubscription]:
         return iter(list(self._subscriptions.values()))
 
-    def discover(self) -> dict[str, str]:
-        """Subscribe to all requested topics that exist; return what is newly `refused`."""
-        refused = {}
+    @property
+    def received(self) -> int:
+        """Number of received messages."""
+        return sum(item.received for item in self)
+
+    @property
+    def lost(self) -> int:
+        """Number of lost messages, as of the last discovery."""
+        return sum(item.lost for item in self)
+
+    def discover(self) -> None:
+        """Subscribe to all wanted topics that exist, and ask for losses of the present ones."""
         for topic, types in self._node.get_topic_names_and_types():
             if topic in self.refused or not is_wanted(topic, self._wanted):
                 continue
@@ -204,15 +173,12 @@ class RawSubscriptions:
                 continue
             if topic in self._subscriptions:
                 if reason := self._subscriptions[topic].poll_losses():
-                    refused[f'{topic} of a later publisher'] = reason
+                    self._refuse(f'{topic} of a later publisher', reason)
             elif publishers := self._node.get_publishers_info_by_topic(topic):
                 try:
                     self._subscriptions[topic] = self._subscribe(topic, types, publishers)
                 except (ImportError, SchemaError, ValueError) as error:
-                    refused[topic] = str(error)
-        refused = {name: why for name, why in refused.items() if name not in self.refused}
-        self.refused |= refused
-        return refused
+                    self._refuse(topic, str(error))
 
     def drain(self) -> list[Message]:
         """
@@ -220,7 +186,6 @@ class RawSubscriptions:
 
         If the node uses simulated time, messages wait until `/clock` runs, and their time of
         receiving is simulated time.
-
         """
         clock = self._node.get_clock()
         is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
@@ -237,6 +202,11 @@ class RawSubscriptions:
         for subscription in self:
             subscription.close()
 
+    def _refuse(self, name: str, reason: str) -> None:
+        if name not in self.refused:
+            self.refused[name] = reason
+            self._node.get_logger().warning(f'{name} is not received: {reason}')
+
     def _subscribe(
         self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]
     ) -> RawSubscription:
@@ -250,15 +220,7 @@ class RawSubscriptions:
             type_hash=schema.type_hash,
             qos=dump_yaml([_offered(topic, types[0], publisher) for publisher in publishers]),
         )
-        profile = fitting_profile(publishers)
-        return RawSubscription(self._node, channel, profile)
-
-
-def _identifier(gid: Any) -> bytes | None:
-    """Return the identifier of a publisher; None if the middleware does not give one."""
-    if gid is None:
-        return None
-    return bytes(gid['data'] if isinstance(gid, dict) else gid)
+        return RawSubscription(self._node, channel, fitting_profile(publishers))
 
 
 def is_wanted(topic: str, wanted: Collection[str]) -> bool:
@@ -277,21 +239,17 @@ def is_wanted(topic: str, wanted: Collection[str]) -> bool:
     (True, True)
 
     """
-    if topic in wanted:
-        return True
-    is_hidden = '/_' in topic
-    return not is_hidden and any(topic.startswith(f'{name.rstrip("/")}/') for name in wanted)
+    is_inside = any(topic.startswith(f'{name.rstrip("/")}/') for name in wanted)
+    return topic in wanted or (is_inside and '/_' not in topic)
 
 
 def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
     """Return the strictest request that is compatible with the offers of all publishers."""
     profiles = [publisher.qos_profile for publisher in publishers]
-    reliable = all(item.reliability is ReliabilityPolicy.RELIABLE for item in profiles)
-    latched = all(item.durability is DurabilityPolicy.TRANSIENT_LOCAL for item in profiles)
-    return QoSProfile(
-        depth=DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    return make_profile(
+        _DEPTH,
+        is_reliable=all(item.reliability is ReliabilityPolicy.RELIABLE for item in profiles),
+        is_latched=all(item.durability is DurabilityPolicy.TRANSIENT_LOCAL for item in profiles),
     )
 
 

@@ -20,17 +20,13 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
-SPIN = 60_000
-"""Time of polling before a deadline [ns]: about as long as a sleep overruns."""
-
-POLL = 0.1
-"""Longest wait of a thread before it checks the request to stop [s]."""
+_SPIN = 60_000  # polling before a deadline, about as long as a sleep overruns [ns]
+_POLL = 0.1  # longest wait of a thread before it checks the request to stop [s]
 
 PRIORITY = 10
 """Real-time priority (SCHED_FIFO) of the tick thread [-]."""
 
-FIFO_RETRY_DELAY = 1.0
-"""Time after a stall until the tick thread returns to real-time priority [s]."""
+_FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [s]
 
 
 class SystemClock:
@@ -61,16 +57,12 @@ class SystemClock:
         return time.monotonic_ns() + self._offset
 
     def wait_until(self, deadline: int) -> None:
-        """
-        Return at a deadline or earlier; the caller checks the clock and waits again.
-
-        The thread sleeps, and polls during the last microseconds, because a sleep ends late.
-        """
+        """Sleep until a deadline or earlier; poll at the end, because a sleep ends late."""
         target = deadline - self._offset
-        pause = target - SPIN - time.monotonic_ns()
+        pause = target - _SPIN - time.monotonic_ns()
         if pause > 0:
-            time.sleep(min(pause / SECOND, POLL))
-        while 0 < target - time.monotonic_ns() <= SPIN:
+            time.sleep(min(pause / SECOND, _POLL))
+        while 0 < target - time.monotonic_ns() <= _SPIN:
             pass
 
 
@@ -102,7 +94,7 @@ class NodeClock:
     def wait_until(self, deadline: int) -> None:
         """Wait until the clock advances."""
         if self.now() < deadline:
-            self._moved.wait(POLL)
+            self._moved.wait(_POLL)
         self._moved.clear()
 
     def close(self) -> None:
@@ -126,33 +118,17 @@ _COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_ju
 
 class Ticker:
     """
-    A thread that advances a session at absolute deadlines.
+    A thread that advances a session at absolute deadlines, at the rate of the session.
 
-    Parameters
-    ----------
-    session : Session
-        The session; its steps are due at its rate, the next one at the first reading of the clock.
-    on_tick : callable
-        Advances the session by one step; called with the deadline. [ns]
-    clock : callable
-        Returns the clock to follow; called before every reading of the clock.
-
-    Attributes
-    ----------
-    counts : Counter of str
-        Number of ticks, and of late, skipped and caught-up ones, by their published names.
-    scheduler : str
-        Scheduling policy of the thread, 'fifo' or 'other'.
-
-    Notes
-    -----
-    If the clock is set, or replaced by another one, the next step is due at once.
+    `on_tick` advances the session by one step, and is called with the deadline [ns]. `clock`
+    returns the clock to follow; if the clock is set or replaced, the next step is due at once.
+    `counts` has the numbers of ticks by their published names, `scheduler` the scheduling policy
+    of the thread, 'fifo' or 'other'.
 
     The thread uses real-time priority as long as this keeps it on time. While it waits for
     Python's global lock, it polls the lock, and may keep the thread that holds the lock from its
     processor. Many nodes on few cores would then do nothing but poll. After a stall the thread
-    therefore runs with normal priority for `FIFO_RETRY_DELAY`.
-
+    therefore runs with normal priority for `_FIFO_RETRY_DELAY`.
     """
 
     def __init__(
@@ -239,7 +215,7 @@ class Ticker:
         while not self._is_stopping.is_set():
             due = self.run_due()
             if best == 'fifo':
-                may_retry = time.monotonic() > self._stalled + FIFO_RETRY_DELAY
+                may_retry = time.monotonic() > self._stalled + _FIFO_RETRY_DELAY
                 if may_retry != (self.scheduler == 'fifo'):
                     self.scheduler = set_priority(PRIORITY if may_retry else 0)
             self._clock().wait_until(due)
@@ -252,12 +228,7 @@ def wake_on_time() -> None:
 
 
 def set_priority(priority: int) -> str:
-    """
-    Set the real-time priority of this thread, or the normal scheduling policy if `priority` is 0.
-
-    Return the resulting policy, 'fifo' or 'other'. Real-time priority is available to root, and to
-    users with an `rtprio` in limits.conf.
-    """
+    """Set the real-time priority of this thread, 0 for none; return its policy, see `Ticker`."""
     try:
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
         os.sched_setscheduler(0, policy, os.sched_param(priority))

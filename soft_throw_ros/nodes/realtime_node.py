@@ -1,16 +1,10 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Base class of the nodes `twin` and `rig`: a thread advances a session by the clock.
-
-Services, parameters and all messages that are not published at every tick run in the executor's
-thread.
-"""
+"""Base class of the nodes `twin` and `rig`: a thread advances a session by the clock."""
 
 from __future__ import annotations
 
 import gc
-import os
 import subprocess
 import sys
 import time
@@ -25,44 +19,16 @@ from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 
-_NICE = 10  # niceness of the background compilation, so that it delays no tick
-
-SWITCH_INTERVAL = 3e-5
-"""Lower limit of the time that a due tick waits for another Python thread [s].
-
-Shorter intervals wake the threads too often.
-"""
-
-SWITCH_FRACTION = 0.03
-"""The same wait as a fraction of the tick period, used at low rates [-].
-
-A shorter wait gains nothing at low rates, and costs processor time if many nodes share a core.
-"""
+_SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
+_SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
 
 
 class RealTimeNode(RunnableNode):
     """
-    Abstract node that advances a session at the deadlines of its steps.
+    Abstract node that advances a session at the deadlines of its steps, in a thread of its own.
 
     A subclass declares its parameters with the check `prepare`, creates its publishers, and calls
-    `attach_session` last.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    system_clock : SystemClock, optional
-        Clock of the deadlines, unless the node follows `/clock`.
-    **kwargs
-        As for `rclpy.node.Node`.
-
-    Attributes
-    ----------
-    session : Session
-        The session that the node advances.
-    ticker : Ticker
-        The thread that calls `on_tick`.
-
+    `attach_session` last. `system_clock` is the clock, unless the node follows `/clock`.
     """
 
     session: Session
@@ -73,61 +39,26 @@ class RealTimeNode(RunnableNode):
     ) -> None:
         super().__init__(name, **kwargs)
         self._system_clock = system_clock or SystemClock()
-        self._compiling: subprocess.Popen[bytes] | None = None
         self._started = time.monotonic()
 
     def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
-        """
-        Return the rig of complete settings of a twin, after the kernels are loaded at the start.
-
-        ValueError if `prepared_rig.prepare` raises it, or the kernels are still being compiled.
-        """
-        if before is None:
-            self._load_kernels(settings)
-        elif self.is_compiling:
-            needed = set(kernels.needed_parts(settings)).intersection(kernels.missing_parts())
-            if needed:
-                raise ValueError(f'{", ".join(needed)} is being compiled, try again in seconds')
+        """Return the rig of complete settings of a twin, after kernels are compiled at first."""
+        if before is None and kernels.missing_parts():
+            self._compile_kernels()
         return prepare(settings, before)
 
-    def _load_kernels(self, settings: Settings) -> None:
-        """
-        Load the kernels that these settings of a twin require, and compile missing ones.
-
-        A child process compiles them. Another child process compiles all other kernels in the
-        background, which are loaded from the disk when they are needed.
-        """
-        say = self.get_logger().info
-        needed, missing = kernels.needed_parts(settings), kernels.missing_parts()
-        first = [part for part in needed if part in missing]
-        if first:  # in a child process, because numba suppresses exceptions of signal handlers
-            compiling = self._compile(first, stdout=subprocess.PIPE)
-            for line in compiling.stdout or ():
-                say(line.decode().strip())
-            compiling.wait()
-        kernels.load_kernels(needed, say=say)
-        others = [part for part in missing if part not in needed]
-        if others:
-            say(f'compiling in the background: {", ".join(others)} (cached for later runs)')
-            self._compiling = self._compile(others, stdout=subprocess.DEVNULL)
-            os.setpriority(os.PRIO_PROCESS, self._compiling.pid, _NICE)
-
-    def _compile(self, parts: list[str], *, stdout: int) -> subprocess.Popen[bytes]:
-        """Start a process that compiles, and that ends with this process in every case."""
-        process = subprocess.Popen(
-            bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up', *parts]),
+    def _compile_kernels(self) -> None:
+        """Compile in a child process, because numba suppresses exceptions of signal handlers."""
+        self.get_logger().info('compiling the kernels, once for this installation')
+        with subprocess.Popen(
+            bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
             stdin=subprocess.DEVNULL,
-            stdout=stdout,
             start_new_session=True,  # Ctrl-C reaches only the node, which then kills the process
-        )
-        self.add_cleanup(process.wait)
-        self.add_cleanup(process.kill)  # files on the disk are complete at any time
-        return process
-
-    @property
-    def is_compiling(self) -> bool:
-        """Whether the background compilation runs; a node that ends kills it last of all."""
-        return self._compiling is not None and self._compiling.poll() is None
+        ) as process:
+            try:
+                process.wait()
+            finally:
+                process.kill()  # files on the disk are complete at any time
 
     def attach_session(self, session: Session) -> None:
         """Attach the session that the node advances after its start."""
@@ -153,9 +84,8 @@ class RealTimeNode(RunnableNode):
         self._set_switch_interval()  # the rate may have changed
 
     def start(self) -> None:
-        """Load all compiled kernels, freeze the garbage collector, and start the ticks."""
-        if not self.is_compiling:
-            kernels.load_kernels(say=self.get_logger().info)
+        """Load all kernels, freeze the garbage collector, and start the ticks."""
+        kernels.load_kernels(say=self.get_logger().info)
         self._set_switch_interval()
         gc.collect()  # now, since it would delay ticks
         gc.freeze()
@@ -173,7 +103,7 @@ class RealTimeNode(RunnableNode):
         return time.monotonic() - self._started
 
     def _set_switch_interval(self) -> None:
-        sys.setswitchinterval(max(SWITCH_INTERVAL, SWITCH_FRACTION / self.session.rate))
+        sys.setswitchinterval(max(_SWITCH_INTERVAL, _SWITCH_FRACTION / self.session.rate))
 
     def _current_clock(self) -> Clock:
         return self._node_clock if self._node_clock.is_active else self._system_clock

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-import functools
 import os
 from pathlib import Path
 import zlib
@@ -58,25 +57,16 @@ class RecommendationState:
             return {motions.PARAMETER: str(_save_motion(best))}
         if isinstance(best, Aim):
             return {'engine.amplitude': best.amplitude}
-        changes: dict[str, float | str] = {}
         if best.layer:
-            changes['layer.name'] = best.layer
             known = library(self.config.settings['layer.library']).layers[best.layer]
-            if 'layer.thickness' not in known:
-                changes['layer.thickness'] = best.thickness
-            return changes
-        for name in ('thickness', 'wave_speed'):
-            if best.vary in (name, 'both'):
-                changes[f'layer.{name}'] = getattr(best, name)
-        return changes
+            thickness = {} if 'layer.thickness' in known else {'layer.thickness': best.thickness}
+            return {'layer.name': best.layer, **thickness}
+        names = (name for name in ('thickness', 'wave_speed') if best.vary in (name, 'both'))
+        return {f'layer.{name}': getattr(best, name) for name in names}
 
     def results(self) -> dict[str, float | str]:
         """Return the parameters `recommended.*` by their last names; empty without an answer."""
         return {name: getattr(self.best, name) for name in _RESULTS if hasattr(self.best, name)}
-
-    def values(self) -> dict[str, float | str | bool]:
-        """Return the values of the recommendation without its rig; empty without an answer."""
-        return {} if self.best is None else self.best.values()
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""
@@ -86,13 +76,10 @@ class RecommendationState:
 
     def to_status(self, node_name: str) -> DiagnosticStatus:
         """Return a diagnostic status with the recommendation and its rig."""
-        best, rig = self.best, rig_values(self.rig)
-        if best is None:
-            return status_to_msg(
-                node_name, 'recommendation', self.describe(), rig, level=DiagnosticStatus.ERROR
-            )
-        values = {**self.values(), **rig}
-        return status_to_msg(node_name, 'recommendation', self.describe(), values)
+        values = {} if self.best is None else self.best.values()
+        level = DiagnosticStatus.ERROR if self.best is None else None
+        values |= rig_values(self.rig)
+        return status_to_msg(node_name, 'recommendation', self.describe(), values, level=level)
 
 
 def _save_motion(best: MotionDesign) -> Path:
@@ -124,16 +111,11 @@ def recommend_for(
     return RecommendationState(config=config, best=best)
 
 
+@leave_processors(1)  # to the thread of the ticks
 def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
     """Return the uncertainty of a rig's throw, as values of a status."""
-    return _uncertainty_values(rig, Uncertainties.from_settings(settings))
-
-
-@functools.lru_cache(maxsize=4)
-@leave_processors(1)  # to the thread of the ticks
-def _uncertainty_values(rig: Rig, uncertainties: Uncertainties) -> dict[str, float]:
     try:
-        uncertainty = prediction_uncertainty(rig, uncertainties)
+        uncertainty = prediction_uncertainty(rig, Uncertainties.from_settings(settings))
     except ValueError:
         return {}
     return {f'uncertainty.{name}': value for name, value in uncertainty.values().items()}

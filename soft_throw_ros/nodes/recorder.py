@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The node `recorder`: records topics into a bag, and starts a viewer that shows them live."""
+"""The node `recorder`: records topics into a bag."""
 
 from __future__ import annotations
 
@@ -13,48 +13,33 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from soft_throw_ros.configuration import ParameterError, RECORDER, Settings
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
-from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.recording import bag_path, first_few, Recording, SILENCE_LIMIT
+from soft_throw_ros.nodes.recording import bag_path, Recording
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.twin.session import RequestRejected
 
-DISCOVERY_TIME = 0.2
-"""Time between two searches for new topics, and two looks at the viewer. [s]"""
+_DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
 
 
 class Recorder(RunnableNode):
-    """Node that records."""
+    """Node that records; its exit code is 1 after `close` if a recording has failed."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None  # the one under way
         self.add_cleanup(self.close)
-        self._arguments = arguments
-        self._code: int | None = None
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
-        when = ', when recording is started again'
-        self.parameters = NodeParameters(
-            self,
-            RECORDER,
-            describe=lambda _name: when if self.recording is not None else '',
-            check=_check_python,
-            arguments=arguments,
-        )
+        self._logged: set[str] = set()  # problems of the recording
+        self.parameters = NodeParameters(self, RECORDER, arguments=arguments)
         if self.parameters.settings['start']:
             _check(self.parameters.settings)
         self._outgoing = Publishers(self, RECORDER_TOPICS)
         create_service(self, RECORDER_SERVICES.start, self._on_start)
         create_service(self, RECORDER_SERVICES.stop, self._on_stop)
-        self.create_steady_timer(DISCOVERY_TIME, self._on_discovery)
+        self.create_steady_timer(_DISCOVERY_TIME, self._on_discovery)
         self.create_steady_timer(1.0, self._on_second)
-
-    @property
-    def exit_code(self) -> int | None:
-        """Exit code 1 after `close` if a recording has failed; None before."""
-        return self._code
 
     def start(self) -> None:
         """Start recording if the parameter `start` is true."""
@@ -70,18 +55,18 @@ class Recorder(RunnableNode):
         """Finish the recording under way, and set the exit code."""
         if self.recording is not None:
             self.end()
-        self._code = 1 if self._has_failed else None
+        if self._has_failed:
+            self.exit_code = 1
 
     def begin(self) -> None:
-        """Start a recording; ParameterError without a bag and a viewer, or if the bag exists."""
+        """Start a recording; ParameterError if the bag exists."""
         _check(self.parameters.settings)
-        self.recording = Recording(self, self.parameters.settings, self._arguments)
+        self.recording = Recording(self, self.parameters.settings)
+        self._logged = set()
         self._on_discovery()
         self._report()
-        if self.recording.error:
-            self.get_logger().error(self.recording.error)
-        else:
-            self.get_logger().info(self._message())
+        error = self.recording.writer.error
+        self._log(error or self._message(), is_error=bool(error))
 
     def end(self) -> bool:
         """Finish the recording, and return whether it has failed."""
@@ -91,11 +76,14 @@ class Recorder(RunnableNode):
         self._has_failed |= recording.has_failed
         self._last = recording.summary()
         self._report()
-        if recording.has_failed:
-            self.get_logger().error(self._last)
-        else:
-            self.get_logger().info(self._last)
+        self._log(self._last, is_error=recording.has_failed)
         return recording.has_failed
+
+    def _log(self, text: str, *, is_error: bool) -> None:
+        if is_error:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().info(text)
 
     def _on_start(self) -> str:
         if self.recording is not None:
@@ -112,99 +100,63 @@ class Recorder(RunnableNode):
         return self._last
 
     def _on_discovery(self) -> None:
-        recording = self.recording
-        if recording is not None:
-            for topic, reason in recording.subscriptions.discover().items():
-                self.get_logger().warning(f'{topic} is not recorded: {reason}')
+        if self.recording is not None:
+            self.recording.subscriptions.discover()
 
     def _on_second(self) -> None:
         """Publish the state of the recording, and log its problems."""
         recording = self.recording
-        unheard = recording.watch_publishers() if recording is not None else []
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(RECORDER_TOPICS.diagnostics, now, self._statuses())
-        if recording is None:
-            return
-        if unheard:
-            self.get_logger().warning(
-                f'no message on {first_few(unheard)} for {SILENCE_LIMIT} s: if there should be, '
-                'run publisher and recorder as one user (docs/twin.md), or restart the recorder'
-            )
-        if silent := recording.take_silent_topics():
-            self.get_logger().warning(f'nothing is published yet on {", ".join(silent)}')
-        if failure := recording.take_viewer_failure():
-            self.get_logger().error(failure)
-        if recording.writer is not None and recording.error:
-            lost = sum(recording.losses().values())
-            self.get_logger().error(
-                f'{recording.error}; {recording.writer.waiting} messages wait, {lost} are lost'
-            )
+        if recording is not None:
+            recording.watch_publishers()
+            for problem in recording.problems():
+                if problem not in self._logged:
+                    self._logged.add(problem)
+                    self.get_logger().warning(problem)
+            if error := recording.writer.error:
+                waiting, lost = recording.writer.waiting, sum(recording.losses().values())
+                self.get_logger().error(f'{error}; {waiting} messages wait, {lost} are lost')
+        self._outgoing.report(RECORDER_TOPICS.diagnostics, self._statuses())
 
     def _report(self) -> None:
         """Publish whether the node records, also for late subscribers."""
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(RECORDER_TOPICS.status, now, self._statuses()[:1])
+        self._outgoing.report(RECORDER_TOPICS.status, self._statuses()[:1])
 
     def _message(self) -> str:
         """Return the state of the recorder as text."""
         recording = self.recording
         if recording is None:
             return f'stopped: {self._last}'
-        if recording.writer is None:
-            return 'showing only'
         return f'recording into {recording.bag}' if recording.bag else 'recording nothing'
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        recording = self.recording
-        status = partial(status_to_msg, self.get_fully_qualified_name())
+        recording, status = self.recording, self._outgoing.status
         if recording is None:
             return [status('bag', self._message(), {'is_recording': False})]
         values = {
             'is_recording': True,
             'bag': recording.bag or '',
-            'messages': recording.received,
+            'messages': recording.subscriptions.received,
             'topics': len(list(recording.subscriptions)),
         }
-        message, error = self._message(), recording.error
-        losses, missing = recording.losses(), recording.missing_sources
+        error, missing = recording.writer.error, recording.missing_sources
+        losses = recording.losses()
         lost = sum(losses.values())
         text = f'{lost} messages lost{missing}'
-        statuses = [
-            status('bag', error or message, values, warn=bool(error)),
+        return [
+            status('bag', error or self._message(), values, warn=bool(error)),
             status('losses', text, {'lost': lost, **losses}, warn=lost > 0 or bool(missing)),
         ]
-        if recording.viewer is not None:
-            error = recording.viewer.error
-            statuses.append(status('viewer', error or 'started', {}, warn=bool(error)))
-        return statuses
-
-
-def _check_python(settings: Settings, present: str | None) -> str:
-    """Refuse a changed program, since anybody in the network may set parameters."""
-    python = str(settings['rerun.python'])
-    if present not in (None, python):
-        raise ValueError(
-            f'rerun.python names a program to run and is set at the start only: restart the '
-            f'recorder with -p rerun.python:=PATH, got {python[:80]!r}'
-        )
-    return python
 
 
 def _check(settings: Settings) -> None:
-    """Raise ParameterError for settings that make recording impossible."""
-    if settings['storage'] == settings['rerun.sink'] == 'none':
-        raise ParameterError(
-            "storage and rerun.sink are both 'none', so nothing would be recorded or shown; set "
-            "storage to 'mcap', or rerun.sink to 'viewer', 'serve' or 'file'",
-            'storage',
-        )
-    name = settings['name']
+    """Raise ParameterError for a bag that cannot be created."""
+    name, path = settings['name'], bag_path(settings)
     if name and (name != Path(name).name or name in ('.', '..')):
         raise ParameterError(f'the name of a bag must be that of a folder, got {name!r}', 'name')
-    if settings['storage'] == 'mcap' and name and bag_path(settings).exists():
+    if path.exists():
         raise ParameterError(
-            f'{bag_path(settings)} exists, and a bag is never overwritten; choose another name, '
-            f'or none, got name {settings["name"]!r}',
+            f'{path} exists, and a bag is never overwritten; choose another name, or none, '
+            f'got name {name!r}',
             'name',
         )
 

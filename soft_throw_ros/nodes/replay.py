@@ -19,15 +19,10 @@ from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError
 
-CLOCK_RATE = 40.0
-"""Default rate of `/clock`. [Hz]"""
+_CLOCK_RATE = 40.0  # default rate of `/clock` [Hz]
+_MAX_RATE = 1e6  # largest playback speed: a day in 0.1 s [-]
 
-MAX_RATE = 1e6
-"""Largest playback speed: a day in 0.1 s. [-]"""
-
-_rate = number_type(f'positive and at most {MAX_RATE:g}', lambda rate: 0.0 < rate <= MAX_RATE)
-
-_USAGE = 'replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG'
+_rate = number_type(f'positive and at most {_MAX_RATE:g}', lambda rate: 0.0 < rate <= _MAX_RATE)
 
 
 def main(args: list[str] | None = None) -> int:
@@ -65,32 +60,24 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
     parser = CommandParser(
         prog='replay',
         description=__doc__,
-        usage=_USAGE,
+        usage='replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG',
         argument_default=argparse.SUPPRESS,
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
-    playing = parser.add_argument_group('playing')
-    playing.add_argument(
+    parser.add_argument(
         '--rate', metavar='R', type=_rate,
-        help=f'playback speed relative to the recording, at most {MAX_RATE:g} (default 1)',
+        help=f'playback speed relative to the recording, at most {_MAX_RATE:g} (default 1)',
     )
-    playing.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
-    playing.add_argument('--loop', action='store_true', help='restart after the end')
-    playing.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
-    playing.add_argument(
-        '--clock',
-        metavar='HZ',
-        nargs='?',
-        type=positive,
-        const=CLOCK_RATE,
-        help=f'publish the time of the bag on /clock (default {CLOCK_RATE:g} Hz) '
+    parser.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
+    parser.add_argument('--loop', action='store_true', help='restart after the end')
+    parser.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
+    parser.add_argument(
+        '--clock', metavar='HZ', nargs='?', type=positive, const=_CLOCK_RATE,
+        help=f'publish the time of the bag on /clock (default {_CLOCK_RATE:g} Hz) '
         'instead of a recorded /clock',
     )
-    checking = parser.add_argument_group('checking')
-    checking.add_argument(
-        '--check',
-        action='store_true',
-        default=False,
+    parser.add_argument(
+        '--check', action='store_true', default=False,
         help='repeat the run from its journal and compare; exit code 1 if a message differs',
     )
     options = vars(parser.parse_args(arguments))
@@ -113,12 +100,8 @@ def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) 
     except ModuleNotFoundError as error:
         print(f'replay: playing needs ROS 2, and --check does not: {error}', file=sys.stderr)
         return 1
-    return run(
-        'replay',
-        lambda arguments: Player(reader, **options),  # noqa: ARG005  the node has no parameters
-        arguments,
-        usage=_USAGE,
-    )
+    # The node has no parameters
+    return run('replay', lambda arguments: Player(reader, **options), arguments)  # noqa: ARG005
 
 
 def _check(reader: BagReader) -> int:

@@ -15,37 +15,32 @@ from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.configuration.twin import joint_names
-from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime_node import RealTimeNode
-from soft_throw_ros.nodes.throw_texts import throw_text
+from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-_LINE_INTERVAL = 5.0
-"""Shortest time between two log lines about commanded throws. [s]"""
+_LINE_INTERVAL = 5.0  # shortest time between two log lines about commanded throws [s]
 
 
 class SimulatedRig(RealTimeNode):
     """
     A simulated rig that publishes the measurements of its sensors.
 
-    Notes
-    -----
-    The node runs a session of a twin with its own parameters, unknown to the observed twin, and
-    publishes positions as faulty sensors would measure them. Effects that no model of the core
-    has, such as a plate that rings, are computed before the throw as `Deviations` and added.
+    The node runs a session of a twin with its own parameters, and publishes positions as faulty
+    sensors would measure them. Effects that no model of the core has, such as a plate that rings,
+    are computed before the throw as `Deviations` and added.
 
-    A trajectory of the plate replaces the motion of the engine. It starts with the first step
-    after its stamp. Periodic throws and the imperfections of the rig then stop; the faults of the
-    sensors continue.
-
+    A trajectory of the plate replaces the motion of the engine, from the first step after its
+    stamp on. Periodic throws and the imperfections of the rig then stop; the faults of the sensors
+    continue.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
@@ -54,8 +49,8 @@ class SimulatedRig(RealTimeNode):
         self._throws = 0
         self._start = 0  # step at which the last throw began
         self._is_worn = False
-        self._motion: SampledMotion | None = None  # that is commanded
-        self._motions = 0
+        self._commanded: list[JointTrajectoryPoint] = []  # the last motion
+        self._motions = 0  # number of different commanded motions
         self._start_ns: int | None = None  # of the commanded motion, until it has begun
         self.parameters = NodeParameters(
             self,
@@ -89,7 +84,7 @@ class SimulatedRig(RealTimeNode):
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the measurements of the sensors."""
         for result in outputs.results:
-            if self._motion is not None and result.stage == 'release':
+            if self._motions and result.stage == 'release':
                 self.get_logger().info(throw_text(result), throttle_duration_sec=_LINE_INTERVAL)
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
@@ -137,7 +132,7 @@ class SimulatedRig(RealTimeNode):
         self._faults = _faults_of(SensorFaults, settings)
         deviations = self._find_deviations()
         changes = {name: value for name, value in self._played.items() if value != before[name]}
-        if self._motion is None:
+        if not self._motions:
             self.session.change(changes, self.parameters.checked)
             self._next_deviations = deviations  # in effect with the next throw, as the settings
         else:
@@ -157,8 +152,8 @@ class SimulatedRig(RealTimeNode):
                 'ago; increase engine.command_lead of the twin'
             )
             return
-        if not _are_equal(motion, self._motion):
-            self._motion, self._next_deviations = motion, None
+        if message.points != self._commanded:
+            self._commanded, self._next_deviations = message.points, None
             self._motions += 1
             self.session.change(
                 {
@@ -183,14 +178,6 @@ def _faults_of(kind: Any, settings: Settings) -> Any:
     """Make faults of a kind by the parameters with the names of its fields."""
     values = {name.removeprefix('faults.'): value for name, value in settings.items()}
     return kind(**{item.name: values[item.name] for item in fields(kind) if item.name in values})
-
-
-def _are_equal(motion: SampledMotion, other: SampledMotion | None) -> bool:
-    return (
-        other is not None
-        and np.array_equal(motion.times, other.times)
-        and np.array_equal(motion.states, other.states)
-    )
 
 
 main = partial(run, 'rig', SimulatedRig)

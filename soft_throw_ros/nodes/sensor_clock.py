@@ -11,14 +11,9 @@ from soft_throw_ros.storage.message import SECOND
 TOLERATED = SECOND // 200
 """Transport time of a message and difference of synchronized clocks, at most. [ns]"""
 
-_FIRST = SECOND // 5
-"""Duration of the first observation of stamps. [ns]"""
-
-_LATER = 2 * SECOND
-"""Duration of later observations of stamps. [ns]"""
-
-_FEWEST = 50
-"""Samples that an observation needs. [-]"""
+_FIRST = SECOND // 5  # duration of the first observation of stamps [ns]
+_LATER = 2 * SECOND  # duration of later observations of stamps [ns]
+_FEWEST = 50  # samples that an observation needs [-]
 
 
 class SensorClock:

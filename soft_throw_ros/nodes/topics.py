@@ -4,18 +4,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from soft_throw_ros.configuration import interface, ParameterError
+from soft_throw_ros.configuration import interface
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, Service, Topic
-from soft_throw_ros.nodes.conversions import cloud_to_msg, encode_command, statuses_to_msg
+from soft_throw_ros.nodes.conversions import (
+    cloud_to_msg,
+    encode_command,
+    status_to_msg,
+    statuses_to_msg,
+)
 from soft_throw_ros.storage.cdr import JointStateEncoder
-from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
 _MANY = 8  # number of joints from which on arrays are faster than single values
@@ -32,11 +38,16 @@ def load_type(name: str) -> Any:
 
 def qos_profile(topic: Topic) -> QoSProfile:
     """Return the quality of service of a topic."""
+    return make_profile(topic.depth, is_reliable=topic.is_reliable, is_latched=topic.is_latched)
+
+
+def make_profile(depth: int, *, is_reliable: bool, is_latched: bool) -> QoSProfile:
+    """Return a quality of service."""
     reliability, durability = ReliabilityPolicy, DurabilityPolicy
     return QoSProfile(
-        depth=topic.depth,
-        reliability=reliability.RELIABLE if topic.is_reliable else reliability.BEST_EFFORT,
-        durability=durability.TRANSIENT_LOCAL if topic.is_latched else durability.VOLATILE,
+        depth=depth,
+        reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
+        durability=durability.TRANSIENT_LOCAL if is_latched else durability.VOLATILE,
     )
 
 
@@ -59,11 +70,8 @@ def create_service(node: Node, service: Service, act: Callable[[], str]) -> None
     """Create a service of a node; `act` returns its answer, or raises the reason of a failure."""
 
     def on_request(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            response.message = act()
-            response.success = True
-        except (RequestRejected, ParameterError) as refusal:
-            response.message = str(refusal)
+        response.message = act()
+        response.success = True
         return response
 
     node.create_service(Trigger, service.name, on_request)
@@ -73,19 +81,15 @@ class Publishers:
     """
     The publishers of a node, made from its rows of topics, which convert plain values.
 
-    `joints` are the names of plate and projectile.
-
-    Notes
-    -----
-    rclpy logs subscriptions that request another quality of service than a publisher offers. The
-    events for this would multiply the cost of every wait of the executor, and a tick may be due
-    meanwhile. So latched topics, which most are, have none: they fit every subscription.
-
+    `joints` are the names of plate and projectile. Latched topics, which most are, fit every
+    subscription and have no events for incompatible ones, whose cost multiplies every wait.
     """
 
     def __init__(
         self, node: Node, topics: Iterable[Topic], joints: tuple[str, str] = JOINTS
     ) -> None:
+        self.status = partial(status_to_msg, node.get_fully_qualified_name())
+        self._clock = node.get_clock()
         self._joints = dict(zip(JOINTS, joints, strict=True))
         self._senders = {
             topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
@@ -95,17 +99,19 @@ class Publishers:
         """
         Return the function that publishes on a topic.
 
-        Its arguments depend on the type of the topic. Joint states take a stamp [ns] and the
-        values of one quantity after another, or one array per quantity where there are many
-        joints. Diagnostics take a stamp and statuses, clouds a stamp and an array of points,
-        trajectories a start [ns] and a motion. Other types take a number or a text.
-
+        Joint states take a stamp [ns] and the values of one quantity after another, or one array
+        per quantity where there are many joints. Diagnostics take a stamp and statuses, clouds a
+        stamp and points, trajectories a start [ns] and a motion, other types a number or a text.
         """
         return self._senders[topic.name]
 
     def send(self, topic: Topic, *values: object) -> None:
         """Publish once; `sender` describes the values."""
         self._senders[topic.name](*values)
+
+    def report(self, topic: Topic, statuses: Sequence[DiagnosticStatus]) -> None:
+        """Publish statuses, as made by `status`, with the present time as stamp."""
+        self.send(topic, self._clock.now().nanoseconds, statuses)
 
     def _make_sender(self, node: Node, topic: Topic) -> Callable[..., None]:
         """Return a function that converts values into a message and publishes it."""

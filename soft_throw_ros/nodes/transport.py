@@ -9,7 +9,7 @@ import os
 
 _KILTED = 9  # version of rclpy
 
-_DISTRIBUTIONS = {'7': 'jazzy', f'{_KILTED}': 'kilted'}
+_DISTRIBUTIONS = {7: 'jazzy', _KILTED: 'kilted'}
 
 _CHOICES = (
     'FASTDDS_BUILTIN_TRANSPORTS',
@@ -48,19 +48,14 @@ def describe_discovery() -> str:
 
 
 def use_transport_profile() -> None:
-    """
-    Configure Fast DDS to buffer one second of messages; call this before `rclpy.init`.
-
-    If discovery is limited to this machine, its ports are reachable from this machine only.
-
-    """
+    """Let Fast DDS buffer a second of messages, and use local ports if discovery is local."""
     if not any(name in os.environ for name in _CHOICES):
-        is_former = int(_rclpy_version()) < _KILTED  # whose Fast DDS reads the former name only
+        is_former = _rclpy_version() < _KILTED  # whose Fast DDS reads the former name only
         name = f'FAST{"RTPS" if is_former else "DDS"}_DEFAULT_PROFILES_FILE'
         is_local = discovery_range() in _LOCAL
         file = 'fastdds_loopback.xml' if is_local else 'fastdds.xml'
         os.environ[name] = str(resources.files('soft_throw_ros') / 'config' / file)
 
 
-def _rclpy_version() -> str:
-    return metadata.version('rclpy').partition('.')[0]
+def _rclpy_version() -> int:
+    return int(metadata.version('rclpy').partition('.')[0])

@@ -13,11 +13,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 import math
-import threading
-import time
+import traceback
 from typing import Any
 
-from soft_throw_ros.commands.kernels import missing_parts
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
@@ -35,44 +33,31 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.sensor_texts import sensor_text
-from soft_throw_ros.nodes.throw_texts import comparison_text, lead_text, throw_text
+from soft_throw_ros.nodes.texts import (
+    comparison_text,
+    count_of,
+    lead_text,
+    sensor_text,
+    throw_text,
+)
 from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-_COMPILING_POLL = 0.3  # period of the check whether the compilation has finished [s]
-
 PHASES = tuple(Phase)
 """Phases, each at the index that `~/phase_change` publishes."""
 
-LINE_INTERVAL_NS = 9_900_000_000
-"""Shortest time between two log lines about throws, except warnings [ns].
-
-It is slightly below ten seconds, so that the lines come after ten throws at the default period.
-"""
-
-RECOMMENDATION_INTERVAL = 0.3
-"""Shortest time between two searches for a better layer, to limit their processor load [s]."""
+_LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
+_RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
 
 
 class Twin(RealTimeNode):
     """
     The twin of a throwing rig.
 
-    Attributes
-    ----------
-    parameters : NodeParameters
-        All settings.
-    measurement : Measurement
-        Measured samples of a real rig.
-    outgoing : Publishers
-        Publishers of all topics.
-    recommendation : RecommendationState or None
-        The present recommendation; None while it is computed.
-
+    `measurement` receives samples of a real rig; `recommendation` is None while it is computed.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
@@ -83,45 +68,28 @@ class Twin(RealTimeNode):
         self._wake = self.create_guard_condition(self._run_jobs)
         self._last_result: ThrowResult | None = None
         self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
-        self._last_line_ns = -LINE_INTERVAL_NS
-        self._logged_throws = 0
+        self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
         self._duplicate_nodes = 0
         self.parameters = NodeParameters(
-            self,
-            TWIN,
-            self._on_changed,
-            describe=self._describe_change,
-            check=self.prepare,
-            arguments=arguments,
+            self, TWIN, self._on_changed, check=self.prepare, arguments=arguments
         )
         self._joints = joint_names(self.parameters.settings)
         self._serialize_command()
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
-        self._send_layer = self.outgoing.sender(TWIN_TOPICS.layer_joint_states)
-        self._send_prediction = self.outgoing.sender(TWIN_TOPICS.predicted_joint_states)
-        self._send_residual = self.outgoing.sender(TWIN_TOPICS.residual)
-        self._send_command = self.outgoing.sender(TWIN_TOPICS.plate_trajectory)
         session = Session(
             self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
         )
         self.measurement = Measurement(
             self, session, self._joints, now=lambda: self._current_clock().now()
         )
-        self.add_cleanup(self.measurement.close)
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
         self._diagnostics = Diagnostics(
             session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
         )
-        self._worker = LatestOnlyWorker(
-            self._recommend,
-            self._on_uncertainty,
-            on_failure=self._on_failed_search,
-            log=self.get_logger().error,
-            interval=RECOMMENDATION_INTERVAL,
-        )
+        self._worker = LatestOnlyWorker(self._recommend, interval=_RECOMMENDATION_INTERVAL)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.checked.config)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
@@ -138,16 +106,17 @@ class Twin(RealTimeNode):
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the messages of every tick, and hand the others over to the executor."""
         self._send_state(due, outputs.state)
+        send = self.outgoing.send
         if outputs.layer is not None:
-            self._send_layer(due, outputs.layer)
+            send(TWIN_TOPICS.layer_joint_states, due, outputs.layer)
         prediction, residual = outputs.prediction, outputs.residual
         if prediction is not None:
             self.measurement.leads.append(prediction.lead_ns)
-            self._send_prediction(prediction.stamp_ns, prediction[1:4])
+            send(TWIN_TOPICS.predicted_joint_states, prediction.stamp_ns, prediction[1:4])
         if residual is not None:
-            self._send_residual(residual.stamp_ns, residual[1:])
+            send(TWIN_TOPICS.residual, residual.stamp_ns, residual[1:])
         if outputs.command is not None:
-            self._send_command(*outputs.command)
+            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
         if outputs.phases or outputs.results or outputs.throw_field is not None:
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
@@ -156,10 +125,7 @@ class Twin(RealTimeNode):
     def _run_in_executor(self, job: Callable[[], None]) -> None:
         """Run a job in the executor's thread, in the order of the calls."""
         self._jobs.append(job)
-        if threading.current_thread() is threading.main_thread():
-            self._run_jobs()
-        else:
-            self._wake.trigger()
+        self._wake.trigger()
 
     def on_entry(self, line: str) -> None:
         """Schedule the publication of a line of the journal."""
@@ -167,27 +133,21 @@ class Twin(RealTimeNode):
 
     # Worker thread
 
-    def _recommend(
-        self, config: TwinConfig, cancelled: Callable[[], bool]
-    ) -> tuple[Rig, dict[str, float]]:
-        """Publish a recommendation, and return a rig with the uncertainty of its throws."""
-        while self.is_compiling and 'design' in missing_parts() and not cancelled():
-            time.sleep(_COMPILING_POLL)
-        recommended = recommend_for(config, cancelled)
-        if cancelled():
-            return config.rig, {}
-        self._run_in_executor(lambda: self._publish_recommendation(recommended))
-        return config.rig, uncertainty_values(config.rig, config.settings)
+    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
+        """Publish a recommendation, and compute the uncertainty of the throws of its rig."""
 
-    def _on_uncertainty(self, found: tuple[Rig, dict[str, float]]) -> None:
-        self._uncertainty = found
+        def publish(state: RecommendationState) -> None:
+            self._run_in_executor(lambda: self._publish_recommendation(state))
 
-    def _on_failed_search(
-        self, config: TwinConfig, error: Exception
-    ) -> tuple[Rig, dict[str, float]]:
-        state = RecommendationState(config=config, reason=f'the search has failed: {error!r}')
-        self._run_in_executor(lambda: self._publish_recommendation(state))
-        return config.rig, {}
+        try:
+            recommended = recommend_for(config, cancelled)
+            if not cancelled():
+                publish(recommended)
+                self._uncertainty = config.rig, uncertainty_values(config.rig, config.settings)
+        except Exception as error:  # noqa: BLE001  later requests must still be answered
+            reason = f'the search has failed: {error!r}'
+            self.get_logger().error(f'{reason}\n{traceback.format_exc()}')
+            publish(RecommendationState(config=config, reason=reason))
 
     # Executor thread
 
@@ -222,50 +182,46 @@ class Twin(RealTimeNode):
         if result.stage == 'release' or (result.stage == 'final' and first is None):
             for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
                 send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
-        if result.stage != 'predicted' or last is None or last.throw != result.throw:
-            self._log_result(result, due)
+        if result.stage == 'final' and result.comparison is not None:
+            self._diagnostics.compared = result
+        if warning := self._warning_of(result, last):
+            self.get_logger().warning(warning)
+        elif result.stage == 'release' or (result.stage == 'final' and first is None):
+            self._log_throw(result, due)
 
-    def _log_result(self, result: ThrowResult, due: int) -> None:
-        """
-        Log a throw at level DEBUG, or at level WARN if it is invalid or mispredicted.
-
-        One throw in ten seconds is logged at level INFO, with a summary since the last such line.
-        A strain beyond the linear range is a warning once per rig.
-        """
-        log, throw = self.get_logger(), f'throw {result.throw}'
-        settings = self.parameters.settings
-        comparison = result.comparison
+    def _warning_of(self, result: ThrowResult, last: ThrowResult | None) -> str:
+        """Return a warning of an invalid, late or mispredicted throw or a large strain, if any."""
+        is_first = last is None or last.throw != result.throw
+        comparison, rig = result.comparison, (result.rig, result.max_strain)
         if not result.is_valid:
-            log.warning(throw_text(result))
-        elif result.stage == 'predicted':
-            if not result.is_ahead:
-                age = self.measurement.age_ns / SECOND
-                cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
-                if age <= settings['measured.smoothing_window'] / 4.0:
-                    cause = (
-                        'for an earlier prediction decrease measured.smoothing_window or '
-                        'measured.latency, or increase rate.state'
-                    )
-                log.warning(f'{throw}: {lead_text(result)}; {cause}')
-        elif result.stage == 'release' or result.first is None:
-            rig = (result.rig, result.max_strain)
-            if not result.is_linear and rig != self._rig_beyond_range:
-                self._rig_beyond_range = rig
-                log.warning(throw_text(result))
-            elif due - self._last_line_ns >= LINE_INTERVAL_NS:
-                self._last_line_ns = due
-                log.info(throw_text(result) + self._describe_throws(result.throw))
-            else:
-                log.debug(throw_text(result))
-        elif comparison and not comparison.is_within_threshold:
-            log.warning(f'{throw}: {comparison_text(result)}')
+            return throw_text(result)
+        if result.stage == 'predicted' and is_first and not result.is_ahead:
+            age = self.measurement.age_ns / SECOND
+            cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
+            if age <= self.parameters.settings['measured.smoothing_window'] / 4.0:
+                cause = (
+                    'for an earlier prediction decrease measured.smoothing_window or '
+                    'measured.latency, or increase rate.state'
+                )
+            return f'throw {result.throw}: {lead_text(result)}; {cause}'
+        if result.stage != 'predicted' and not result.is_linear and rig != self._rig_beyond_range:
+            self._rig_beyond_range = rig
+            return throw_text(result)
+        if result.stage == 'final' and comparison and not comparison.is_within_threshold:
+            return f'throw {result.throw}: {comparison_text(result)}'
+        return ''
 
-    def _describe_throws(self, number: int) -> str:
-        """Return a summary of the throws since the last summary; empty for the first throw."""
-        throws, self._logged_throws = number - self._logged_throws, number
-        lateness = self._diagnostics.take_lateness()
-        noun = 'throw' if throws == 1 else 'throws'
-        return f'; {throws} {noun}, {lateness}' if number > 1 else ''
+    def _log_throw(self, result: ThrowResult, due: int) -> None:
+        """Log a throw; one in ten seconds at level INFO, with a summary since the start."""
+        text = throw_text(result)
+        if due - self._last_line_ns < _LINE_INTERVAL_NS:
+            self.get_logger().debug(text)
+            return
+        if result.throw > 1:
+            skipped = self.ticker.counts['ticks_skipped']
+            text += f'; {result.throw} throws, {skipped} ticks skipped since the start'
+        self._last_line_ns = due
+        self.get_logger().info(text)
 
     def describe_start(self) -> str:
         """Return the rig, rates and topics for the log line at the start."""
@@ -288,13 +244,12 @@ class Twin(RealTimeNode):
 
     def _log_end(self) -> None:
         """Log the number of throws and skipped ticks of a twin that has begun."""
-        if not hasattr(self, 'ticker'):
-            return
-        throws, skipped = self.session.throws, self.ticker.counts['ticks_skipped']
-        noun = 'throw' if throws == 1 else 'throws'
-        self.get_logger().info(
-            f'stopped after {throws} {noun} in {self.duration:.1f} s, {skipped} ticks skipped'
-        )
+        if hasattr(self, 'ticker'):
+            skipped = self.ticker.counts['ticks_skipped']
+            self.get_logger().info(
+                f'stopped after {count_of(self.session.throws, "throw")} in '
+                f'{self.duration:.1f} s, {skipped} ticks skipped'
+            )
 
     def _publish_recommendation(self, recommended: RecommendationState) -> None:
         """Publish a recommendation, unless the rig has changed since its request."""
@@ -307,8 +262,7 @@ class Twin(RealTimeNode):
         else:
             self.get_logger().info(recommended.describe())
         status = recommended.to_status(self.get_fully_qualified_name())
-        now = self.get_clock().now().nanoseconds
-        self.outgoing.send(TWIN_TOPICS.recommendation, now, [status])
+        self.outgoing.report(TWIN_TOPICS.recommendation, [status])
 
     def _on_changed(self, changes: Settings) -> None:
         self._serialize_command()
@@ -323,10 +277,6 @@ class Twin(RealTimeNode):
         motion = config.rig.engine.motion
         if config.command_lead is not None and motion is not None:
             encode_command(0, motion, self._joints[0], frame_of(self))
-
-    def _describe_change(self, name: str) -> str:
-        """Return when a change takes effect, as the end of a log line."""
-        return ', from the next throw or ~/reset on' if name in self.session.pending else ''
 
     def _on_throw(self) -> str:
         number = self.session.request_throw()
@@ -356,22 +306,18 @@ class Twin(RealTimeNode):
         self._run_jobs()  # in case a wake-up was lost
         for fault in self.session.diagnose_sensors():
             self.get_logger().warning(sensor_text(fault))
-        self._check_duplicate_nodes()
+        name = self.get_fully_qualified_name()
+        before = self._duplicate_nodes
+        publishers = self.count_publishers(TWIN_TOPICS.journal.at(name).name)
+        self._duplicate_nodes = max(publishers - 1, 0)
+        if self._duplicate_nodes > before:
+            self.get_logger().error(duplicate_name_warning(name))
+        elif before and not self._duplicate_nodes:
+            self.get_logger().info('no other node has this name any more')
         statuses = self._diagnostics.statuses(
             self._last_result, duplicate_nodes=self._duplicate_nodes
         )
-        now = self.get_clock().now().nanoseconds
-        self.outgoing.send(TWIN_TOPICS.diagnostics, now, statuses)
-
-    def _check_duplicate_nodes(self) -> None:
-        """Log when another node with the same name appears or disappears."""
-        topic = TWIN_TOPICS.journal.at(self.get_fully_qualified_name()).name
-        before = self._duplicate_nodes
-        self._duplicate_nodes = max(self.count_publishers(topic) - 1, 0)
-        if self._duplicate_nodes > before:
-            self.get_logger().error(duplicate_name_warning(self.get_fully_qualified_name()))
-        elif before and not self._duplicate_nodes:
-            self.get_logger().info('no other node has this name any more')
+        self.outgoing.report(TWIN_TOPICS.diagnostics, statuses)
 
 
 main = partial(run, 'twin', Twin)

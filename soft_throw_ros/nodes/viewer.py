@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-The node `viewer`: shows twins live in Rerun.
-
-A recorder starts it as a child process; it may also be started by hand. It has its own
-subscriptions, so neither twins nor recorder wait for the viewer.
-"""
+"""The node `viewer`: shows twins live in Rerun, by subscriptions of its own."""
 
 from __future__ import annotations
 
@@ -18,7 +13,6 @@ from typing import Any
 from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import VIEWER_TOPICS
 from soft_throw_ros.configuration.recorder import VIEWER
-from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import exit_after, EXIT_TIME, run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions
@@ -28,29 +22,16 @@ from soft_throw_ros.recording import rerun_viewer
 DRAIN_PERIOD = 0.1
 """Time between two updates of the drawing; shorter ones cost more of a core. [s]"""
 
-FLUSH_TIME = 0.7
-"""Longest wait for viewers and disk at the end. [s]"""
-
-DISCOVERY_PERIOD = 0.2
-"""Time between two searches for new topics. [s]"""
+_FLUSH_TIME = 0.7  # longest wait for viewers and disk at the end [s]
+_DISCOVERY_PERIOD = 0.2  # time between two searches for new topics [s]
 
 
 class Viewer(RunnableNode):
-    """
-    Node that shows the topics of twins live in Rerun.
-
-    ParameterError is raised, in one line, if a parameter is refused, Rerun is missing, or the sink
-    cannot be opened.
-    """
+    """Node that shows the topics of twins live in Rerun."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('viewer', **kwargs)
-        self.parameters = NodeParameters(
-            self,
-            VIEWER,
-            describe=lambda _name: ', when the viewer is started again',
-            arguments=arguments,
-        )
+        self.parameters = NodeParameters(self, VIEWER, arguments=arguments)
         settings = self.parameters.settings
         if settings['sink'] == 'file' and not settings['file']:
             raise ParameterError("sink is 'file' and file is empty; name a file such as live.rrd")
@@ -73,13 +54,13 @@ class Viewer(RunnableNode):
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
         self._scene = Scene(self._stream, is_live=True)
-        self.create_steady_timer(DISCOVERY_PERIOD, self._discover)
+        self.create_steady_timer(_DISCOVERY_PERIOD, self.raw_subscriptions.discover)
         self.create_steady_timer(DRAIN_PERIOD, self._drain)
         self.create_steady_timer(1.0, self._report)
 
     def start(self) -> None:
         """Subscribe to the topics that are there."""
-        self._discover()
+        self.raw_subscriptions.discover()
         self.get_logger().info('ready')
 
     def close(self) -> None:
@@ -87,10 +68,10 @@ class Viewer(RunnableNode):
         self._drain()
         self.raw_subscriptions.close()
         with contextlib.suppress(OSError):
-            rerun_viewer.finish(self._stream, '', FLUSH_TIME)
-        received = sum(item.received for item in self.raw_subscriptions)
-        lost = sum(item.lost for item in self.raw_subscriptions)
-        self.get_logger().info(f'{received} messages, {lost} not shown')
+            rerun_viewer.finish(self._stream, '', _FLUSH_TIME)
+        self.get_logger().info(
+            f'{self.raw_subscriptions.received} messages, {self.raw_subscriptions.lost} not shown'
+        )
 
     def _serve(self, port: int, *, opens: bool) -> None:
         """Send the drawing to all viewers that connect, and open one."""
@@ -105,24 +86,16 @@ class Viewer(RunnableNode):
                 self.get_logger().error(str(error))
         self.get_logger().info(f'to see it: rerun {url}')
 
-    def _discover(self) -> None:
-        for topic, reason in self.raw_subscriptions.discover().items():
-            self.get_logger().warning(f'{topic} is not shown: {reason}')
-
     def _drain(self) -> None:
         self._scene.show(self.raw_subscriptions.drain())
 
     def _report(self) -> None:
         """Publish how many messages are not shown."""
-        scene, lost = self._scene, sum(item.lost for item in self.raw_subscriptions)
-        values = {'lost': lost, 'damaged': scene.damaged}
+        values = {'lost': self.raw_subscriptions.lost, 'damaged': self._scene.damaged}
         missing = sum(values.values())
-        text = '; '.join(filter(None, [f'{missing} messages not shown', scene.damage]))
-        status = status_to_msg(
-            self.get_fully_qualified_name(), 'display', text, values, warn=missing > 0
-        )
-        now = self.get_clock().now().nanoseconds
-        self._outgoing.send(VIEWER_TOPICS.diagnostics, now, [status])
+        text = '; '.join(filter(None, [f'{missing} messages not shown', self._scene.damage]))
+        status = self._outgoing.status('display', text, values, warn=missing > 0)
+        self._outgoing.report(VIEWER_TOPICS.diagnostics, [status])
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -6,55 +6,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import threading
-import traceback
 from typing import Generic, TypeVar
 
 Request = TypeVar('Request')
-Result = TypeVar('Result')
 
 
-class LatestOnlyWorker(Generic[Request, Result]):
+class LatestOnlyWorker(Generic[Request]):
     """
-    One thread that computes results for requests; a newer request replaces all earlier ones.
+    One thread that serves requests; a newer request cancels all earlier ones.
 
-    A newer request cancels the computation for an earlier one, whose result is dropped. An
-    exception ends one computation, and not the thread.
-
-    Parameters
-    ----------
-    compute : callable
-        Computes the result for a request. Its second argument is a function that returns whether
-        the request is cancelled; the result of a cancelled request is not used.
-    on_result : callable
-        Called in the thread with every result.
-    on_failure : callable
-        Returns the result for a request whose computation has raised an exception.
-    log : callable
-        Called with the traceback of every such exception.
-    interval : float
-        Time from a result to the next computation, so that a storm of requests costs little. [s]
-
-    Attributes
-    ----------
-    failures : int
-        Number of computations that have raised an exception.
-
+    `serve` takes a request, and a function that returns whether the request is cancelled. It must
+    not raise an exception. `interval` is the time from the end of a call to the next one, so that
+    a storm of requests costs little [s].
     """
 
     def __init__(
-        self,
-        compute: Callable[[Request, Callable[[], bool]], Result],
-        on_result: Callable[[Result], None],
-        *,
-        on_failure: Callable[[Request, Exception], Result],
-        log: Callable[[str], object],
-        interval: float = 0.0,
+        self, serve: Callable[[Request, Callable[[], bool]], None], *, interval: float = 0.0
     ) -> None:
-        self.failures = 0
-        self._compute = compute
-        self._on_result = on_result
-        self._on_failure = on_failure
-        self._log = log
+        self._serve = serve
         self._interval = interval
         self._request: Request
         self._is_waiting = threading.Event()
@@ -76,16 +45,5 @@ class LatestOnlyWorker(Generic[Request, Result]):
     def _work(self) -> None:
         while self._is_waiting.wait() and not self._is_closing.is_set():
             self._is_waiting.clear()
-            result = self._result_of(self._request)
-            if not self._is_waiting.is_set():
-                self._on_result(result)
+            self._serve(self._request, self._is_waiting.is_set)
             self._is_closing.wait(self._interval)
-
-    def _result_of(self, request: Request) -> Result:
-        try:
-            return self._compute(request, self._is_waiting.is_set)
-        except Exception as error:  # noqa: BLE001  later requests must still be answered
-            self.failures += 1
-            text = ''.join(traceback.format_exception(error))
-            self._log(f'failure {self.failures} of a computation in the background: {text}')
-            return self._on_failure(request, error)

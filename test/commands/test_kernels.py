@@ -11,9 +11,9 @@ import sys
 
 from numba.core import event
 import pytest
-from soft_throw_ros.commands.kernels import load_kernels, missing_parts, needed_parts, PARTS
+from soft_throw_ros.commands.kernels import load_kernels, missing_parts, PARTS
 from soft_throw_ros.commands.warm_up import main
-from twin_runs import complete_settings, Run
+from twin_runs import Run
 
 
 @pytest.fixture
@@ -60,19 +60,6 @@ def test_warm_up_leaves_nothing_to_compile_or_load() -> None:
         run.measure()
     assert run.session.throws == 1
     assert recorder.buffer == []
-
-
-@pytest.mark.parametrize(
-    ('request_', 'parts'),
-    [
-        ({}, {'travelling_wave'}),
-        ({'engine__motion': 'measured'}, {'travelling_wave', 'measured'}),
-        ({'layer__loss_tangent': 0.1}, {'cells'}),
-        ({'layer__loss_tangent': 0.1, 'engine__motion': 'measured'}, {'cells', 'measured'}),
-    ],
-)
-def test_rig_waits_only_for_kernels_of_its_model(request_, parts) -> None:
-    assert set(needed_parts(complete_settings(**request_))) == parts
 
 
 def test_unknown_kernel_group_is_refused_with_the_known_groups(capsys) -> None:

@@ -9,7 +9,7 @@ machine.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 import contextlib
 from dataclasses import replace
 import fcntl
@@ -36,13 +36,17 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 from soft_throw_ros.commands.kernels import load_kernels
-from soft_throw_ros.configuration.interface import resolve, Service, Topic
+from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Topic, TWIN_TOPICS
+from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Outputs, ThrowResult
+from soft_throw_ros.twin.sample_buffer import Sample
 from std_srvs.srv import Trigger
 
 with warnings.catch_warnings():
@@ -59,16 +63,13 @@ PROCESS_TIMEOUT = 110.0
 """Longest wait for another process, including compilation. [s]"""
 
 OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
-"""
-Prefix of messages that Fast DDS prints at every log level of ROS.
+"""Prefix of messages such as of a port in use, which Fast DDS prints at every log level."""
 
-Fast DDS prints such a message when two processes open their transports at the same moment: one
-process cannot lock a port of shared memory ("open_and_lock_file failed") and takes the next port.
-"""
+_FUTEX = '202'  # number of the system call on x86-64
+_WAITING = {0, 9}  # its operations that wait, FUTEX_WAIT and FUTEX_WAIT_BITSET
 
 COLOURS = re.compile(r'\x1b\[[0-9;]*m')
 
-SECOND = 1_000_000_000
 MILLISECOND = SECOND // 1000
 
 AnyNode = TypeVar('AnyNode', bound=Node)
@@ -123,6 +124,14 @@ class Ros:
     def parameters(self, node: Node) -> Parameters:
         """Make a client for the parameter services of `node`."""
         return Parameters(self, node)
+
+    def start_twin(self, *ros_args: str) -> DrivenTwin:
+        """Start a twin on a clock set by the test."""
+        return self.node(DrivenTwin, ros_args=ros_args)
+
+    def listen_to(self, twin: Node | None = None) -> Listener:
+        """Make a listener of a node, or of `/twin` in another process."""
+        return self.node(Listener, self, twin.get_fully_qualified_name() if twin else '/twin')
 
     def remove(self, node: Node) -> None:
         """Destroy a node."""
@@ -179,22 +188,19 @@ class Parameters:
 
     def set(self, **values: Any) -> list[str]:  # noqa: A003
         """Set parameters one by one (`a__b` is a.b); return the reasons, '' for accepted ones."""
-        response = self._ros.result(self._client.set_parameters(_parameters(values)))
-        return [_reason(result) for result in response.results]
+        return self._request(self._client.set_parameters, values)
 
     def set_atomically(self, **values: Any) -> str:
         """Set parameters atomically; return the reason, '' if accepted."""
-        future = self._client.set_parameters_atomically(_parameters(values))
-        return _reason(self._ros.result(future).result)
+        return self._request(self._client.set_parameters_atomically, values)[0]
 
-
-def _parameters(values: dict[str, Any]) -> list[Parameter]:
-    return [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
-
-
-def _reason(result: Any) -> str:
-    assert result.successful == (not result.reason)
-    return str(result.reason)
+    def _request(self, request: Any, values: dict[str, Any]) -> list[str]:
+        items = [(name.replace('__', '.'), value) for name, value in values.items()]
+        future = request([Parameter(name, value=value) for name, value in items])
+        response = self._ros.result(future)
+        results = getattr(response, 'results', None) or [response.result]
+        assert all(result.successful == (not result.reason) for result in results)
+        return [result.reason for result in results]
 
 
 class GivenClock(SystemClock):
@@ -301,6 +307,54 @@ class Listener(Node):
         )
 
 
+class Sensors(Node):
+    """Sensors of a rig, which wait until a twin in this process has received their samples."""
+
+    def __init__(self, ros: Ros, twin: DrivenTwin | None, **kwargs: Any) -> None:
+        super().__init__('sensors', **kwargs)
+        self._ros = ros
+        self._twin = twin
+        self._sent = 0
+        name = TWIN_TOPICS.measured_joint_states.at('/twin').name
+        self.publisher = self.create_publisher(JointState, name, QoSProfile(depth=1000))
+        ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
+
+    def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
+        """Publish a sample."""
+        message = JointState(name=list(names), position=[sample.plate, sample.projectile])
+        message.header.stamp = time_to_msg(sample.stamp_ns)
+        self.publisher.publish(message)
+        self._sent += 1
+
+    def wait(self) -> None:
+        """Wait until the twin has taken all that was sent."""
+        twin = self._twin
+        assert twin is not None
+
+        def is_taken() -> bool:
+            twin.measurement.read_messages()
+            counts = twin.session.sample_counts
+            return counts.taken + sum(counts.refused.values()) >= self._sent
+
+        self._ros.spin_until(is_taken, 'receipt of all samples')
+
+    def throw(
+        self, samples: Iterable[Sample], *, behind_ns: int = 0, step_ns: int = 10 * MILLISECOND
+    ) -> None:
+        """Send samples as the clock advances in steps, stamped by a clock that is behind."""
+        waiting, twin = list(samples), self._twin
+        assert twin is not None
+        while waiting:
+            until = twin.clock.time + step_ns
+            count = sum(sample.stamp_ns <= until for sample in waiting)
+            for sample in waiting[:count]:
+                self.send(sample._replace(stamp_ns=sample.stamp_ns - behind_ns))
+            del waiting[:count]
+            self.wait()
+            twin.clock.time = until
+            twin.ticker.run_due()
+
+
 @pytest.fixture(scope='session', autouse=True)
 def _kernels() -> None:
     """Compile all kernels before the tests, so that no node compiles during a test."""
@@ -326,38 +380,38 @@ def domain_id() -> Iterator[int]:
     raise RuntimeError('all 101 ROS domains are in use by other test processes')
 
 
-@pytest.fixture
-def ros(domain_id: int) -> Iterator[Ros]:
-    """Yield the nodes of a test and destroy them at its end."""
+def _make_ros(domain_id: int) -> Iterator[Ros]:
+    """Yield nodes and destroy them at the end."""
     ros = Ros(domain_id)
     yield ros
     ros.close()
 
 
-@pytest.fixture
-def start_twin(ros: Ros) -> Callable[..., DrivenTwin]:
-    """Return a function that starts a twin with ROS arguments."""
-    return lambda *ros_args: ros.node(DrivenTwin, ros_args=ros_args)
+ros = pytest.fixture(_make_ros, name='ros')
+module_ros = pytest.fixture(_make_ros, name='module_ros', scope='module')
 
 
 @pytest.fixture
-def twin(start_twin: Any) -> DrivenTwin:
+def given_clock() -> Callable[..., GivenClock]:
+    """Return the class of clocks set by the test."""
+    return GivenClock
+
+
+@pytest.fixture
+def twin(ros: Ros) -> DrivenTwin:
     """Start a twin that throws only on request."""
-    twin: DrivenTwin = start_twin('-p', 'throw.period:=0.0')
-    return twin
+    return ros.start_twin('-p', 'throw.period:=0.0')
 
 
 @pytest.fixture
-def listen_to(ros: Ros) -> Callable[[Node], Listener]:
-    """Make a listener of a twin, which may be in another process."""
-    return lambda twin=None: ros.node(
-        Listener, ros, twin.get_fully_qualified_name() if twin is not None else '/twin'
-    )
+def listener(ros: Ros, twin: DrivenTwin) -> Listener:
+    return ros.listen_to(twin)
 
 
 @pytest.fixture
-def listener(listen_to: Any, twin: DrivenTwin) -> Listener:
-    return listen_to(twin)  # type: ignore[no-any-return]
+def sensors_of(ros: Ros) -> Callable[..., Sensors]:
+    """Return a function that makes the sensors of a twin, or of none that takes the samples."""
+    return lambda twin=None: ros.node(Sensors, ros, twin)
 
 
 @pytest.fixture
@@ -466,3 +520,42 @@ def record(start_node: Callable[..., Process], tmp_path: Path) -> Callable[..., 
         return recorder
 
     return record
+
+
+def stop_waiting(pid: int) -> None:
+    """
+    Send SIGSTOP at a time at which all threads of a process wait in a system call.
+
+    A process that is stopped or killed while it takes a message from shared memory keeps the lock
+    of its queue: Fast DDS then blocks all senders for up to ten seconds, and drops their messages
+    (docs/record.md). A test of anything else must not meet this case by chance.
+    """
+    deadline = time.monotonic() + TIMEOUT
+    while True:
+        os.kill(pid, signal.SIGSTOP)
+        tasks = list(Path(f'/proc/{pid}/task').iterdir())
+        while not all(_is_stopped(task) for task in tasks):
+            time.sleep(1e-4)
+        if all(_is_waiting(task) for task in tasks):
+            return
+        assert time.monotonic() < deadline, f'process {pid} never waits'
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(1e-3)
+
+
+def _is_stopped(task: Path) -> bool:
+    return (task / 'stat').read_text().rpartition(') ')[2].startswith('T')
+
+
+def _is_waiting(task: Path) -> bool:
+    """Return whether a stopped thread is in a system call that waits."""
+    call, *arguments = (task / 'syscall').read_text().split()
+    if call == _FUTEX:
+        return int(arguments[1], 16) & 0x7F in _WAITING
+    return call != '-1'
+
+
+@pytest.fixture
+def stop() -> Callable[[int], None]:
+    """Return a function that stops a process while it holds no lock."""
+    return stop_waiting

@@ -74,14 +74,14 @@ def stroke() -> SampledMotion:
     ],
 )
 def test_commands_are_played_as_in_the_twin_and_within_the_limits(
-    start_twin, listen_to, write, motion_of, limits
+    ros, write, motion_of, limits
 ) -> None:
     path = write(motions.to_csv(motion_of()), 'plate.csv')
-    twin = start_twin(
+    twin = ros.start_twin(
         *('-p', f'engine.motion_file:={path}', '-p', 'engine.command:=true'),
         *('-p', 'throw.period:=0.5', '-p', 'engine.command_lead:=0.05'),
     )
-    listener = listen_to(twin)
+    listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.plate_trajectory)
     held = (0.0, 0.0, 0.0)
     for number in (1, 2):

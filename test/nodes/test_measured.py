@@ -4,10 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import partial
 import math
-from test.nodes.conftest import MILLISECOND, SECOND
 from typing import Any
 
 from damage import accepted, datas, few
@@ -15,90 +13,45 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rigs import aged, measured_throw
-from sensor_msgs.msg import JointState
+from rigs import measured_throw
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values, time_to_msg
+from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values
 from soft_throw_ros.nodes.measured import _to_samples
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
 from twin_runs import BEGIN, Run
 
-MEASURED = TWIN_TOPICS.measured_joint_states.at('/twin').name
+MILLISECOND = SECOND // 1000
 BATCH_NS = 10 * MILLISECOND
 
 
-class Sensors(Node):
-    """Sensors of a rig, which wait until a twin in this process has received their samples."""
-
-    def __init__(self, ros: Any, twin: Any = None, **kwargs: Any) -> None:
-        super().__init__('sensors', **kwargs)
-        self._ros = ros
-        self._twin = twin
-        self._sent = 0
-        self.publisher = self.create_publisher(JointState, MEASURED, QoSProfile(depth=1000))
-        ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
-
-    def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
-        message = JointState(name=list(names), position=[sample.plate, sample.projectile])
-        message.header.stamp = time_to_msg(sample.stamp_ns)
-        self.publisher.publish(message)
-        self._sent += 1
-
-    def wait(self) -> None:
-        """Wait until the twin has taken all that was sent."""
-
-        def is_taken() -> bool:
-            self._twin.measurement.read_messages()
-            counts = self._twin.session.sample_counts
-            return counts.taken + sum(counts.refused.values()) >= self._sent
-
-        self._ros.spin_until(is_taken, 'receipt of all samples')
-
-    def throw(
-        self, samples: Iterable[Sample], *, behind_ns: int = 0, step_ns: int = BATCH_NS
-    ) -> None:
-        """Send samples as the clock advances in steps, stamped by a clock that is behind."""
-        waiting = list(samples)
-        while waiting:
-            until = self._twin.clock.time + step_ns
-            count = sum(sample.stamp_ns <= until for sample in waiting)
-            for sample in waiting[:count]:
-                self.send(sample._replace(stamp_ns=sample.stamp_ns - behind_ns))
-            del waiting[:count]
-            self.wait()
-            self._twin.clock.time = until
-            self._twin.ticker.run_due()
+@pytest.fixture
+def twin(ros: Any) -> Any:
+    return ros.start_twin('-p', 'engine.motion:=measured')
 
 
 @pytest.fixture
-def twin(start_twin: Any) -> Any:
-    return start_twin('-p', 'engine.motion:=measured')
+def sensors(sensors_of: Any, twin: Any) -> Any:
+    return sensors_of(twin)
 
 
-@pytest.fixture
-def sensors(ros: Any, twin: Any) -> Sensors:
-    return ros.node(Sensors, ros, twin)
-
-
-def test_joints_have_the_names_of_the_parameters(ros, start_twin, listen_to, capfd) -> None:
+def test_joints_have_the_names_of_the_parameters(ros, sensors_of, capfd) -> None:
     names = 'carriage', 'ball'
-    twin = start_twin(
+    twin = ros.start_twin(
         '-p', 'engine.motion:=measured',
         '-p', 'joint_names.plate:=carriage', '-p', 'joint_names.projectile:=ball',
     )
-    sensors = ros.node(Sensors, ros, twin)
+    sensors = sensors_of(twin)
     sensors.send(Sample(twin.clock.time, 0.0, 0.0))
     sensors.wait()
     assert "['plate', 'projectile']" in capfd.readouterr().err
     sensors.send(Sample(twin.clock.time + MILLISECOND, 0.0, 0.0), names)
     sensors.wait()
     assert twin.measurement.count()['samples'] == 1
-    listener = listen_to(twin)
+    listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.joint_states)
     twin.go(1)
     assert tuple(listener.hear(TWIN_TOPICS.joint_states)[0].name) == names
@@ -208,22 +161,11 @@ def test_tick_refuses_at_most_one_message_that_is_too_large(ros, twin, sensors) 
     assert counts.refused == {'too large': 5}
 
 
-def test_aged_layer_warns_in_diagnostics(twin, sensors, listener) -> None:
+def test_without_measurement_nothing_is_reported_about_it(ros, sensors_of) -> None:
+    twin = ros.start_twin()
+    listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.diagnostics)
-    sensors.throw(measured_throw(aged(Rig(), 0.93), begin_ns=twin.clock.time))
-    twin.session.reset()
-    twin.go(2)
-    final = next(result for result in twin.results if result.stage == 'final')
-    status = listener.status(TWIN_TOPICS.diagnostics, 'model', lambda s: len(s.values) > 0)
-    assert status.level == DiagnosticStatus.WARN
-    assert msg_to_values(status)['position_rms'] == final.comparison.position_rms
-
-
-def test_without_measurement_nothing_is_reported_about_it(ros, start_twin, listen_to) -> None:
-    twin = start_twin()
-    listener = listen_to(twin)
-    listener.listen(TWIN_TOPICS.diagnostics)
-    ros.node(Sensors, ros).send(Sample(twin.clock.time, 0.0, 0.0))
+    sensors_of().send(Sample(twin.clock.time, 0.0, 0.0))
 
     def is_dropped() -> bool:
         twin.go(10)

@@ -11,7 +11,7 @@ import sys
 import threading
 
 import pytest
-from soft_throw_ros.nodes import calibrator, recorder, rig, twin
+from soft_throw_ros.nodes import calibrator, recorder, rig, twin, viewer
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -57,40 +57,12 @@ def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
         assert process.lines == ['importing']
 
 
-HANGING = """
-import sys, threading
-from soft_throw_ros.nodes import process
-
-class Hanging(process.RunnableNode):
-    def __init__(self, **_):
-        super().__init__('hanging')
-
-    def start(self):
-        print('started', flush=True)
-
-    def destroy_node(self):
-        if sys.argv[1] == 'hanging':
-            threading.Event().wait()
-        super().destroy_node()
-        late = threading.Thread(target=lambda: self.create_publisher(None, '', 0))
-        late.start()
-        late.join()
-
-sys.exit(process.run('hanging', Hanging, []))
-"""
-
-
-@pytest.mark.parametrize('state', ['hanging', 'working'])
-def test_node_ends_although_the_middleware_hangs(start, state) -> None:
-    node = start(sys.executable, '-c', HANGING, state)
-    node.wait_for('started')
-    node.end_well(TERM)
-
-
-ENDING = """
+NODE = """
 import sys, threading
 from soft_throw_ros.nodes import process
 from std_msgs.msg import String
+
+state = sys.argv[1]
 
 class Ending(process.RunnableNode):
     def __init__(self, **_):
@@ -105,7 +77,7 @@ class Ending(process.RunnableNode):
 
     def start(self):
         print('started', flush=True)
-        if sys.argv[1:] == ['dying']:
+        if state == 'dying':
             thread = threading.Thread(target=lambda: 1 / 0, name='heart')
             thread.start()
             thread.join()
@@ -113,25 +85,32 @@ class Ending(process.RunnableNode):
     def close(self):
         self.note('close')
 
+    def destroy_node(self):
+        super().destroy_node()
+        if state == 'hanging':
+            threading.Event().wait()
+        late = threading.Thread(target=lambda: self.create_publisher(None, '', 0))
+        late.start()  # it fails without a word
+        late.join()
+
 sys.exit(process.run('ending', Ending, []))
 """
 
 
-def test_node_ends_in_the_documented_order(start) -> None:
-    node = start(sys.executable, '-c', ENDING)
+@pytest.mark.parametrize('state', ['working', 'hanging', 'dying'])
+def test_node_ends_in_the_documented_order_although_threads_die_and_the_middleware_hangs(
+    start, state
+) -> None:
+    node = start(sys.executable, '-c', NODE, state)
     node.wait_for('started')
-    assert node.end(TERM) == 0
-    assert node.lines[-3:] == ['close', 'second', 'first']
-
-
-def test_node_whose_thread_dies_reports_it_and_ends_in_order(start) -> None:
-    node = start(sys.executable, '-c', ENDING, 'dying')
-    assert node.wait() == 1
-    (line,) = (line for line in node.lines if 'the node ends' in line)
-    assert "'heart'" in line
-    assert 'ZeroDivisionError' in line
-    assert node.lines[-3:] == ['close', 'second', 'first']
+    code = node.wait() if state == 'dying' else node.end(TERM)
+    assert code == (state == 'dying')
+    ends = [line for line in node.lines if line in ('close', 'first', 'second')]
+    assert ends == ['close', 'second', 'first']
     assert sum('discovery range LOCALHOST' in line for line in node.lines) == 1
+    deaths = [line for line in node.lines if 'the node ends' in line]
+    assert len(deaths) == (state == 'dying')
+    assert all("'heart'" in line and 'ZeroDivisionError' in line for line in deaths)
 
 
 BAD_FILE = """/**:
@@ -168,15 +147,27 @@ def in_process(monkeypatch):
         (twin, '-p engine.command:=true', "engine.command .* got 'underdamped'"),
         (rig, '-p noise:=-1.0', 'got -1.0'),
         (calibrator, '-p throws:=0', 'got 0'),
+        (rig, '-p layer.thickness:=0.1 -p layer.wave_speed:=1. -p engine.frequency:=1e3', '1000'),
         (recorder, '-p compression:=gzip', "got 'gzip'"),
+        (recorder, '-p name:=../bag', "got '../bag'"),
+        (recorder, '-p name:=/tmp/bag', "got '/tmp/bag'"),
+        (recorder, '-p name:=..', r"got '\.\.'"),
+        (recorder, '-p folder:={folder} -p name:=there', "there exists, .* got name 'there'"),
+        (viewer, '-p sink:=file', 'file is empty'),
+        (viewer, '-p sink:=file -p file:=/nowhere/a.rrd', '/nowhere'),
+        (viewer, '-p sink:=printer', "got 'printer'"),
     ],
 )
 def test_refused_argument_is_one_line_and_exit_code_2(
-    capfd, tmp_path, node, arguments, words
+    capfd, tmp_path, monkeypatch, node, arguments, words
 ) -> None:
+    monkeypatch.setattr(viewer, 'exit_after', lambda *_: None)
     file = tmp_path / 'bad.yaml'
     file.write_text(BAD_FILE)
-    assert node.main(['--ros-args', *arguments.format(file=file).split()]) == 2
+    (tmp_path / 'there').mkdir()
+    given = arguments.format(file=file, folder=tmp_path).split()
+    assert node.main(['--ros-args', *given]) == 2
+    assert {path.name for path in tmp_path.iterdir()} == {'bad.yaml', 'there'}
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith(f'{node.__name__.rpartition(".")[2]}: ')
     assert re.search(words, line), line

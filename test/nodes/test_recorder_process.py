@@ -20,7 +20,6 @@ import pytest
 from rosbags.rosbag2 import Reader
 from soft_throw_ros.commands import recover
 from soft_throw_ros.storage.bag_reader import BagReader
-from stopping import stop
 
 PUBLISHER = """
 import select, sys, time
@@ -168,7 +167,7 @@ def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
     'kind', ['reliable', pytest.param('best effort', marks=pytest.mark.slow)]
 )
 def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
-    start, record, tmp_path, kind
+    start, stop, record, tmp_path, kind
 ) -> None:
     publisher, path = Publisher(start, kind), tmp_path / 'bag'
     recorder = record('bag', f'topics:=[{publisher.topic}]')

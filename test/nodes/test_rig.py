@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from test.nodes.conftest import GivenClock, SECOND
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rig import SimulatedRig
 from soft_throw_ros.nodes.topics import Publishers
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.session import Session
 
 RATE = 5000
@@ -47,9 +47,9 @@ class Driven(SimulatedRig):
 
 
 @pytest.fixture
-def start(ros: Any) -> Any:
+def start(ros: Any, given_clock: Any) -> Any:
     """Start a rig with ROS arguments."""
-    return lambda *ros_args: ros.node(Driven, GivenClock(), ros_args=ros_args)
+    return lambda *ros_args: ros.node(Driven, given_clock(), ros_args=ros_args)
 
 
 def test_perfect_sensors_measure_the_true_positions(start) -> None:
@@ -99,22 +99,6 @@ def test_layer_ages_once_after_its_throws(start, ros) -> None:
     rig.go(2.0)
     assert rig.session.pending == {}
     assert rig.get_parameter('layer.wave_speed').value == 0.5 * speed
-
-
-@pytest.mark.parametrize('namespace', ['', '/rig1'])
-def test_rig_measures_for_the_twin_in_its_namespace(ros, namespace) -> None:
-    rig = ros.node(SimulatedRig, ros_args=('-r', f'__ns:={namespace or "/"}'))
-    topics = [publisher.topic_name for publisher in rig.publishers]
-    assert f'{namespace}/{RIG_TOPICS.measured_joint_states.name}' in topics
-
-
-def test_unplayable_rig_is_refused_with_the_value(start) -> None:
-    with pytest.raises(ValueError, match='1000'):
-        start(
-            *('-p', 'layer.thickness:=0.1'),
-            *('-p', 'layer.wave_speed:=1.0'),
-            *('-p', 'engine.frequency:=1000.0'),
-        )
 
 
 @pytest.fixture

@@ -4,26 +4,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 import os
 from pathlib import Path
 import signal
 import socket
 import sys
-from test.nodes.conftest import PROCESS_TIMEOUT
 from typing import Any
 
 import pytest
 from rclpy.duration import Duration
 from rclpy.node import Node
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.interface import find_topic, VIEWER_TOPICS
+from soft_throw_ros.configuration.interface import TWIN_TOPICS, VIEWER_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.topics import load_type, qos_profile
+from soft_throw_ros.nodes.topics import load_type
 from soft_throw_ros.nodes.viewer import Viewer
 from soft_throw_ros.recording.rerun_viewer import free_port, url_of
-from soft_throw_ros.storage.message import Message
-from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
 
@@ -34,50 +31,26 @@ from soft_throw_ros.recording.rerun_view import is_drawn  # noqa: E402
 
 pytestmark = pytest.mark.timeout(180)
 
-ACKNOWLEDGED = Duration(seconds=PROCESS_TIMEOUT)
-"""Longest wait until the viewer has acknowledged all messages."""
-
-
-@pytest.fixture(scope='module')
-def messages() -> list[Message]:
-    """Messages of two throws and the start of a third."""
-    return TwinMessages(throw__period=0.2).go(500).messages
-
-
-class Twin:
-    """A node that publishes recorded messages to a viewer in another process."""
-
-    def __init__(self, ros: Any, messages: Sequence[Message]) -> None:
-        self._ros = ros
-        self._messages = messages
-        self._publishers: dict[str, Any] = {}
-        node = ros.node(Node, 'twin_of_the_test')
-        for message in messages:
-            name, kind = message.channel.topic, message.channel.type
-            known = find_topic(name, kind)
-            if known is None or name in self._publishers or not is_drawn(name, kind):
-                continue
-            profile = qos_profile(known.topic)
-            profile.depth = len(messages)
-            self._publishers[name] = node.create_publisher(load_type(kind), name, profile)
-
-    def publish(self, begin: float = 0.0, end: float = 1.0) -> None:
-        """Publish a part of the messages, and wait until the viewer has received them."""
-        publishers = self._publishers.values()
-        self._ros.spin_until(
-            lambda: all(publisher.get_subscription_count() > 0 for publisher in publishers),
-            'the subscriptions',
-        )
-        first, last = (round(part * len(self._messages)) for part in (begin, end))
-        for message in self._messages[first:last]:
-            if message.channel.topic in self._publishers:
-                self._publishers[message.channel.topic].publish(message.data)
-        assert all(publisher.wait_for_all_acked(ACKNOWLEDGED) for publisher in publishers)
+DRAWN = [topic for topic in TWIN_TOPICS if is_drawn(topic.at('/twin').name, topic.type)]
 
 
 @pytest.fixture
-def twin(ros: Any, messages: list[Message]) -> Twin:
-    return Twin(ros, messages)
+def throw(ros: Any) -> Callable[[], None]:
+    """Return a function that throws for a quarter of a second, for a viewer that has all of it."""
+    twin = ros.start_twin('-p', 'throw.period:=0.2')
+    names = {topic.at('/twin').name for topic in DRAWN if not topic.is_input}
+    publishers = [item for item in twin.publishers if item.topic_name in names]
+
+    def throw() -> None:
+        ros.spin_until(
+            lambda: all(item.get_subscription_count() > 0 for item in publishers), 'the viewer'
+        )
+        twin.go(250)
+        ros.spin_until(lambda: not twin._jobs, 'the messages of the executor')
+        duration = Duration(seconds=60.0)
+        assert all(item.wait_for_all_acked(duration) for item in publishers)
+
+    return throw
 
 
 @pytest.fixture
@@ -105,7 +78,7 @@ def entities(viewer: Any) -> set[str]:
 
 @pytest.mark.slow
 def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
-    ros, show, twin
+    ros, show, throw
 ) -> None:
     port = free_port()
     node = show(port=port)  # without a screen it serves
@@ -113,7 +86,7 @@ def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
     listening = Path('/proc/net/tcp').read_text(encoding='ascii')
     assert f' 0100007F:{port:04X} ' in listening
     assert f' 00000000:{port:04X} ' not in listening + Path('/proc/net/tcp6').read_text()
-    twin.publish(end=0.5)
+    throw()
     # published once, at the very beginning
     kept = {'/twin/recommendation', '/twin/throw_result', '/twin/phase', '/twin/position'}
     with viewer_at(free_port(), '--connect', url_of(port)) as viewer:
@@ -121,7 +94,7 @@ def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
         client = ViewerClient.connect(url_of(viewer.port))
         ros.spin_until(lambda: len(client.get_state().views) >= 10, 'the layout')
         os.killpg(viewer.pid, signal.SIGSTOP)
-        twin.publish(begin=0.5)
+        throw()
         node.end_well(signal.SIGTERM)
 
 
@@ -133,14 +106,14 @@ def test_node_without_a_viewer_ends_well(show) -> None:
 
 
 @pytest.mark.slow
-def test_file_has_every_message_that_came_before_the_end(ros, show, twin, tmp_path) -> None:
+def test_file_has_every_message_that_came_before_the_end(ros, show, throw, tmp_path) -> None:
     path = tmp_path / 'live.rrd'
     node = show(sink='file', file=path)
     heard: list[Any] = []
     topic = VIEWER_TOPICS.diagnostics
     listener = ros.node(Node, 'listener')
     listener.create_subscription(load_type(topic.type), topic.name, heard.append, 100)
-    twin.publish()
+    throw()
     heard.clear()  # reports from before the messages
 
     def has_reported() -> bool:
@@ -151,22 +124,7 @@ def test_file_has_every_message_that_came_before_the_end(ros, show, twin, tmp_pa
 
     ros.spin_until(has_reported, 'the diagnostics')
     assert node.end(signal.SIGINT) == 0
-    assert RrdFile(path).rows['/twin/position'] == 500
-
-
-@pytest.mark.parametrize(
-    ('rules', 'words'),
-    [
-        (['sink:=file'], 'file is empty'),
-        (['sink:=file', 'file:=/nowhere/a.rrd'], '/nowhere'),
-        (['sink:=printer'], "'printer'"),
-    ],
-)
-def test_sink_that_cannot_be_opened_is_refused_in_one_line(ros, rules, words) -> None:
-    ros_args = tuple(word for rule in rules for word in ('-p', rule))
-    with pytest.raises(ParameterError, match=words) as raised:
-        ros.node(Viewer, ros_args=ros_args, arguments=('--ros-args', *ros_args))
-    assert '\n' not in str(raised.value)
+    assert RrdFile(path).rows['/twin/position'] == 250
 
 
 def test_without_rerun_the_node_names_the_command_that_installs_it(ros, monkeypatch) -> None:

@@ -23,7 +23,7 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_VELOCITY,
 )
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.nodes.throw_texts import comparison_text, throw_text
+from soft_throw_ros.nodes.texts import comparison_text, throw_text
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import RequestRejected

@@ -1,16 +1,36 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Sentences on a throw for the log and for /diagnostics."""
+"""Sentences on throws and sensors, for the log and for /diagnostics."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from soft_throw_ros.core.smoothing import FEWEST
+from soft_throw_ros.twin.plate_estimator import PER_CROSSING, PER_PERIOD, SampledSpan
 from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
+from soft_throw_ros.twin.sensor_checks import LowRate, SensorFault
+
+_REQUIRED_SAMPLES = {
+    SampledSpan.CROSSING: f'{PER_CROSSING} in a crossing of the wave',
+    SampledSpan.PERIOD: f'{PER_PERIOD} in a period of the plate',
+    SampledSpan.WINDOW: f'{FEWEST} in measured.smoothing_window',
+}
+
+
+def count_of(number: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
 
 
 def throw_text(result: ThrowResult) -> str:
     """Return the release of a throw with warnings, or the reason why the throw is invalid."""
     if not result.is_valid:
-        return _invalid_text(result)
+        text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
+        if result.ended_by == 'noise':
+            text = 'the plate samples are noisy: increase measured.smoothing_window or the rate'
+        causes = [f'throw {result.throw} is invalid: {text}', *_causes(result.disturbances, 0)]
+        return '; '.join(causes)
     if result.first is None:
         return f'throw {result.throw}: the projectile was not released'
     event = 'release predicted' if result.stage == 'predicted' else 'released'
@@ -21,8 +41,8 @@ def throw_text(result: ThrowResult) -> str:
     if result.accuracy is not None:
         text += f' +- {result.accuracy.energy_transfer_error:.3f}'
     if result.last is not None and result.recontacts:
-        noun = 're-contact' if result.recontacts == 1 else 're-contacts'
-        text += f' ({result.last.energy_transfer:.3f} after {result.recontacts} {noun})'
+        recontacts = count_of(result.recontacts, 're-contact')
+        text += f' ({result.last.energy_transfer:.3f} after {recontacts})'
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
@@ -40,7 +60,7 @@ def comparison_text(result: ThrowResult) -> str:
     rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
     if comparison.is_within_threshold:
         return f'the projectile followed the model within {rms:.3g} um rms'
-    causes = _causes_text(result.disturbances, comparison.samples)
+    causes = ', '.join(_causes(result.disturbances, comparison.samples))
     return (
         f'the projectile deviated from the model by {rms:.3g} um rms, more than '
         f'measured.residual_threshold {threshold:.3g} um: '
@@ -55,27 +75,29 @@ def lead_text(result: ThrowResult) -> str:
     return f'prediction available {abs(lead):.2f} ms {side} release'
 
 
-def _invalid_text(result: ThrowResult) -> str:
-    """Return why the plate could not be followed."""
-    text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
-    if result.ended_by == 'noise':
-        text = 'the plate samples are too noisy: increase measured.smoothing_window or the rate'
-    causes = _causes_text(result.disturbances, 0)
-    return f'throw {result.throw} is invalid: {text}' + (f'; {causes}' if causes else '')
-
-
-def _causes_text(disturbances: Disturbances | None, samples: int) -> str:
-    """Return the disturbances of a throw with a number of samples, if any."""
+def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:
+    """Yield the disturbances of a throw with a number of samples, if any."""
     if disturbances is None:
-        return ''
-    causes = []
+        return
     if disturbances.samples_missing > MOST_LEFT_OUT * samples:
-        causes.append(
+        yield (
             f'{disturbances.samples_missing} samples are missing or came too late (see '
             'measurement in /diagnostics)'
         )
     if disturbances.time_skipped > 0.0:
-        causes.append(
-            f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'
+        yield f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'
+
+
+def sensor_text(fault: SensorFault) -> str:
+    """Return a fault of the sensors with its numbers and the remedy."""
+    if isinstance(fault, LowRate):
+        return (
+            f'the plate is measured at {fault.rate:.0f} Hz, which must be at least '
+            f'{fault.least_rate:.0f} Hz, {_REQUIRED_SAMPLES[fault.span]}: no throw is followed'
         )
-    return ', '.join(causes)
+    noise, expected = fault
+    return (
+        f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / expected:.1f} '
+        f'times measured.position_noise {1e6 * expected:.3g} um: set it, or divide heights in '
+        'millimetres by 1000; the plate may never seem at rest, and then no throw is followed'
+    )

@@ -1,0 +1,110 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The closed loop of rig, twin, calibrator and recorder as processes, read from its bag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import statistics
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import pytest
+from rclpy.serialization import deserialize_message
+from soft_throw_ros.configuration import rig_of
+from soft_throw_ros.configuration.rig import RIG, to_twin
+from soft_throw_ros.design.motion import design_motion
+from soft_throw_ros.design.recommendation import predict, recommend
+from soft_throw_ros.nodes.conversions import msg_to_throw_result
+from soft_throw_ros.recording.check import check_bag
+from soft_throw_ros.storage.bag_reader import BagReader
+
+HIDDEN = {
+    'engine.frequency': 61.8,
+    'engine.amplitude': 2.1e-3,
+    'engine.damping_ratio': 0.075,
+    'layer.thickness': 29.1e-3,
+    'layer.wave_speed': 7.3,
+}
+"""True parameters of the rig that differ from those of the twin."""
+
+NEW_LAYER = 'layer.thickness is now '
+
+
+@pytest.fixture
+def loop(start_node: Any, record: Any, tmp_path: Any, monkeypatch: Any) -> Any:
+    """Run the loop until the gain of a commanded motion is measured."""
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))  # the twin writes the motion below it
+    calibrator = start_node('calibrator', 'rig:=/rig', 'throws:=2', 'motion_after:=5')
+    twin = start_node(
+        'twin', 'engine.motion:=measured', 'layer.name:=gelatin_29.1mm',
+        'recommendation.vary:=thickness',
+    )
+    processes = [record('bag', 'topics:=[twin, /diagnostics]'), calibrator, twin]
+    for process in processes[1:]:
+        process.wait_for('ready')
+    hidden = [f'{name}:={value}' for name, value in HIDDEN.items()]
+    processes.append(start_node('rig', 'rate:=2500.0', 'throw.period:=0.6', *hidden))
+    calibrator.wait_for('measured gain')
+    for process in reversed(processes):
+        process.end_well()
+    return processes
+
+
+@pytest.mark.slow
+@pytest.mark.once
+@pytest.mark.timeout(300)
+def test_loop_finds_the_rig_improves_layer_and_motion_and_records_all(loop, tmp_path) -> None:
+    recorder, calibrator, _, rig = loop
+    assert ' 0 lost, in ' in recorder.lines[-1]
+    results, statuses, models = [], [], []
+    with BagReader(tmp_path / 'bag') as bag:
+        for message in bag.messages(['/twin/throw_result', '/diagnostics']):
+            for status in deserialize_message(message.data, DiagnosticArray).status:
+                if status.name == '/twin: throw':
+                    results.append(msg_to_throw_result(status))
+                elif status.name == '/twin: model':
+                    models.append(status.level)
+                elif status.name == '/calibrator: identification':
+                    values = {item.key: item.value.split()[0] for item in status.values}
+                    statuses.append((status.message, values))
+        assert [check.exit_code for check in check_bag(bag)] == [0]
+
+    # The rig is identified once
+    assert sum('; identifying' in line for line in calibrator.lines) == 1
+    identified = next(values for text, values in statuses if text.startswith('identified'))
+    assert float(identified['layer.wave_speed']) == pytest.approx(7.3, rel=0.01)
+    (line,) = (line for line in rig.lines if NEW_LAYER in line)
+    thickness = float(line.rpartition(NEW_LAYER)[2])
+    true = rig_of(to_twin({**RIG.defaults(), **HIDDEN}))
+    new = replace(true, layer=replace(true.layer, thickness=thickness))
+    before = [item for item in results if item.rig.layer.thickness == 29.1e-3]
+    assert any(
+        item.stage == 'final' and item.comparison and not item.comparison.is_within_threshold
+        for item in before
+    )
+    leads = [item.lead for item in before if item.stage == 'predicted']
+    assert max(leads) > true.crossing_time / 4
+
+    # Its throws with the recommended layer are better, and predicted well
+    after = [
+        item
+        for item in results
+        if item.stage == 'final' and item.comparison
+        and abs(item.rig.layer.thickness - thickness) < 1e-9
+    ]
+    speed = statistics.mean(item.first.ejection_speed for item in after)
+    assert speed == pytest.approx(predict(new).ejection_speed, rel=0.01)
+    assert DiagnosticStatus.WARN in models
+    assert DiagnosticStatus.OK in models
+    errors = [item.comparison.position_rms for item in after]
+    assert statistics.median(errors) <= after[0].comparison.threshold
+    best = recommend(true, vary='thickness')
+    assert predict(new).energy_transfer == pytest.approx(best.energy_transfer, rel=0.01)
+    assert predict(new).kinetic_energy > 1.05 * predict(true).kinetic_energy
+
+    # The best motion is commanded, and its gain is measured
+    gain = {name: float(value) for name, value in statuses[-1][1].items()}
+    assert (gain['engine.throws'], gain['commanded.throws']) == (5, 2)
+    for name, throw in (('engine', predict(new)), ('commanded', design_motion(new))):
+        assert gain[f'{name}.ejection_speed'] == pytest.approx(throw.ejection_speed, rel=0.01)
