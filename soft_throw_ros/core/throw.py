@@ -496,9 +496,7 @@ def throw_many(
     changes = changes or {}
     for name in changes.keys() - _KINDS.keys():
         raise ValueError(f'changes must be of {", ".join(_KINDS)}, got {name!r}')
-    changes = {
-        name: checks.require_all(name, item, _KINDS[name]) for name, item in changes.items()
-    }
+    new = {name: checks.require_all(name, item, _KINDS[name]) for name, item in changes.items()}
     rigs = [rig] if isinstance(rig, Rig) else list(rig)
     is_sampled = any(single.engine.motion for single in rigs)
     kinds = {
@@ -514,7 +512,7 @@ def throw_many(
     given = {**given, 'rig': np.arange(len(rigs))}
     if isinstance(rig, Rig):
         given = {name: column[0] for name, column in given.items()}
-    given.update(changes)
+    given.update(new)
     shape = np.broadcast_shapes(*map(np.shape, given.values()))
     values = {name: np.broadcast_to(item, shape).ravel() for name, item in given.items()}
     exist = (values['thickness'] > 0.0) & (values['wave_speed'] > 0.0) & (values['mass'] > 0.0)
@@ -525,7 +523,7 @@ def throw_many(
 
     def follow(batch: NDArray[np.int64]) -> None:
         for n in batch.tolist():
-            changed = {name: values[name][n].item() for name in changes}
+            changed = {name: values[name][n].item() for name in new}
             single = rig_with(rigs[values['rig'][n]], changed)
             peak_speed[n] = motion_of(single.engine).peak_velocity
             try:
@@ -560,7 +558,7 @@ def throw_many(
     return Throws(*numbers)
 
 
-def rig_with(rig: Rig, changes: Mapping[str, float]) -> Rig:
+def rig_with(rig: Rig, changes: Mapping[str, Any]) -> Rig:
     """Return a rig with other values; a stack and a motion of the plate change in proportion."""
     of_engine, of_layer = (
         {item.name: changes[item.name] for item in fields(kind) if item.name in changes}
