@@ -26,7 +26,7 @@ from soft_throw_ros.core.batch import (
     run_batches,
     ThrowUnresolvedError,
 )
-from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
+from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio, PlateMotion
 from soft_throw_ros.core.rig import Engine, Layer, RANGES, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import (
     Event,
@@ -171,9 +171,14 @@ class Throw:
     energies: Energies
 
     @property
+    def motion(self) -> PlateMotion:
+        """Motion of the plate."""
+        return motion_of(self.rig.engine)
+
+    @property
     def peak_plate_speed(self) -> float:
         """:math:`V_p^*` [m/s]."""
-        return motion_of(self.rig.engine).peak_velocity
+        return self.motion.peak_velocity
 
     @property
     def peak_strain(self) -> float:
