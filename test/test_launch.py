@@ -111,7 +111,8 @@ def defaults(name):
 
 
 @pytest.mark.parametrize('name', FILES)
-def test_named_files_and_executables_exist(name):
+def test_named_files_arguments_and_executables_exist(name):
+    assert set(defaults(name)) - {'topic'} <= set(defaults('twin.launch.py'))
     for action in actions(name):
         if kind_of(action) == 'DeclareLaunchArgument' and action.name == 'params_file':
             assert Path(action.kwargs['default_value']).is_file()
@@ -131,25 +132,29 @@ def test_twin_starts_alone_with_its_parameter_file():
     assert values == {'use_sim_time': False}
 
 
-@pytest.mark.parametrize('folder', ['', 'bags'])
-def test_recorder_and_viewer_are_started_on_request(folder):
-    recorder = nodes(folder=folder, record='true')['recorder']
-    assert recorder['parameters'][-1] == ({'folder': folder} if folder else {})
-    started = nodes(folder=folder, rerun='file')
-    assert 'recorder' not in started
-    display = started['viewer']['parameters'][-1]
-    assert display == {'sink': 'file', 'file': str(Path(folder, 'live.rrd'))}
-    assert set(display) <= set(VIEWER.by_name)
-    assert nodes(output='a/b', rerun='viewer')['viewer']['parameters'][-1]['file'] == 'a/b.rrd'
+FIRST = {'folder': 'bags', 'name': 'first'}
 
 
-def test_one_path_of_a_bag_starts_the_recorder_as_in_rosbag2():
-    for name in ('output', 'uri'):
-        recording = nodes(folder='other', **{name: 'bags/first'})['recorder']['parameters'][-1]
-        assert recording == {'folder': 'bags', 'name': 'first'}
-        assert set(recording) <= set(RECORDER.by_name)
-    with pytest.raises(RuntimeError, match='output:=a and uri:=b'):
-        nodes(output='a', uri='b')
+@pytest.mark.parametrize(
+    ('arguments', 'node', 'table', 'expected'),
+    [
+        ({'record': 'true'}, 'recorder', RECORDER, {}),
+        ({'record': 'true', 'folder': 'bags'}, 'recorder', RECORDER, {'folder': 'bags'}),
+        ({'output': 'bags/first', 'folder': 'other'}, 'recorder', RECORDER, FIRST),  # as rosbag2
+        ({'uri': 'bags/first', 'folder': 'other'}, 'recorder', RECORDER, FIRST),
+        ({'rerun': 'file'}, 'viewer', VIEWER, {'sink': 'file', 'file': 'live.rrd'}),
+        ({'rerun': 'file', 'folder': 'a'}, 'viewer', VIEWER,
+         {'sink': 'file', 'file': 'a/live.rrd'}),
+        ({'rerun': 'viewer', 'output': 'a/b'}, 'viewer', VIEWER,
+         {'sink': 'viewer', 'file': 'a/b.rrd'}),
+    ],
+)
+def test_recorder_and_viewer_are_started_on_request(arguments, node, table, expected):
+    started = nodes(**arguments)
+    assert started[node]['parameters'][-1] == expected
+    assert set(expected) <= set(table.by_name)
+    assert ('recorder' in started) is (arguments.keys() & {'record', 'output', 'uri'} != set())
+    assert ('viewer' in started) is ('rerun' in arguments)
 
 
 @pytest.mark.parametrize('argument', ['rviz', 'use_rviz'])
@@ -165,9 +170,8 @@ def test_rviz_shows_the_rig_of_the_namespace(argument, namespace, frame):
     assert description_of(publisher).get_root() == frame
 
 
-def test_description_has_the_sizes_of_the_twin_of_the_namespace(tmp_path):
-    path = tmp_path / 'two_rigs.yaml'
-    path.write_text(
+def test_description_has_the_sizes_of_the_twin_of_the_namespace(write):
+    path = write(
         '/rig1/twin: {ros__parameters: {layer: {thickness: 0.03}}}\n'
         '/rig2/twin: {ros__parameters: {layer: {diameter: 0.02}}}\n'
     )
@@ -178,16 +182,23 @@ def test_description_has_the_sizes_of_the_twin_of_the_namespace(tmp_path):
     assert robot.link_map['rig2/layer_00'].visual.geometry.length == pytest.approx(1.2e-3)
 
 
-def test_description_of_a_refused_parameter_is_refused_with_its_file(tmp_path):
-    path = tmp_path / 'mine.yaml'
-    path.write_text('twin:\n  ros__parameters:\n    layer:\n      thickness: -1.0\n')
-    with pytest.raises(ParameterError, match=r'mine\.yaml: layer\.thickness must be'):
-        nodes(description='true', params_file=str(path))
-
-
-def test_bag_that_exists_is_refused_before_any_node_starts(tmp_path):
-    with pytest.raises(RuntimeError, match=f'output:={tmp_path}: exists'):
-        nodes(output=str(tmp_path))
+@pytest.mark.parametrize(
+    ('arguments', 'error', 'message'),
+    [
+        ({'description': 'true', 'params_file': 'mine.yaml'}, ParameterError,
+         r'mine\.yaml: layer\.thickness must be'),
+        ({'params_file': 'nope.yaml'}, RuntimeError, r'params_file:=nope\.yaml'),
+        ({'output': '.'}, RuntimeError, r'output:=\.: exists'),
+        ({'output': 'a', 'uri': 'b'}, RuntimeError, 'output:=a and uri:=b'),
+    ],
+)
+def test_bad_argument_is_refused_before_any_node_starts(
+    write, tmp_path, monkeypatch, arguments, error, message
+):
+    write('twin: {ros__parameters: {layer.thickness: -1.0}}', 'mine.yaml')
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=message):
+        nodes(**arguments)
 
 
 def test_failure_of_the_recorder_ends_the_launch():
@@ -197,20 +208,14 @@ def test_failure_of_the_recorder_ends_the_launch():
         on_exit(SimpleNamespace(returncode=2), None)
 
 
-@pytest.mark.parametrize('true', ['true', 'True'])
-def test_true_and_false_may_begin_with_a_capital_letter(true):
-    flags = dict.fromkeys(('record', 'description', 'use_sim_time'), true)
+def test_true_and_false_may_begin_with_a_capital_letter():
+    flags = dict.fromkeys(('record', 'description', 'use_sim_time'), 'True')
     started = nodes(**flags, rviz='False')
     assert set(started) == {'twin', 'recorder', 'robot_state_publisher'}
     assert started['twin']['parameters'][-1] == {'use_sim_time': True}
     for action in actions('twin.launch.py'):
         if kind_of(action) == 'DeclareLaunchArgument' and action.name in flags:
-            assert {true, 'false', 'False'} <= set(action.kwargs['choices'])
-
-
-@pytest.mark.parametrize('name', FILES)
-def test_every_launch_file_declares_only_arguments_of_twin_launch(name):
-    assert set(defaults(name)) - {'topic'} <= set(defaults('twin.launch.py'))
+            assert {'true', 'True', 'false', 'False'} <= set(action.kwargs['choices'])
 
 
 def test_rig_and_calibrator_follow_the_clock_of_the_twin():
@@ -220,11 +225,6 @@ def test_rig_and_calibrator_follow_the_clock_of_the_twin():
     for node in declared:
         path, values = node['parameters']
         assert (path.name, values['use_sim_time'].name) == ('params_file', 'use_sim_time')
-
-
-def test_missing_parameter_file_is_refused_before_any_node_starts():
-    with pytest.raises(RuntimeError, match=r'params_file:=nope\.yaml'):
-        nodes(params_file='nope.yaml')
 
 
 @pytest.mark.parametrize('argument', ['description', 'use_rviz'])

@@ -66,13 +66,8 @@ for path in config.rglob('*.*'):
 def run(*command, cwd, **environment):
     """Run a command without PYTHONPATH, and return its output."""
     result = subprocess.run(
-        list(map(str, command)),
-        cwd=cwd,
-        env=ENVIRONMENT | environment,
-        capture_output=True,
-        check=False,
-        text=True,
-        timeout=110,
+        list(map(str, command)), cwd=cwd, env=ENVIRONMENT | environment, capture_output=True,
+        check=False, text=True, timeout=110,
     )
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout
@@ -102,14 +97,6 @@ def wheel(source, tmp_path_factory):
     run(*PIP, 'wheel', *OFFLINE, '--wheel-dir', folder, source, cwd=folder)
     (built,) = folder.glob('*.whl')
     return built
-
-
-@pytest.fixture(scope='module')
-def metadata(wheel):
-    """Return the metadata of the wheel."""
-    with zipfile.ZipFile(wheel) as archive:
-        (name,) = [name for name in archive.namelist() if name.endswith('/METADATA')]
-        return Parser().parsestr(archive.read(name).decode())
 
 
 @pytest.fixture
@@ -149,17 +136,14 @@ def in_workspace(prefix, *command):
 
 
 @pytest.mark.once
-def test_versions_agree(metadata):
-    (released, *_) = re.findall(
-        r'^(\d+\.\d+\.\d+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.MULTILINE
-    )
-    assert metadata['Version'] == soft_throw_ros.__version__
-    assert MANIFEST.findtext('version') == soft_throw_ros.__version__
-    assert released == soft_throw_ros.__version__
+def test_versions_agree_and_dependencies_match_the_imports(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = [name for name in archive.namelist() if name.endswith('/METADATA')]
+        metadata = Parser().parsestr(archive.read(name).decode())
+    released = re.search(r'^(\S+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.MULTILINE)[1]
+    versions = {metadata['Version'], MANIFEST.findtext('version'), released}
+    assert versions == {soft_throw_ros.__version__}
 
-
-@pytest.mark.once
-def test_dependencies_match_the_imports(metadata):
     trees = [ast.parse(path.read_text()) for path in (ROOT / 'soft_throw_ros').rglob('*.py')]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
@@ -197,19 +181,14 @@ def test_checkout_finds_config_without_being_installed(environment, tmp_path):
 
 
 def test_colcon_installs_to_the_paths_of_ros_and_finds_config(colcon_prefix, tmp_path):
-    share = colcon_prefix / 'share/soft_throw_ros'
-    assert {path.name for path in (colcon_prefix / 'lib/soft_throw_ros').iterdir()} == set(
-        EXECUTABLES
-    )
+    share, programs = colcon_prefix / 'share/soft_throw_ros', colcon_prefix / 'lib/soft_throw_ros'
+    assert {path.name for path in programs.iterdir()} == set(EXECUTABLES)
     assert (colcon_prefix / 'share/ament_index/resource_index/packages/soft_throw_ros').is_file()
     assert (share / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
     assert files_below(share / 'config') == CONFIG
     for folder in ('launch', 'rviz', 'urdf'):
-        (*paths,) = (ROOT / folder).glob('*.*')
-        assert paths
-        for path in paths:
-            assert (share / folder / path.name).read_bytes() == path.read_bytes()
+        assert files_below(share / folder) == files_below(ROOT / folder) != {}
     command = in_workspace(colcon_prefix, sys.executable, '-c', PRINT_PATH_AND_CONFIG)
     assert_finds_config(run(*command, cwd=tmp_path), colcon_prefix.parents[1])
-    command = in_workspace(colcon_prefix, colcon_prefix / 'lib/soft_throw_ros/twin', '--help')
+    command = in_workspace(colcon_prefix, programs / 'twin', '--help')
     assert run(*command, cwd=tmp_path).startswith('usage: twin ')

@@ -1,13 +1,17 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The node `recorder`: records topics into a bag."""
+"""The node `recorder`: records topics into a bag, and may start a viewer that shows them live."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
 from functools import partial
 import gc
+import json
 from pathlib import Path
+import subprocess
+import sys
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -17,9 +21,11 @@ from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.recording import bag_path, Recording
 from soft_throw_ros.nodes.topics import create_service, Publishers
+from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin.session import RequestRejected
 
 _DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
+_VIEWER_TIMEOUT = 2.0  # longest wait for the end of the viewer [s]
 
 
 class Recorder(RunnableNode):
@@ -28,6 +34,7 @@ class Recorder(RunnableNode):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None  # the one under way
+        self._viewer: subprocess.Popen[bytes] | None = None  # while it runs
         self.add_cleanup(self.close)
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
@@ -49,12 +56,20 @@ class Recorder(RunnableNode):
             self.begin()
         else:
             self._report()
+        if self.parameters.settings['rerun.sink'] != 'none':
+            self._viewer = self._start_viewer(self.parameters.settings)
         self.get_logger().info('ready')
 
     def close(self) -> None:
-        """Finish the recording under way, and set the exit code."""
+        """Finish the recording under way, end the viewer, and set the exit code."""
+        viewer, self._viewer = self._viewer, None
+        if viewer is not None:
+            viewer.terminate()  # it ends while the bag is finished
         if self.recording is not None:
             self.end()
+        if viewer is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                viewer.wait(_VIEWER_TIMEOUT)
         if self._has_failed:
             self.exit_code = 1
 
@@ -78,6 +93,23 @@ class Recorder(RunnableNode):
         self._report()
         self._log(self._last, is_error=recording.has_failed)
         return recording.has_failed
+
+    def _start_viewer(self, settings: Settings) -> subprocess.Popen[bytes]:
+        """Start a viewer of the same topics, which never outlives this process."""
+        path = self.recording.bag if self.recording is not None else None
+        parameters = {
+            'topics': list(settings['topics']),
+            'sink': settings['rerun.sink'],
+            'file': f'{(path or bag_path(settings)).absolute()}.rrd',
+        }
+        rules = [f'{name}:={json.dumps(value)}' for name, value in parameters.items()]
+        command = [sys.executable, '-m', 'soft_throw_ros', 'viewer', '--ros-args']
+        command += ['-r', f'__ns:={self.get_namespace()}']
+        return subprocess.Popen(
+            bound_to_parent([*command, *(word for rule in rules for word in ('-p', rule))]),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C reaches only the recorder
+        )
 
     def _log(self, text: str, *, is_error: bool) -> None:
         if is_error:
@@ -105,6 +137,9 @@ class Recorder(RunnableNode):
 
     def _on_second(self) -> None:
         """Publish the state of the recording, and log its problems."""
+        if self._viewer is not None and self._viewer.poll() is not None:
+            code, self._viewer = self._viewer.returncode, None
+            self._log(f'the viewer has ended with exit code {code}', is_error=True)
         recording = self.recording
         if recording is not None:
             recording.watch_publishers()

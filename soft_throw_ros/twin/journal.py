@@ -28,8 +28,9 @@ with all their digits, so that the same line gives the same floats.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass
 import json
 import math
 from operator import index
@@ -42,7 +43,7 @@ from zlib import crc32
 import numba
 import numpy as np
 from soft_throw_ros import __version__
-from soft_throw_ros.configuration import motions, ParameterError, Settings, TWIN
+from soft_throw_ros.configuration import motions, Settings, TWIN
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
@@ -79,11 +80,28 @@ _LONGEST_DATA = 1 << 24
 _FARTHEST = 2**62
 """Largest magnitude of a step [-], and of a time [ns]."""
 
+_SCHEDULE = ('anchor_step', 'anchor_time_ns', 'rate')
+"""Keys of the fields of a `TickSchedule`."""
+
+_REST = {
+    'plate': 'plate_rest', 'projectile': 'projectile_rest', 'noise': 'noise', 'error': 'rest_error'
+}
+"""Keys of the fields of a `RestBaseline`; NaN is None."""
+
 _SAMPLE = np.dtype([('step', '<i8'), ('stamp_ns', '<i8'), ('heights', '<f8', (2,))])
 
 
 class JournalError(ValueError):
     """An invalid line of a journal, or an entry that does not fit the session."""
+
+
+@contextmanager
+def _reading(what: str, source: object) -> Iterator[None]:
+    """Raise JournalError, which quotes the source, if it cannot be read."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, OverflowError, RuntimeError, zlib.error) as error:
+        raise JournalError(f'no {what} can be read, {error}: {quote(source)}') from error
 
 
 def encode(entry: Entry) -> str:
@@ -106,10 +124,8 @@ def decode(line: str) -> Entry:
     7
 
     """
-    try:
+    with _reading('line of a journal', line):
         entry = json.loads(line)
-    except (ValueError, RecursionError) as error:
-        raise JournalError(f'not a line of a journal, {error}: {quote(line)}') from error
     if not isinstance(entry, dict) or not {'kind', 'step'} <= entry.keys():
         raise JournalError(f'an entry of a journal has kind and step, got {quote(line)}')
     for name, kind in _TYPES.items():
@@ -122,13 +138,8 @@ def decode(line: str) -> Entry:
 
 def checked_settings(entry: Entry, key: str) -> Settings:
     """Return settings of an entry; JournalError if missing or refused."""
-    settings = entry.get(key)
-    if not isinstance(settings, Mapping):
-        raise JournalError(f'an entry lacks {key}: {quote(dict(entry))}')
-    try:
-        return {name: TWIN.check_value(name, value) for name, value in settings.items()}
-    except ParameterError as error:
-        raise JournalError(str(error)) from error
+    with _reading(key, dict(entry)):
+        return {name: TWIN.check_value(name, value) for name, value in dict(entry[key]).items()}
 
 
 def motion_source(entry: Entry) -> motions.MotionSource:
@@ -137,39 +148,26 @@ def motion_source(entry: Entry) -> motions.MotionSource:
 
     No file is opened: the source raises JournalError for every other path.
     """
-    texts = entry.get('motions', {})
 
     def motion_of(path: str) -> SampledMotion:
-        try:
-            return motions.decode(texts[path])
-        except (KeyError, TypeError, ValueError) as error:
-            raise JournalError(
-                f'{entry["kind"]} of step {entry["step"]} has no motion of {quote(path)}: {error}'
-            ) from error
+        with _reading(f'motion of {entry["kind"]} {entry["step"]}', path):
+            return motions.decode(entry.get('motions', {})[path])
 
     return motion_of
 
 
-def decode_schedule(values: Entry) -> TickSchedule:
-    """Decode a schedule from the values of an entry."""
-    try:
-        step, time_ns = index(values['anchor_step']), index(values['anchor_time_ns'])
-        rate = values['rate']
-        is_schedule = max(abs(step), abs(time_ns)) <= _FARTHEST and 1e-3 <= rate <= 1e9
-    except (KeyError, TypeError) as error:
-        raise JournalError(f'not a schedule of ticks, {error!r}: {quote(values)}') from error
-    if not is_schedule:
-        raise JournalError(f'a schedule has times and a rate, got {quote(values)}')
-    return TickSchedule(step=step, time_ns=time_ns, rate=rate)
-
-
 def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
     """Encode a schedule for an entry."""
-    return {
-        'anchor_step': schedule.step,
-        'anchor_time_ns': schedule.time_ns,
-        'rate': schedule.rate,
-    }
+    return dict(zip(_SCHEDULE, astuple(schedule), strict=True))
+
+
+def decode_schedule(values: Entry) -> TickSchedule:
+    """Decode a schedule from the values of an entry."""
+    with _reading('schedule of ticks', values):
+        step, time_ns, rate = (values[name] for name in _SCHEDULE)
+        if max(abs(index(step)), abs(index(time_ns))) > _FARTHEST or not 1e-3 <= rate <= 1e9:
+            raise ValueError('out of range')
+        return TickSchedule(step, time_ns, rate)
 
 
 def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
@@ -178,15 +176,6 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
 
     `data` contains for each sample the step, the stamp and the other fields of `Sample`, 8 bytes
     each, little endian, compressed by zlib, in base 64.
-
-    Examples
-    --------
-    >>> from soft_throw_ros.twin.sample_buffer import Sample
-    >>> batches = [(7, Samples.of([Sample(100, 0.5)])), (8, Samples.of([Sample(200, 0.25)]))]
-    >>> entry = {'kind': 'samples', 'step': 8, **encode_samples(batches)}
-    >>> [(step, len(samples)) for step, samples in decode_samples(entry)]
-    [(7, 1), (8, 1)]
-
     """
     rows = np.zeros(sum(len(samples) for _, samples in batches), _SAMPLE)
     end = 0
@@ -200,12 +189,10 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
 
 def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
     """Decode the samples of an entry, in batches with the step that followed each."""
-    try:
+    with _reading('samples', dict(entry)):
         data = base64.b64decode(entry['data'], validate=True)
         content = zlib.decompressobj().decompress(data, _LONGEST_DATA)
         rows = np.frombuffer(content, _SAMPLE, entry['count'])  # ValueError if too short
-    except (KeyError, TypeError, ValueError, zlib.error) as error:
-        raise JournalError(f'no samples can be read, {error}: {quote(dict(entry))}') from error
     changes = np.diff([*rows['step'].tolist(), entry['step']])
     if (changes < 0).any():
         raise JournalError(f'samples are before {entry["step"]}, in order, got {rows["step"]}')
@@ -218,13 +205,10 @@ def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
 
 def encode_onset(onset: Onset) -> Entry:
     """Encode an onset for an entry."""
-    rest = onset.rest
+    rest = {_REST[name]: value for name, value in vars(onset.rest).items()}
     return {
         'onset_ns': onset.onset_ns,
-        'plate_rest': rest.plate,
-        'projectile_rest': None if math.isnan(rest.projectile) else rest.projectile,
-        'noise': rest.noise,
-        'rest_error': rest.error,
+        **{key: None if math.isnan(value) else value for key, value in rest.items()},
         'clock_offset_ns': onset.clock_offset_ns,
         **encode_samples([(0, onset.samples)]),
     }
@@ -232,23 +216,16 @@ def encode_onset(onset: Onset) -> Entry:
 
 def decode_onset(values: Entry) -> Onset:
     """Decode an onset."""
-    try:
-        projectile = values['projectile_rest']
+    with _reading('onset of a throw of a measured plate', values):
+        rest = {name: values[key] for name, key in _REST.items()}
+        if rest['projectile'] is None:  # it was not measured
+            rest['projectile'] = math.nan
         return Onset(
             onset_ns=index(values['onset_ns']),
-            rest=RestBaseline(
-                plate=float(values['plate_rest']),
-                projectile=math.nan if projectile is None else float(projectile),
-                noise=float(values['noise']),
-                error=float(values['rest_error']),
-            ),
+            rest=RestBaseline(**{name: float(value) for name, value in rest.items()}),
             samples=decode_samples({**values, 'step': 0})[0][1],
             clock_offset_ns=index(values.get('clock_offset_ns', 0)),
         )
-    except (LookupError, TypeError, ValueError, OverflowError) as error:
-        raise JournalError(
-            f'invalid onset of a throw of a measured plate, {error!r}: {quote(values)}'
-        ) from error
 
 
 @dataclass
@@ -264,9 +241,6 @@ class _Checksum:
         self.states = crc32(STATE.pack(*outputs.state), self.states)
         for array in outputs.layer or ():
             self.fields = crc32(array.data, self.fields)
-
-    def values(self) -> dict[str, int]:
-        return {'states': self.states, 'fields': self.fields}
 
 
 class JournalWriter:
@@ -309,7 +283,8 @@ class JournalWriter:
         """Write the result of a throw."""
         checksums: dict[str, int] = {}
         if result.stage == 'final' and self._throw is not None:
-            checksums, self._throw = self._throw.values(), None
+            checksums = {'states': self._throw.states, 'fields': self._throw.fields}
+            self._throw = None
         values = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in result.values().items()
@@ -336,7 +311,7 @@ class JournalWriter:
     def _write_checksum(self, step: int) -> None:
         """Write the checksum of the steps before `step`, if any, and begin the next."""
         if step > self._second.first:
-            self.write('checksum', step, first=self._second.first, **self._second.values())
+            self.write('checksum', step, **vars(self._second))
         self._second = _Checksum(step)
 
     def _flush(self, step: int) -> None:

@@ -13,18 +13,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import dataclasses
 from dataclasses import dataclass, field
-from functools import partial
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.stepper import (
     Event,
-    EventLimitError,
     PLATE_POSITION,
     PROJECTILE_POSITION,
-    Stepper,
     TIME,
 )
 from soft_throw_ros.twin.plate_estimator import Onset, PAST, PlateEstimator, PlateStates
@@ -87,12 +85,9 @@ class MeasuredThrow(OngoingThrow):
         config = estimator.config
         assert prepared.fork is not None
         assert prepared.release_weights is not None
-        prepared.stepper.reset()
+        rest_speed = MEASURED_REST_SPEED * config.start_speed
         super().__init__(
-            prepared,
-            prepared.stepper,
-            number=number,
-            rest_speed=MEASURED_REST_SPEED * config.start_speed,
+            prepared, number=number, start_ns=onset.onset_ns, rest_speed=rest_speed
         )
         self._fork = prepared.fork
         self._onset, self._estimator = onset, estimator
@@ -125,7 +120,7 @@ class MeasuredThrow(OngoingThrow):
 
     def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
         """Advance as far as the plate is known, and predict from there."""
-        estimator, observer, onset_ns = self._estimator, self._observer, self._onset.onset_ns
+        estimator, observer, start_ns = self._estimator, self._observer, self.start_ns
         crossing, window = self._prepared.rig.crossing_time, estimator.config.smoothing_window
         if motion.gap > crossing or tick.due_ns - estimator.newest_ns > LOST:
             self.ended_by = 'gap'
@@ -133,7 +128,7 @@ class MeasuredThrow(OngoingThrow):
             observer.add(estimator.samples(observer.next_ns, estimator.complete_ns + 1))
         known = observer.newest + crossing
         # a longer extrapolation has no meaning
-        now = min((tick.due_ns - onset_ns) / SECOND, known + window)
+        now = min((tick.due_ns - start_ns) / SECOND, known + window)
         self._move_plate(max(now, known, self._latest_release))
         self._count_skipped_time(tick.due_ns)
         horizon = self._stepper.horizon
@@ -144,7 +139,7 @@ class MeasuredThrow(OngoingThrow):
         forecast = self._forecast(known, tick)
         if self.ended_by == 'noise':
             self.events, events = [], ()
-        predicted, stamp_ns = states[ahead], onset_ns + round(ahead * SECOND)
+        predicted, stamp_ns = states[ahead], start_ns + round(ahead * SECOND)
         return Outputs(
             tick.step,
             self.number,
@@ -183,7 +178,7 @@ class MeasuredThrow(OngoingThrow):
 
     def event_ns(self, event: Event, tick: Tick) -> int:  # noqa: ARG002
         """Return the time of an event by the stamps of the samples [ns]."""
-        return self._onset.onset_ns + round(event.time * SECOND)
+        return self.start_ns + round(event.time * SECOND)
 
     def _count_skipped_time(self, due_ns: int) -> None:
         """Count the time of skipped steps."""
@@ -196,7 +191,7 @@ class MeasuredThrow(OngoingThrow):
         self, known: float, max_events: int
     ) -> tuple[tuple[Event, ...], Residual | None]:
         """Advance as far as the plate is known, and compare with samples of the projectile."""
-        rest, start_ns, residuals = self._onset.rest, self._onset.onset_ns, self._residuals
+        rest, start_ns, residuals = self._onset.rest, self.start_ns, self._residuals
         if residuals.is_complete:
             return self._go_to(known, max_events)[1], None
         stepper, first_ns = self._stepper, start_ns + round(self._stepper.state[TIME] * SECOND)
@@ -238,13 +233,9 @@ class MeasuredThrow(OngoingThrow):
         elif self._lead is not None or error > _PREDICTION_ERROR:
             return None
         self._accuracy = accuracy
-        lead = release.time - (tick.due_ns - self._onset.onset_ns) / SECOND
+        lead = release.time - (tick.due_ns - self.start_ns) / SECOND
         self._lead = lead if self._lead is None else self._lead
-        result = self._make_result(
-            'predicted', tick, fork, [release],
-            start_ns=self._onset.onset_ns, stamp_of=partial(self.event_ns, tick=tick),
-            peak_plate_speed=self._peak_speed(release),
-        )
+        result = self._result_of('predicted', tick, fork, [release])
         return self._with_measurement(result, lead, None)
 
     def _latest_peak(self, release: Event | None) -> float:
@@ -252,7 +243,7 @@ class MeasuredThrow(OngoingThrow):
         peak_time = 1.1 * self._estimator.config.motion.peak_velocity_time
         return max(peak_time, release.time if release else 0.0)
 
-    def _peak_speed(self, release: Event | None) -> float:
+    def peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
         times, states = self._plate(self._path)
         is_early = times <= self._latest_peak(release)
@@ -266,7 +257,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
         """Return the accuracy of a release."""
-        speed, peak_speed = release.velocity, self._peak_speed(release)
+        speed, peak_speed = release.velocity, self.peak_plate_speed(release)
         errors = self._observer.errors(speed, peak_speed)
         estimator = self._estimator
         return Accuracy(
@@ -274,48 +265,31 @@ class MeasuredThrow(OngoingThrow):
             release_time_error=errors.time,
             ejection_speed_error=errors.speed * abs(speed),
             energy_transfer_error=errors.energy_transfer * (speed / peak_speed) ** 2,
-            samples=len(estimator.samples(self._onset.onset_ns)) + estimator.outliers,
+            samples=len(estimator.samples(self.start_ns)) + estimator.outliers,
             samples_left_out=estimator.outliers + self._observer.outliers,
         )
 
-    def _try_to_advance(self, stepper: Stepper, time: float) -> None:
-        """Advance a stepper to a time, or until its memory for events is full."""
-        try:
-            stepper.advance_to(time)
-        except EventLimitError:
-            self.ended_by = 'max_events'
-
     def result(self, stage: str, tick: Tick) -> ThrowResult:
-        """Return the preliminary result."""
+        """Return the result so far, with its accuracy and the faults of the measurement."""
         release = self.first_release
         if stage == 'release' and release is not None:
             self._accuracy = self._assess_accuracy(release, is_certain=self._is_certain)
-        result = self._make_result(
-            stage, tick, self._stepper, self.events,
-            start_ns=self._onset.onset_ns, stamp_of=partial(self.event_ns, tick=tick),
-            peak_plate_speed=self._peak_speed(release),
-        )
+        result = super().result(stage, tick)
         return self._with_measurement(result, self._lead, self._residuals.compare(release))
 
     def _with_measurement(
         self, result: ThrowResult, lead: float | None, comparison: Comparison | None
     ) -> ThrowResult:
         """Add the faults of the measurement until now, and to a valid result its accuracy."""
-        onset = self._onset
         disturbances = Disturbances(
-            clock_offset_ns=onset.clock_offset_ns,
-            samples_missing=self._estimator.missing_since(onset.onset_ns),
+            clock_offset_ns=self._onset.clock_offset_ns,
+            samples_missing=self._estimator.missing_since(self.start_ns),
             time_skipped=self._time_skipped,
         )
-        if not result.is_valid:
-            return dataclasses.replace(result, disturbances=disturbances)
-        return dataclasses.replace(
-            result,
-            lead=lead,
-            accuracy=self._accuracy,
-            comparison=comparison,
-            disturbances=disturbances,
-        )
+        known: dict[str, Any] = {}
+        if result.is_valid:
+            known = {'lead': lead, 'accuracy': self._accuracy, 'comparison': comparison}
+        return dataclasses.replace(result, disturbances=disturbances, **known)
 
     def throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when the plate is known for long enough or lost."""
@@ -326,9 +300,7 @@ class MeasuredThrow(OngoingThrow):
         if length > known and not self.ended_by:
             return None
         self._has_shown_field = True
-        config, (times, states), start_ns = (
-            self._prepared.config, self._plate(), self._onset.onset_ns
-        )
+        config, (times, states), start_ns = self._prepared.config, self._plate(), self.start_ns
 
         def throw_field() -> ThrowField:
             stepper, shown = stepper_of(config), slice(MAX_PIECES_AHEAD)

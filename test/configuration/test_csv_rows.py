@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration.csv_rows import Column, read_columns, read_rows
+from soft_throw_ros.configuration.csv_rows import Column, read_columns
 
 COLUMNS = {
     't': Column(('t', 'time'), {'s': 1.0, 'ms': 1e-3}, 's'),
@@ -40,11 +40,6 @@ def test_columns_may_need_a_label_or_have_gaps():
     columns = read('t,z,v\n0,,5\n1,NA,6\n2,3,7\n')
     assert columns['v'].tolist() == [5.0, 6.0, 7.0]
     assert np.isnan(columns['z']).tolist() == [True, True, False]
-
-
-def test_rows_have_the_numbers_of_their_lines():
-    rows = read_rows(['', '# t\r\n', '1 2\r\n', 'sep=,', '3 4'])
-    assert list(rows) == [(3, ['1', '2']), (5, ['3', '4'])]
 
 
 @pytest.mark.parametrize(

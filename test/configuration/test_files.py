@@ -108,24 +108,6 @@ def test_bad_file_is_refused_with_its_name_the_value_and_the_rule(
     assert '\n' not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ('change', 'implied'),
-    [
-        ({'layer.name': 'gelatin_2.0mm'}, {'layer.thickness': 0.002}),
-        ({'layer.thickness': 0.01}, {'layer.name': 'custom'}),
-        ({'layer.stack': '0.008 7.8 1000.0 0.0'}, {'layer.thickness': 0.008}),
-        ({'recommendation.target_speed': 2.0}, {'recommendation.target_height': 0.0}),
-    ],
-)
-def test_one_line_of_a_complete_file_can_be_edited(
-    write: Any, change: dict[str, Any], implied: dict[str, Any]
-) -> None:
-    tree = yaml.safe_load(INSTALLED.read_text())
-    tree['/**/twin']['ros__parameters'] |= change
-    edited = files.read(write(yaml.safe_dump(tree, sort_keys=False)))
-    assert (change | implied).items() <= edited.items()
-
-
 TEXTS = (
     '/data/run #3/plate.csv', 'a: b', '*x', '[x]', '{x', 'true', 'y', '~', '2e-3', '0x1F', 'nan',
     ' ', "it's", 'a "b"', 'two\nlines', '\x1b[0m', '- x', '\N{MICRO SIGN}m', 100 * 'long ',

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recommended layer and its description."""
 
-import dataclasses
 from dataclasses import replace
 from functools import partial
 import itertools
@@ -10,14 +9,12 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.design.recommendation import (
     MAX_STUCK_FRACTION,
     predict,
-    PredictedThrow,
     recommend,
     TOLERATED_LOSS,
 )
@@ -50,7 +47,7 @@ def random_rig(random, *, loss_tangent=0.0):
     )
 
 
-def heavy_rig(gravity_ratio, *, mass, damping_ratio=0.064):
+def heavy_rig(gravity_ratio, mass=3.96e-3, damping_ratio=0.064):
     """Return a rig on earth with a ratio of gravity to the acceleration of its plate."""
     omega = math.sqrt(STANDARD_GRAVITY / (2e-3 * gravity_ratio))
     engine = Engine(frequency=omega / (2.0 * math.pi), damping_ratio=damping_ratio)
@@ -140,18 +137,13 @@ def test_recommendation_is_as_good_as_brute_force(kind, seed, loss_tangent, size
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ('gravity_ratio', 'damping_ratio', 'mass'),
-    [(0.35, 0.064, 1.2e-3), (0.57, 0.3, 4.5e-4), (1.404, 0.064, 3.96e-3), (2.663, 0.064, 6.88e-4)],
+    'values',
+    [(0.35, 1.2e-3, 0.064), (0.57, 4.5e-4, 0.3), (1.404, 3.96e-3, 0.064), (2.663, 6.88e-4, 0.064)],
 )
-def test_recommendation_under_strong_gravity_is_as_good_as_brute_force(
-    gravity_ratio, damping_ratio, mass
-):
+def test_recommendation_under_strong_gravity_is_as_good_as_brute_force(values):
     """Gravity holds the projectile through the first swing of the plate, and later ones throw."""
-    limits = Limits(
-        thickness_min=2e-3, thickness_max=50e-3, wave_speed_min=1.0, wave_speed_max=30.0
-    )
-    rig = heavy_rig(gravity_ratio, mass=mass, damping_ratio=damping_ratio)
-    assert_as_good_as_brute_force(rig, size=60, limits=limits, **BEST_PEAK)
+    limits = Limits(thickness_min=2e-3, thickness_max=50e-3, wave_speed_max=30.0)
+    assert_as_good_as_brute_force(heavy_rig(*values), size=60, limits=limits, **BEST_PEAK)
 
 
 @pytest.mark.parametrize('vary', ['thickness', 'wave_speed', 'both'])
@@ -211,25 +203,21 @@ def test_search_follows_a_ridge_between_two_throws():
 
 @pytest.mark.parametrize('gravity_ratio', [0.4, 0.95, 1.404])
 def test_limit_that_is_not_active_does_not_change_the_answer(gravity_ratio):
-    rig = heavy_rig(gravity_ratio, mass=3.96e-3)
+    rig = heavy_rig(gravity_ratio)
     limited = recommend(rig, limits=Limits(max_strain=10.0), uncertainties=NONE)
     assert limited.score == pytest.approx(recommend(rig, uncertainties=NONE).score, rel=1e-6)
 
 
 def test_layer_that_may_hold_the_projectile_is_not_preferred():
-    rig = heavy_rig(1.404, mass=3.96e-3)
+    rig = heavy_rig(1.404)
     free, safe = (recommend(rig, uncertainties=item) for item in (NONE, Uncertainties()))
     assert stuck_fraction(free.rig, Uncertainties()) > MAX_STUCK_FRACTION >= safe.stuck_fraction
     assert safe.now_score < safe.score < free.score
 
 
-def test_present_layer_is_kept_if_the_library_has_no_better_one():
+def test_library_gives_no_ideal_material_and_the_present_layer_if_it_has_no_better_one():
     best = recommend(Rig(), vary='library', materials=LOSSY)
-    assert best.rig == Rig()
-    assert (best.layer, best.gain) == ('', 0.0)
-
-
-def test_ideal_materials_are_not_recommended():
+    assert (best.rig, best.layer, best.gain) == (Rig(), '', 0.0)
     names = ('gelatin', 'ecoflex_00-30')
     rig = Rig(layer=Layer(thickness=1e-3))
     best = recommend(rig, vary='library', materials={name: MATERIALS[name] for name in names})
@@ -237,32 +225,15 @@ def test_ideal_materials_are_not_recommended():
     assert [item.layer for item in best.candidates] == [best.layer] == ['ecoflex_00-30']
 
 
-def test_values_are_flat_and_complete():
-    best = recommend(Rig(), vary='wave_speed')
-    values = best.values()
-    results = {entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result}
-    assert results <= {'amplitude', *vars(best)}
-    assert values['wave_speed'] == values['by_wave_speed.wave_speed'] == best.wave_speed
-    assert values['now.energy_transfer'] == predict(Rig()).energy_transfer
-    assert 0.0 < values['tolerance.thickness'] < best.thickness
-    assert all(isinstance(value, (float, str)) for value in values.values())
-    assert {item.name for item in dataclasses.fields(PredictedThrow)} <= values.keys()
-
-
 @pytest.mark.parametrize(
-    ('rig', 'options', 'message'),
+    ('options', 'message'),
     [
-        (Rig(), {'vary': 'density'}, "vary .* got 'density'"),
-        (Rig(engine=Engine(frequency=3.0)), {}, 'gravity is 14 of the largest acceleration'),
-        (Rig(), {'limits': Limits(wave_speed_min=0.01, wave_speed_max=0.02)}, 'speed_max=0.02'),
-        (Rig(), {'vary': 'thickness', 'limits': Limits(max_strain=0.01)}, 'max_strain=0.01'),
-        (
-            Rig(),
-            {'vary': 'library', 'limits': Limits(wave_speed_max=2.0), 'materials': LOSSY},
-            'from the library .*wave_speed_max=2.0',
-        ),
+        ({'vary': 'density'}, "vary .* got 'density'"),
+        ({'limits': Limits(wave_speed_min=0.01, wave_speed_max=0.02)}, 'speed_max=0.02'),
+        ({'vary': 'library', 'limits': Limits(wave_speed_max=2.0), 'materials': LOSSY},
+         'from the library .*wave_speed_max=2.0'),
     ],
 )
-def test_impossible_recommendation_is_refused_with_a_reason(rig, options, message):
+def test_impossible_recommendation_is_refused_with_a_reason(options, message):
     with pytest.raises(ValueError, match=message):
-        recommend(rig, **options)
+        recommend(Rig(), **options)

@@ -5,9 +5,7 @@
 import math
 
 import pytest
-from soft_throw_ros.configuration.twin import OBJECTIVES
 from soft_throw_ros.core.batch import SearchCancelledError
-from soft_throw_ros.design import score
 from soft_throw_ros.design.requests import limits_of, solve_request
 from soft_throw_ros.design.score import Limits
 from twin_runs import complete_settings
@@ -49,7 +47,3 @@ def test_every_limit_counts():
     settings = complete_settings(**named)
     assert limits_of(settings) == Limits(**limits)
     assert limits_of(complete_settings(recommendation__max_strain=0.0)).max_strain == math.inf
-
-
-def test_every_objective_in_the_table_is_a_function():
-    assert OBJECTIVES.keys() == score.OBJECTIVES.keys()

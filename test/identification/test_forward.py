@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories of the projectile by the models of the twin."""
+"""Trajectories of the projectile by the models of the twin, and its speed in flight."""
 
 import re
 
@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from reference import method_of_steps
 from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.identification.flight import flight_speed
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.tracks import Track
 
 CAUGHT_UP = Rig(layer=Layer(thickness=2e-3), engine=Engine(frequency=31.1), gravity=0.0)
 
@@ -39,3 +41,16 @@ def test_throw_beyond_the_time_budget_is_refused():
     slow = Rig(engine=Engine(frequency=0.2), layer=Layer(thickness=1e-3, wave_speed=50.0))
     with pytest.raises(FitError, match=re.escape('30 s of a layer')):
         ThrowSimulator().follow(slow, np.array([0.0, 30.0]))
+
+
+def test_error_of_the_speed_agrees_with_its_scatter():
+    time, random = np.linspace(0.0, 0.016, 40), np.random.default_rng(0)
+    height = 1.4 * time - 0.5 * 9.81 * time**2
+    tracks = [
+        Track(time=time, position=height + 2e-5 * random.normal(size=time.size))
+        for _ in range(200)
+    ]
+    values, errors = np.transpose([flight_speed(track, gravity=9.81) for track in tracks])
+    scatter = np.std(values)
+    assert abs(np.mean(values) - 1.4) < 3.0 * scatter / 200**0.5
+    assert 0.8 * scatter < np.mean(errors) < 1.25 * scatter

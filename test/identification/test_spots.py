@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spots followed through rendered pictures with exactly known positions."""
 
-import re
 
 import numpy as np
 import pytest
 from rendering import CONTRAST, disc, exposed, picture
 from scipy.ndimage import gaussian_filter
-from soft_throw_ros.identification.spots import follow_spots, Spot, tracks_of
+from soft_throw_ros.identification.spots import follow_spots
 from soft_throw_ros.identification.tracks import TrackError
 
 pytest.importorskip('trackpy', reason='comes with the extra [video]')
@@ -114,32 +113,3 @@ def test_pictures_without_spots_are_refused():
     ):
         with pytest.raises(TrackError, match=message):
             follow_spots(pictures)
-
-
-def spot(row, pictures=range(20)):
-    centres = [np.array([row + number**2 / 100.0, 5.0]) for number in pictures]
-    return Spot(first=np.array([row, 5.0]), picture=list(pictures), centre=centres)
-
-
-def test_tracks_are_heights_in_metres_over_seconds():
-    spots = [spot(90.0), spot(70.0), spot(50.0), spot(20.0, range(15))]
-    tracks = tracks_of(spots, rate=5e3, scale=1e-4)
-    assert list(tracks) == ['plate', 'layer 1', 'layer 2', 'projectile']
-    assert tracks['plate'].time == pytest.approx(np.arange(20) / 5e3)
-    assert tracks['plate'].position == pytest.approx(-1e-6 * np.arange(20) ** 2)
-    assert tracks['projectile'].position[0] == pytest.approx(7e-3)
-    assert tracks['projectile'].time.size == 15
-
-
-@pytest.mark.parametrize(
-    ('spots', 'bodies', 'value'),
-    [
-        ([spot(9.0)], ['ball'], "'ball'"),
-        ([spot(9.0), spot(3.0)], ['plate'], 'column 5 row 9, column 5 row 3'),
-        ([spot(9.0), spot(3.0, range(4))], None, 'projectile is seen in 4 '),
-        ([spot(9.0, [])], None, 'plate is seen in 0 '),
-    ],
-)
-def test_impossible_tracks_of_spots_are_refused(spots, bodies, value):
-    with pytest.raises(ValueError, match=re.escape(value)):
-        tracks_of(spots, bodies, rate=1.0, scale=1.0)

@@ -1,13 +1,18 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks: read from text, cut into throws, and how noisy they are."""
+"""Tracks: read from text whole or damaged, cut into throws, and how noisy they are."""
 
+import io
+from pathlib import Path
 import re
 
+from damage import accepted, texts
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.track_csv import read_csv
+from soft_throw_ros.identification.track_csv import read_csv, UNITS
 from soft_throw_ros.identification.tracks import (
     fall_acceleration,
     FEWEST,
@@ -20,55 +25,11 @@ from soft_throw_ros.identification.tracks import (
 )
 
 BODIES = ('plate', 'projectile')
-TIME = np.arange(20) * 2e-4
-
-
-def rows(form='{:.4f},{:.6f},{:.6f}', scale=1.0):
-    return [form.format(t, scale * t**2, scale * (t + 0.01)) for t in TIME]
-
-
-@pytest.mark.parametrize(
-    ('lines', 'unit'),
-    [
-        (rows(), 'm'),
-        (
-            ['"t [s]"; "projectile [mm]"; frame; "plate (mm)"']
-            + [
-                f'{t:.4f}; {1e3 * t + 10:.6f}; 7; {1e3 * t**2:.6f}'.replace('.', ',')
-                for t in TIME
-            ],
-            'mm',
-        ),
-        (['t,zp [\N{MICRO SIGN}m],z_m', *rows(scale=1e6)], 'um'),
-        (
-            ['time [ms]\tz_p [\N{GREEK SMALL LETTER MU}m]\tz_m [m]', *(
-                f'{1e3 * t:.1f}\t{1e6 * t**2:.6f}\t{t + 0.01:.6f}' for t in TIME
-            )], 'm',
-        ),
-        (['t,plate,projectile', *rows('"{:.4f}","{:.6f}",{:.6f}'), ',,'], 'm'),
-    ],
-    ids=['bare', 'semicolons', 'micrometres', 'own units', 'quotes and an empty row'],
-)
-def test_csv_gives_the_tracks_of_its_bodies(lines, unit):
-    tracks = read_csv(lines, 'file', BODIES, unit=unit)
-    assert set(tracks) == set(BODIES)
-    assert tracks['plate'].time == pytest.approx(TIME, abs=1e-12)
-    assert tracks['plate'].position == pytest.approx(TIME**2, abs=1e-6)
-    assert tracks['projectile'].position == pytest.approx(TIME + 0.01, abs=1e-6)
-
-
-def test_csv_skips_missing_positions():
-    lines = rows()
-    lines[3] = '0.0006,,0.5'
-    lines[5] = '0.0010,0.5,NA'
-    tracks = read_csv(lines, 'file', BODIES)
-    assert tracks['plate'].time == pytest.approx(np.delete(TIME, 3))
-    assert tracks['projectile'].time == pytest.approx(np.delete(TIME, 5))
-    assert 0.5 in tracks['plate'].position
+ROWS = [f'{t:.4f},{t**2:.6f},{t + 0.01:.6f}' for t in np.arange(20) * 2e-4]
 
 
 def with_line(number, text):
-    lines = ['t,plate,projectile', *rows()]
+    lines = ['t,plate,projectile', *ROWS]
     lines[number - 1] = text
     return lines
 
@@ -81,12 +42,28 @@ def with_line(number, text):
         (with_line(1, 'frame,plate,projectile'), 'file:1: no column is named t or time, got'),
         (with_line(1, 't,plate [inch],projectile'), "got 'plate [inch]'"),
         (with_line(1, 't [h],plate,projectile'), 'file:1: time must be in s or ms or us, got'),
-        (rows()[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
+        (ROWS[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
     ],
 )
 def test_bad_csv_is_refused_with_its_line(lines, value):
     with pytest.raises(TrackError, match=re.escape(value)):
         read_csv(lines, 'file', BODIES)
+
+
+LINES = (Path(__file__).parents[1] / 'data/reference_tracks.csv').read_text().splitlines(True)[:16]
+POINTS, HEADLESS = ''.join(LINES), ''.join(LINES[1:]).replace(',', '\t')
+
+
+@settings(max_examples=200)
+@given(
+    text=texts(POINTS, POINTS.replace(',', ';').replace('.', ','), HEADLESS),
+    unit=st.sampled_from(list(UNITS)),
+)
+def test_damaged_csv_gives_finite_tracks_or_is_refused_with_its_name(text, unit):
+    tracks = accepted(lambda: read_csv(io.StringIO(text), 'a.csv', BODIES, unit=unit), 'a.csv')
+    for track in (tracks or {}).values():
+        assert np.isfinite([track.time, track.position]).all()
+        assert (np.diff(track.time) > 0.0).all()
 
 
 PLATE = Underdamped(frequency=63.2, amplitude=2e-3, damping_ratio=0.064)
@@ -112,6 +89,7 @@ def test_noise_of_rounded_heights_is_at_least_the_rounding_error(noise):
         noisy = position + noise * np.random.default_rng(seed).normal(size=time.size)
         noises.append(noise_of(time, 2e-5 * np.round(noisy / 2e-5)))
     rounding = 2e-5 / np.sqrt(12.0)
+    assert noise_of(time, np.zeros(time.size)) > 0.0
     assert 0.99 * rounding < np.mean(noises) < 1.1 * np.hypot(noise, rounding)
 
 
@@ -141,10 +119,6 @@ def test_fall_acceleration_agrees_with_the_free_flight(factor, gravity):
     tracks = [Track(time=factor * time, position=item) for item in heights]
     assert fall_acceleration(*tracks) == pytest.approx(gravity, rel=0.02)
     assert fall_acceleration(tracks[0], tracks[0]) is None
-
-
-def test_noise_is_never_zero():
-    assert noise_of(np.arange(50.0), np.zeros(50)) > 0.0
 
 
 def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):

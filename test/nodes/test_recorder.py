@@ -247,3 +247,14 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     monkeypatch.setattr(subscriptions, 'close', close_late)
     node.close()
     assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
+
+
+def test_viewer_of_the_recorder_ends_with_it(ros, recorder, tmp_path) -> None:
+    pytest.importorskip('rerun')
+    drawing = tmp_path / 'bag.rrd'
+    node = recorder(name='bag', rerun__sink='file')
+    ros.spin_until(drawing.exists, 'the drawing')
+    viewer = node._viewer
+    node.close()
+    assert viewer.poll() == 0
+    assert drawing.stat().st_size > 0

@@ -67,15 +67,13 @@ class Twin(TwinMessages):
 
     def edited(self, edit: Callable[[dict[str, Any]], dict[str, Any] | None]) -> list[Message]:
         """Return the messages with every line of the journal changed, or left out for None."""
-        messages = []
-        for message in self.messages:
-            if message.channel is self.channels['journal']:
-                entry = edit(entry_of(message))
-                if entry is not None:
-                    messages.append(message._replace(data=text(json.dumps(entry))))
-            else:
-                messages.append(message)
-        return messages
+        edited = {id(message): edit(entry_of(message)) for message in self.of('journal')}
+        return [
+            message._replace(data=text(json.dumps(edited[id(message)])))
+            if id(message) in edited else message
+            for message in self.messages
+            if edited.get(id(message), {}) is not None
+        ]
 
     def damaged(self, message: Message, data: bytes) -> list[Message]:
         return [
@@ -184,8 +182,7 @@ def test_bag_agrees_with_its_journal(request, check, name) -> None:
     result = check(twin.messages)
     assert (result.twin, result.differences) == ('/twin', [])
     assert result.exit_code == 0
-    entries = twin.entries()
-    kinds = [entry['kind'] for entry in entries]
+    kinds = [entry['kind'] for entry in twin.entries()]
     assert kinds.count('result') >= 3
     assert result.results == Count(same=kinds.count('checksum') + kinds.count('result'))
     assert result.states == Count(same=len(twin.of('joint_states')))
@@ -198,9 +195,7 @@ def test_two_twins_in_a_bag_are_checked_and_a_foreign_journal_is_reported(tmp_pa
     second.go(2500)
     arm.go(1)
     foreign = arm.edited(lambda _entry: {'moved': True})
-    messages = sorted(
-        first.messages + second.messages + foreign, key=lambda message: message.log_time
-    )
+    messages = sorted(first.messages + second.messages + foreign, key=lambda m: m.log_time)
     with BagReader(write(tmp_path / 'bag', messages)) as reader:
         results = {result.twin: result for result in check_bag(reader)}
     codes = {name: result.exit_code for name, result in results.items()}
@@ -283,16 +278,10 @@ def test_missing_lines_are_counted_and_the_next_throw_is_checked(
     assert 0 < result.results.same < len(compared)
 
 
-@pytest.mark.parametrize(
-    'values',
-    [
-        {'input': 'sing'},
-        {'values': {'layer.thickness': 'thick'}},
-        {'values': None},
-        {'values': {'gravity': 3.7}},
-        {'step': 2**61},
-    ],
-)
+@pytest.mark.parametrize('values', [
+    {'input': 'sing'}, {'values': {'layer.thickness': 'thick'}}, {'values': None},
+    {'values': {'gravity': 3.7}}, {'step': 2**61},
+])
 def test_inconsistent_journal_is_a_difference(changed, check, values) -> None:
     result = check(changed.edited(lambda e: {**e, **values} if e['kind'] == 'input' else e))
     assert result.exit_code == 1
@@ -303,12 +292,9 @@ def test_inconsistent_journal_is_a_difference(changed, check, values) -> None:
 
 
 def test_session_of_another_version_is_reported_as_not_compared(plain, check) -> None:
-    def foreign(entry: dict[str, Any]) -> dict[str, Any]:
-        if 'versions' in entry:
-            return {**entry, 'versions': {**entry['versions'], 'numba': '0.1'}}
-        return entry
-
-    result = check(plain.edited(foreign))
+    result = check(plain.edited(
+        lambda e: e | {'versions': {**e['versions'], 'numba': '0.1'}} if 'versions' in e else e
+    ))
     assert result.exit_code == 2
     assert 'numba 0.1, and this is' in result.reason
     assert result.describe() == result.reason

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from damage import datas
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -22,8 +23,6 @@ from twin_messages import TwinMessages
 rr = pytest.importorskip('rerun')
 
 from test.recording.rrd_files import record, RrdFile  # noqa: E402, I100
-
-from soft_throw_ros.recording import charts  # noqa: E402
 
 
 @pytest.fixture(autouse=True, scope='module')
@@ -70,16 +69,6 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
         np.testing.assert_array_equal(values, expected)
 
 
-def test_energies_are_shown_up_to_the_release(twin, recording) -> None:
-    times, values = recording.scalars('/twin/energy')
-    ends = np.flatnonzero(np.isnan(values[:, 0]))
-    published = [outputs.throw_field().energies for outputs in twin.outputs if outputs.throw_field]
-    assert np.diff(ends, prepend=-1).tolist() == [len(energies) + 1 for energies in published]
-    np.testing.assert_array_equal(values[:ends[0]], 1e3 * published[0][:, 1:])
-    duration = 1e-9 * (times[ends[0]] - times[0])
-    assert duration == pytest.approx(simulate(Rig()).ejection_time, rel=0.05)
-
-
 def test_side_view_is_to_scale(twin, recording) -> None:
     """Downwards in mm: the top of the layer is where the projectile's lower face is."""
     times, translations = recording.series('/twin/side/projectile', 'Transform3D:translation')
@@ -99,74 +88,27 @@ def test_side_view_is_to_scale(twin, recording) -> None:
     assert body[0][:2] == pytest.approx([12.0, 8.2])
 
 
-def test_strain_of_every_throw_is_a_picture_with_a_cursor(twin, recording) -> None:
-    starts = [twin.schedule.deadline(step) for step in (500, 1000)]
-    for entity, component in (('picture', 'Image:buffer'), ('frame', 'EncodedImage:blob')):
-        times, _ = recording.series(f'/twin/strain/{entity}', component)
-        assert times.tolist() == starts
-    first = twin.outputs[[bool(item.throw_field) for item in twin.outputs].index(True)]
-    field = first.throw_field()
-    pixels = np.array(recording.last('/twin/strain/picture', 'Image:buffer')[0], np.uint8)
-    columns = pixels.reshape(64, 200, 3).sum(axis=(0, 2))
-    ejection_time = field.times[np.flatnonzero(columns == 0)]  # black
-    assert ejection_time == pytest.approx(simulate(Rig()).ejection_time, rel=0.02)
-    _, lines = recording.series('/twin/strain/now', 'LineStrips2D:strips')
-    assert [len(line) for line in lines] == 2 * ([1] * 200 + [0])
-
-
-def test_phases_are_states_at_the_times_of_their_starts(twin, recording) -> None:
-    times, phases = recording.series('/twin/phase', 'StateChange:state')
-    entered = [
-        (stamp, phase.value) for outputs in twin.outputs for phase, stamp in outputs.phases
-    ]
-    assert list(zip(times, (phase for (phase,) in phases), strict=True)) == entered
-
-
 def table_of(text: str) -> list[list[str]]:
     """Return the cells of a table in Markdown, the heads first."""
     rows = [line.split('|')[1:-1] for line in text.splitlines() if line.startswith('|')]
     return [[cell.strip(' *') for cell in row] for row in rows if '--' not in row[0]]
 
 
-@pytest.fixture
-def maps(monkeypatch) -> list[Any]:
-    """Return a list that gets the figures of all maps that are drawn."""
-    figures: list[Any] = []
-    draw_map = charts.draw_energy_map
-
-    def draw(*arguments: Any) -> Any:
-        figures.append(draw_map(*arguments))
-        return figures[-1]
-
-    monkeypatch.setattr(charts, 'draw_energy_map', draw)
-    return figures
-
-
-def test_map_and_table_are_of_the_recommended_rig_or_empty(
-    maps, tmp_path
-) -> None:
+def test_map_and_table_are_of_the_recommended_rig_or_empty(tmp_path) -> None:
     twin = TwinMessages(throw__period=0.2).go(300)
     twin.change(engine__frequency=70.0, layer__thickness=0.012)
-    for number in range(3):
-        if number == 1:
-            twin.go(200)  # the next throw leaves the map unchanged
-        if number == 2:
-            topic = '/twin/recommendation'
-            last = [item for item in twin.messages if item.channel.topic == topic][-1]
-            twin.messages.remove(last)
-        recording, _ = record(tmp_path / f'{number}.rrd', twin.messages)
+    twin.go(200)
+    is_last = [item.channel.topic == '/twin/recommendation' for item in twin.messages]
+    last = len(is_last) - 1 - is_last[::-1].index(True)
+    for messages in (twin.messages, twin.messages[:last] + twin.messages[last + 1:]):
+        recording, _ = record(tmp_path / 'scene.rrd', messages)
         table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
         assert bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])[1:4] == b'PNG'
-        alphas = [line.get_label().split('α ')[1] for line in maps[-1].axes[0].lines]
-        if number < 2:
-            assert alphas == [f'{float(table[4][n]):.3f}' for n in (1, 4)]
-        else:
-            assert (len(alphas), table) == (1, [])
+        assert bool(table) is (messages is twin.messages)
+        assert not table or table[1][1] == '12'
 
 
-def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(
-    tmp_path,
-) -> None:
+def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(tmp_path) -> None:
     twins = [TwinMessages(node, throw__period=0.1) for node in ('/rig1/twin', '/rig 2/twin')]
     messages = [message for twin in twins for message in twin.go(150).messages]
     kept = [item for item in messages if item.channel.topic != '/rig1/twin/journal']
@@ -230,7 +172,6 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
     assert recording.ranges == [(-100.0, 100.0)]
     _, measured = recording.scalars('/twin/position/measured')
     assert measured[:, 1].max() > 1e3 * Rig().layer.thickness
-    assert 'Model less measurement (µm)' in recording.views
 
 
 def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -> None:
@@ -251,15 +192,11 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
     alpha, error = map(float, cell.split(' ± '))
     assert error == pytest.approx(accuracy.energy_transfer_error, rel=0.06)
     assert alpha == pytest.approx(simulate(Rig()).energy_transfer, abs=5.0 * error)
-    assert f'{accuracy.samples} samples' in text
     text = recording.last('/twin/track', 'TextDocument:text')[0]
-    for words in ('measurement of', '7 samples left out', 'identification of 7.30 ± 0.02'):
+    for words in ('7 samples left out', '9 samples left out', '7.30 ± 0.02', 'a doubt'):
         assert words in text
-    assert '9 samples left out' in text
-    assert 'a doubt' in text
     assert 'another' not in text
     assert 'timing' not in text
-    assert 'Measured track' in recording.views
 
 
 @pytest.mark.slow
@@ -268,12 +205,8 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
 def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> None:
     messages = list(twin.messages[:60])
     index = data.draw(st.integers(0, len(messages) - 1))
-    damaged = bytearray(messages[index].data)
-    for _ in range(data.draw(st.integers(0, 3))):
-        damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= 1 << data.draw(st.integers(0, 7))
-    cut = data.draw(st.integers(0, len(damaged)))
     messages[index] = messages[index]._replace(
-        data=bytes(damaged[:cut]),
+        data=data.draw(datas(messages[index].data)),
         publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
     )
     recording, scene = record(path.with_name('damaged.rrd'), messages)

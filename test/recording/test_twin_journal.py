@@ -54,14 +54,6 @@ def test_a_throw_is_over_when_its_end_is_reported() -> None:
     assert find_throws(journal + cut)['/twin'][-2].is_over
 
 
-def test_measured_throw_starts_with_its_plate() -> None:
-    twin = Run(engine__motion='measured')
-    twin.measure(duration=0.1)
-    (throw,) = find_throws(lines_of(twin))['/twin']
-    assert throw.stamp == pytest.approx(twin.schedule.time_ns + 50_000_000, abs=5000)
-    assert read(twin).rest_heights is not None
-
-
 @pytest.mark.parametrize(
     'line',
     [

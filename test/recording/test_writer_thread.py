@@ -31,16 +31,6 @@ def numbers(folder: Path) -> list[int]:
     return [sequence for *_, sequence in read(folder / 'bag')]
 
 
-def test_messages_are_written_in_order_except_those_with_invalid_time(start, tmp_path) -> None:
-    writer = start()
-    for number in range(0, 1000, 10):
-        writer.put([plain(n) for n in range(number, number + 10)])
-    writer.put([Message(PLAIN, b'', -1, 0)])
-    writer.close()
-    assert (writer.error, writer.lost()) == ('', {PLAIN: 1})
-    assert numbers(tmp_path) == list(range(1000))
-
-
 def test_bag_that_cannot_be_created_is_retried_and_lost_messages_are_counted(
     start, tmp_path
 ) -> None:
@@ -105,11 +95,17 @@ def test_hanging_disk_delays_the_end_for_a_bounded_time_and_drops_are_counted(
     assert numbers(tmp_path) == list(range(101))
 
 
-def test_requested_flush_does_not_wait_for_its_period(start, tmp_path, monkeypatch) -> None:
+def test_messages_except_those_with_invalid_time_are_written_in_order_or_at_once_on_request(
+    start, tmp_path, monkeypatch
+) -> None:
     monkeypatch.setattr(writer_thread, 'FLUSH_PERIOD', 1e6)
     monkeypatch.setattr(writer_thread, '_WRITE_PERIOD', 1e6)
     writer = start()
-    writer.put([plain(number) for number in range(9)])
+    for number in range(0, 1000, 10):
+        writer.put([plain(n) for n in range(number, number + 10)])
+    writer.put([Message(PLAIN, b'', -1, 0)])
     writer.flush()
-    wait_until(lambda: len(saved(tmp_path / 'bag')) == 9)
+    wait_until(lambda: len(saved(tmp_path / 'bag')) == 1000)
     writer.close()
+    assert (writer.error, writer.lost()) == ('', {PLAIN: 1})
+    assert numbers(tmp_path) == list(range(1000))

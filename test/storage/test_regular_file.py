@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from soft_throw_ros.commands.identify_input import _read_csv
-from soft_throw_ros.configuration import files, motions, ParameterError
+from soft_throw_ros.configuration import files, motions
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.identification.fit_description import FitDescription
 from soft_throw_ros.identification.video import read_pictures
@@ -54,11 +54,3 @@ def test_file_is_read_up_to_its_largest_size(tmp_path: Path) -> None:
             read(path, max_bytes=7)
     with pytest.raises(OSError, match='larger than 3 bytes'):
         read_regular_file('/proc/self/status', max_bytes=3)  # its reported size is 0
-
-
-def test_library_of_a_megabyte_is_refused_by_its_size(tmp_path: Path) -> None:
-    path = tmp_path / 'mine.yaml'
-    path.write_text('# long\n' * 200_000)
-    with pytest.raises(ParameterError, match='larger than') as refused:
-        library(path)
-    assert refused.value.names == ('layer.library',)

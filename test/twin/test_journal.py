@@ -95,12 +95,10 @@ def test_results_are_in_the_journal_with_all_digits_and_the_checksums_of_their_t
     assert len(entries) == len(results) > 10
     begins = dict(enumerate(eventful.starts(), 1))
     for entry, result in zip(entries, results, strict=True):
-        values = entry['result']
-        assert (values['throw'], values['stage']) == (result.throw, result.stage)
-        for name in ('peak_strain', 'plate_work', 'apex_height', 'recontacts', 'landings'):
-            assert values[name] == getattr(result, name)
-        if result.first is not None:
-            assert values['ejection_speed'] == result.first.ejection_speed
+        values = result.values()
+        assert entry['result'] == {
+            name: None if value == math.inf else value for name, value in values.items()
+        }
         assert ('states' in entry) == (result.stage == 'final')
         if result.stage == 'final':
             outputs = eventful.outputs[slice(begins[result.throw], entry['step'])]

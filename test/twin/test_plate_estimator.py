@@ -143,18 +143,6 @@ def test_missing_samples_are_bridged_and_the_gap_is_reported() -> None:
     )
 
 
-def test_gap_longer_than_the_window_is_reported_once() -> None:
-    samples = make_samples(200)
-    del samples[80:140]
-    estimator = PlateEstimator(MEASUREMENT, SampleCounts())
-    gaps = []
-    for sample in samples:
-        estimator.add_samples(Samples.of([sample]), sample.stamp_ns)
-        gaps.append(estimator.advance(sample.stamp_ns).gap)
-    assert sum(gap > 1e-3 for gap in gaps) == 1
-    assert max(gaps) == pytest.approx(61 * INTERVAL / SECOND)
-
-
 @pytest.mark.parametrize(
     ('frequency', 'crossing_time', 'rate', 'span'),
     [

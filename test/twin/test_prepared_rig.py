@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.twin.plate_estimator import NO_STATES
 from soft_throw_ros.twin.prepared_rig import prepare
-from soft_throw_ros.twin.throws import ScheduledThrow, Tick
-from twin_runs import complete_settings, Run
+from twin_runs import complete_settings
 
 CASES = [
     {},
@@ -19,31 +17,6 @@ CASES = [
     {'layer__stress_strain_law': 'neo_hookean'},
 ]
 ANY_MODEL = pytest.mark.parametrize('request_', CASES, ids=lambda case: ' '.join(map(str, case)))
-
-
-@ANY_MODEL
-def test_throw_agrees_with_a_simulation(request_) -> None:
-    values = complete_settings(**request_)
-    prepared = prepare(values)
-    exact = simulate(rig_of(values))
-    config = prepared.config.change({'throw.max_events': 2})
-    throw = ScheduledThrow(prepared, number=1)
-    release, tick = None, 0
-    while not throw.ended_by:
-        tick += 1
-        throw.advance(Tick(tick, 0, config), NO_STATES)
-        if throw.first_release and release is None:
-            release = throw.result('release', Tick(tick, 0, config))
-    final = throw.result('final', Tick(tick, 0, config))
-    assert release.first.ejection_time == pytest.approx(exact.ejection_time, rel=3e-4)
-    assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=1e-3)
-    assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=2e-3)
-    assert release.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=2e-3)
-    assert release.peak_plate_force == pytest.approx(exact.loads.plate_force, rel=2e-2)
-    assert final.apex_height == pytest.approx(exact.apex_height, rel=2e-2)
-    assert final.landings >= 1
-    field = prepared.throw_field
-    assert field.times[-1] == pytest.approx(1.5 * release.first.ejection_time, rel=1e-9)
 
 
 @ANY_MODEL
@@ -74,15 +47,6 @@ def test_energies_end_at_the_release_of_a_simulation(request_) -> None:
     assert total[-1] == pytest.approx(throw.energies.stored, rel=0.05)
     if throw.energies.heat == 0.0:
         np.testing.assert_allclose(total, work, atol=1e-3 * work.max())
-
-
-STIFF = {'layer__thickness': 0.5e-3, 'layer__wave_speed': 200.0, 'layer__loss_tangent': 0.1}
-
-
-def test_rig_beyond_real_time_is_refused_with_the_number() -> None:
-    values = complete_settings(**STIFF)
-    with pytest.raises(ValueError, match='200'):
-        prepare(values)
 
 
 def test_window_too_long_for_the_plate_is_refused_with_both_values() -> None:
@@ -155,14 +119,3 @@ def test_motion_that_a_controller_may_play_is_commanded(write, request_) -> None
         engine__command=True, **request_,
     )
     assert prepare(values).config.command_lead is not None
-
-
-@ANY_MODEL
-def test_session_of_any_model_is_replayed_bit_by_bit(request_) -> None:
-    run = Run(throw__period=0.6, **request_)
-    run.go(700)
-    run.session.change({'layer.thickness': 0.012})
-    run.go(800)
-    assert len(run.starts()) == 2
-    assert len(run.events()) >= 4
-    run.assert_repeated()

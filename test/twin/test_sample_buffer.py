@@ -49,13 +49,3 @@ def test_buffer_agrees_with_a_sorted_list(seed) -> None:
     begin, end = expected[10].stamp_ns, expected[-10].stamp_ns
     assert to_list(buffer.between(begin, end)) == expected[10:-10]
     assert to_list(buffer.between(begin + 1)) == expected[11:]
-
-
-def test_buffer_memory_does_not_grow_with_past_samples() -> None:
-    buffer = SampleBuffer(Samples.of([]))
-    for k in range(20_000):
-        buffer.add(Samples.of([Sample(BEGIN + k, 0.1 * k)]))
-        buffer.drop_before(BEGIN + k - 99)
-    assert len(buffer) == 100
-    assert buffer.samples.stamps.base.nbytes < 10_000
-    assert buffer.samples.seconds_since(BEGIN)[0] == 19_900 / SECOND

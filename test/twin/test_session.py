@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import motions, rig_of, TWIN
+from soft_throw_ros.configuration import motions
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
@@ -57,12 +57,10 @@ def test_period_zero_throws_only_on_request() -> None:
     run.go(600)
     assert run.starts() == [5000, 7000]  # counted from the one that was requested
     run.go_until(Phase.REST)
-    run.session.change({'throw.period': 0.0})
-    run.go(3000)
-    assert len(run.starts()) == 2
-    run.session.change({'throw.period': 0.5})
-    run.go(1)
-    assert len(run.starts()) == 3
+    for period, throws in ((0.0, 2), (0.5, 3)):
+        run.session.change({'throw.period': period})
+        run.go(400)
+        assert len(run.starts()) == throws
 
 
 @pytest.mark.parametrize(
@@ -156,19 +154,14 @@ def test_recontact_is_contact_and_no_landing() -> None:
     run = Run(engine__frequency=31.1, layer__thickness=2e-3, throw__period=0)
     run.session.request_throw()
     run.go_until(Phase.LANDED)
-    phases = [phase.value for phase in run.phases()]
     kinds = [event.kind for event in run.events()]
-    kinds = kinds[: kinds.index('landing') + 1]
-    recontacts = kinds.count('recontact')
-    assert recontacts >= 1
     names = {'release': 'flight', 'recontact': 'contact', 'landing': 'landed'}
-    assert phases[2:][: len(kinds)] == [names[kind] for kind in kinds]
-    landing = next(event for event in run.events() if event.kind == 'landing')
-    assert landing.velocity < 0.0
+    assert [phase.value for phase in run.phases()[2:]] == [names[kind] for kind in kinds]
     run.session.reset()
     run.go(1)
     (result,) = run.results('final')
-    assert (result.recontacts, result.landings) == (recontacts, 1)
+    assert (result.recontacts, result.landings) == (kinds.count('recontact'), 1)
+    assert result.recontacts >= 1
     assert result.first != result.last
 
 
@@ -209,26 +202,32 @@ def test_returning_ends_at_rest_without_a_jump() -> None:
 # outputs
 
 
-def test_results_and_events_agree_with_the_exact_throw_and_loads_end_with_the_release() -> None:
-    run = Run()
+@pytest.mark.parametrize(
+    ('request_', 'tolerance'),
+    [({}, 1e-6), ({'layer__loss_tangent': 0.05}, 1e-3),
+     ({'layer__stress_strain_law': 'neo_hookean'}, 1e-3)],
+)
+def test_results_agree_with_the_exact_throw_and_loads_end_with_the_release(
+    request_, tolerance
+) -> None:
+    run = Run(**request_)
     run.go(2000)
-    exact = simulate(rig_of(TWIN.defaults()), until=0.291)
+    exact = simulate(run.rig, until=0.291)
     (release,), (final,) = run.results('release'), run.results('final')
     assert release.first == final.first
-    assert release.first.ejection_time == pytest.approx(exact.ejection_time, rel=1e-6)
-    assert release.first.ejection_speed == pytest.approx(exact.ejection_speed, rel=1e-6)
-    assert release.first.energy_transfer == pytest.approx(exact.energy_transfer, rel=1e-6)
-    assert release.apex_height == pytest.approx(exact.apex_height, rel=1e-6)
-    assert release.peak_strain == pytest.approx(exact.peak_strain, rel=1e-3)
-    assert release.peak_plate_force == pytest.approx(exact.loads.plate_force, rel=1e-3)
+    for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
+        value = getattr(release.first, name)
+        assert value == pytest.approx(getattr(exact, name), rel=2.0 * tolerance)
     assert release.peak_plate_speed == pytest.approx(exact.peak_plate_speed, rel=1e-12)
-    assert release.peak_acceleration == pytest.approx(exact.loads.acceleration, rel=1e-3)
+    loose = 1e-3 + 20.0 * tolerance
+    assert release.apex_height == pytest.approx(exact.apex_height, rel=loose)
+    assert release.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=loose)
+    assert release.peak_plate_force == pytest.approx(exact.loads.plate_force, rel=loose)
+    assert release.peak_acceleration == pytest.approx(exact.loads.acceleration, rel=loose)
     assert release.plate_work > 0.5 * exact.rig.projectile.mass * exact.ejection_speed**2
     loads = ('peak_strain', 'peak_plate_force', 'peak_acceleration', 'plate_work')
     assert all(getattr(final, name) == getattr(release, name) for name in loads)
-    for event, expected in zip(run.events()[:2], exact.events, strict=True):
-        assert event.time == pytest.approx(expected.time, rel=1e-6)
-        assert event.velocity == pytest.approx(expected.velocity, rel=1e-5)
+    assert run.events()[0].time == pytest.approx(exact.events[0].time, rel=2.0 * tolerance)
 
 
 @pytest.mark.parametrize(('state', 'field'), [(1000.0, 50.0), (1000.0, 300.0), (100.0, 1000.0)])
@@ -276,17 +275,32 @@ def test_throw_field_is_published_once_per_throw_with_its_start() -> None:
 def test_changes_of_the_rig_take_effect_together_at_the_next_throw() -> None:
     run = Run()
     run.go(1200)
-    run.session.change({'layer.thickness': 0.01})
-    run.session.change({'projectile.mass': 2e-3, 'engine.amplitude': 1e-3})
     changes = {'layer.thickness': 0.01, 'projectile.mass': 2e-3, 'engine.amplitude': 1e-3}
+    for name, value in changes.items():
+        run.session.change({name: value})
     assert run.session.pending == changes
     run.go(1000)
     before, after = run.entries('throw')
     assert run.session.pending == {}
     assert before['settings']['layer.thickness'] == 0.0168
-    assert after['step'] == 2000
-    assert {name: after['settings'][name] for name in changes} == changes
+    assert changes.items() <= after['settings'].items()
     assert run.results('release')[1].rig.layer.thickness == 0.01
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [('gravity', 5.0), ('layer.loss_tangent', 0.1), ('engine.amplitude', 1e-3),
+     ('measured.latency', 1e-3), ('rate.field', 20.0), ('time_scale', 0.5)],
+)
+def test_change_of_rig_measurement_or_rate_waits_beside_one_that_is_effective(name, value) -> None:
+    run = Run()
+    run.session.change({name: value, 'throw.period': 0.3})
+    assert run.session.pending == {name: value}
+    run.session.reset()
+    assert run.session.pending == {}
+    run.go(700)
+    assert run.starts()[0] == round(300 / run.session.time_scale)
+    assert run.entries('throw')[0]['settings'][name] == value
 
 
 def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first() -> None:
@@ -304,24 +318,14 @@ def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first() -> No
     run.go_until(Phase.CONTACT)
     assert run.starts() == [510 + RETURN]
     assert run.outputs[-1].state.projectile_position == pytest.approx(0.01, abs=1e-4)
-    run.session.change({'layer.thickness': 0.012})
-    run.session.reset()
-    run.go_until(Phase.REST)
-    assert run.session.pending == {}
-    assert run.go(1)[0].state.projectile_position == pytest.approx(0.012, abs=1e-4)
 
 
 def test_rig_that_cannot_be_stepped_is_refused_with_the_number() -> None:
-    run = Run()
-    run.go(10)
+    run, stiff = Run(), {'layer.wave_speed': 200.0, 'layer.thickness': 0.5e-3}
     with pytest.raises(ValueError, match='200'):
-        run.session.change(
-            {'layer.wave_speed': 200.0, 'layer.thickness': 0.5e-3, 'layer.loss_tangent': 0.1}
-        )
+        run.session.change({**stiff, 'layer.loss_tangent': 0.1})
     assert run.session.pending == {}
     assert run.entries('input') == []
-    run.go(1010)
-    assert run.starts() == [1000]
 
 
 def test_reset_ends_the_throw_and_restarts_the_period() -> None:
@@ -345,6 +349,8 @@ INPUTS = st.one_of(
         optional={
             'layer.thickness': st.sampled_from([5e-3, 0.0168, 0.03]),
             'gravity': st.sampled_from([0.0, 9.81]),
+            'layer.loss_tangent': st.sampled_from([0.0, 0.05]),
+            'layer.stress_strain_law': st.sampled_from(['linear', 'neo_hookean']),
             'rate.state': st.sampled_from([200.0, 1000.0]),
             'time_scale': st.sampled_from([0.3, 1.0]),
             'throw.period': st.sampled_from([0.0, 0.05, 0.21]),
@@ -402,37 +408,28 @@ def playable(write):
     return str(write(motions.to_csv(SampledMotion(times, states)), 'playable.csv'))
 
 
-def test_journal_replays_motions_that_are_changed_without_their_files(write_motion) -> None:
+def test_motions_are_read_when_their_files_are_set_and_replayed_without_them(write_motion) -> None:
     path, other = write_motion(), write_motion('other.csv')
     run = Run(engine__motion_file=str(path))
-    assert run.rig.engine.motion is not None
-    for steps, motion in ((50, 'underdamped'), (10, 'file'), (10, 'underdamped'), (1200, 'file')):
-        run.go(steps)
-        run.session.change({'engine.motion': motion})
-    run.go(1400)
-    run.session.change({'engine.motion_file': str(other), 'layer.thickness': 0.02})
-    run.go(1600)
     first = simulate(run.rig).ejection_time
-    assert run.results('release')[1].first.ejection_time == pytest.approx(first, rel=1e-9)
-    path.unlink()
-    other.unlink()
-    run.assert_repeated()
-
-
-def test_edited_motion_is_read_when_its_file_is_set_again_and_is_replayed(write_motion) -> None:
-    path = write_motion()
-    run = Run(engine__motion_file=str(path))
     run.go(1200)
     write_motion(amplitude=1.5e-3)
     os.utime(path, ns=(0, 0))  # at another time
-    without = {'engine.motion': 'underdamped', 'engine.motion_file': ''}
-    for values in ({'layer.thickness': 0.02}, without):
+    for values in (
+        {'layer.thickness': 0.02},
+        {'engine.motion': 'underdamped'},
+        {'engine.motion': 'file', 'engine.motion_file': str(other)},
+        {'engine.motion_file': str(path)},
+    ):
         run.session.change(values)
         run.go(1000)
-    run.session.change({'engine.motion': 'file', 'engine.motion_file': str(path)})
-    run.go(1200)
-    same, edited = (run.results('release')[number].first.ejection_speed for number in (1, -1))
+    releases = [result.first for result in run.results('release')]
+    assert releases[0].ejection_time == pytest.approx(first, rel=1e-9)
+    thicker, default, same, edited = (release.ejection_speed for release in releases[1:])
+    assert default != thicker == same
     assert edited > 1.2 * same
+    path.unlink()
+    other.unlink()
     run.assert_repeated()
 
 
