@@ -14,7 +14,7 @@ import numpy as np
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.closed_form import first_release, first_releases
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.score import Limits

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from soft_throw_ros.core.material import LOSSES as LOSS_MODELS
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import simulate, throw_many
 from soft_throw_ros.design.recommendation import recommend
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))

@@ -27,8 +27,7 @@ from soft_throw_ros.commands import identify, track
 from soft_throw_ros.configuration import files, rig_of
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import simulate, throw_many
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 import scheme
 from scipy.optimize import bisect, minimize_scalar
-from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.closed_form import first_release
+from soft_throw_ros.core.closed_form import first_release, spring_release
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig, STANDARD_GRAVITY, values_of
 from soft_throw_ros.core.throw import simulate
@@ -144,7 +143,7 @@ def _thin_and_thick() -> tuple[Row, ...]:
 def _limits() -> tuple[Row, ...]:
     """Return the rows of Apps. A to C: massless spring, free layer, thick layers."""
     ratio = limits.best_frequency_ratio()
-    spring = spring_mass.first_release(frequency_ratio=ratio)
+    spring = spring_release(frequency_ratio=ratio)
     small, medium, large = 0.01, 0.1, 1e5
     lighter = limits.exact(small).energy_transfer
     remainder = limits.exact(medium).angle - 0.5 * math.pi - math.atan(medium)

@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
-from soft_throw_ros.core import spring_mass
-from soft_throw_ros.core.closed_form import first_releases
+from soft_throw_ros.core.closed_form import first_releases, spring_release
 import style
 
 Floats = NDArray[np.float64]
@@ -140,7 +139,7 @@ def draw_spring() -> Figure:
         height=4.5,
     )
     ratio = np.linspace(0.02, 5.0, 1200)
-    spring = spring_mass.first_release(frequency_ratio=ratio)
+    spring = spring_release(frequency_ratio=ratio)
     for mu, color in ((0.25, style.ORANGE), (1.0, style.SKY), (4.0, style.BLUE)):
         layer = first_releases(
             mass_ratio=mu, speed_ratio=2.0 * math.pi * math.sqrt(mu) * ratio

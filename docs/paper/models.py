@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
 from soft_throw_ros.core.closed_form import first_releases, FirstRelease
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throws import throw_many, Throws
+from soft_throw_ros.core.throw import throw_many, Throws
 from soft_throw_ros.core.wave_stepper import WaveStepper
 from soft_throw_ros.design.uncertainty import Uncertainties
 

@@ -25,7 +25,7 @@ from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import last_release
+from soft_throw_ros.core.throw import last_release
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.requests import RequestResult, solve_request

@@ -23,7 +23,7 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
-from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.closed_form import spring_release
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
@@ -111,7 +111,7 @@ def _spring(rig: Rig) -> dict[str, float]:
     engine = rig.engine
     if engine.motion:
         raise ValueError('this formula is for a harmonic plate, got a file')
-    release = spring_mass.first_release(frequency_ratio=rig.natural_frequency / engine.frequency)
+    release = spring_release(frequency_ratio=rig.natural_frequency / engine.frequency)
     return {
         'ejection_time': float(release.ejection_phase) / engine.frequency,
         'ejection_phase': float(release.ejection_phase),

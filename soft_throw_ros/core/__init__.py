@@ -14,8 +14,7 @@ from typing import Any, TYPE_CHECKING
 if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
     from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-    from soft_throw_ros.core.throw import simulate, Throw, ThrowUnfinishedError
-    from soft_throw_ros.core.throws import throw_many, Throws
+    from soft_throw_ros.core.throw import simulate, Throw, throw_many, Throws, ThrowUnfinishedError
 
 __all__ = [
     'Engine',
@@ -34,7 +33,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import one of the names of this package from its module."""
     if name in __all__:
-        from soft_throw_ros.core import plate, rig, throw, throws
+        from soft_throw_ros.core import plate, rig, throw
 
-        return next(vars(m)[name] for m in (plate, rig, throw, throws) if name in vars(m))
+        return next(vars(m)[name] for m in (plate, rig, throw) if name in vars(m))
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

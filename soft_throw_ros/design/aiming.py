@@ -17,7 +17,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import last_release, rig_with
+from soft_throw_ros.core.throw import last_release, rig_with
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
 

@@ -41,7 +41,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import last_release, rig_with, throw_many
+from soft_throw_ros.core.throw import last_release, rig_with, throw_many
 from soft_throw_ros.storage.atomic_file import atomic_file
 
 Floats = NDArray[np.float64]

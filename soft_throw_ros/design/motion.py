@@ -59,8 +59,15 @@ from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolve
 from soft_throw_ros.core.plate import motion_of, SampledMotion
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
-from soft_throw_ros.core.throw import make_stepper, simulate, Throw, ThrowUnfinishedError
-from soft_throw_ros.core.throws import rig_with, SEARCH_CELLS, throw_many
+from soft_throw_ros.core.throw import (
+    make_stepper,
+    rig_with,
+    SEARCH_CELLS,
+    simulate,
+    Throw,
+    throw_many,
+    ThrowUnfinishedError,
+)
 from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
 from soft_throw_ros.design.uncertainty import Uncertainties

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import throw_many
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ import numpy as np
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.throws import require_uniform, SEARCH_CELLS, STRONG_GRAVITY
+from soft_throw_ros.core.throw import SEARCH_CELLS, STRONG_GRAVITY
 from soft_throw_ros.design.maximise import Box, maximise, NEAR, Optimum
 from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
 from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score
@@ -272,7 +272,11 @@ def _spaces(
     rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material]
 ) -> list[_Space]:
     """List the spaces of a request, of the library one for each material or for its sheets."""
-    layer = require_uniform(rig).layer
+    layer = rig.layer
+    if layer.parts:
+        raise ValueError(
+            f'only layers of one material are designed, got {len(layer.parts)} sheets'
+        )
     if vary != 'library':
         thickness = limits.thickness if vary != 'wave_speed' else (layer.thickness,) * 2
         speeds = limits.wave_speed if vary != 'thickness' else (layer.wave_speed,) * 2

@@ -16,7 +16,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.design.uncertainty import (
     changes_of,
     CORNERS,

@@ -30,7 +30,7 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import SEARCH_CELLS, throw_many, Throws
+from soft_throw_ros.core.throw import SEARCH_CELLS, throw_many, Throws
 
 Floats = NDArray[np.float64]
 

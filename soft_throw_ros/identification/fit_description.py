@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throws import rig_with
+from soft_throw_ros.core.throw import rig_with
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.tracks import ThrowTracks
 

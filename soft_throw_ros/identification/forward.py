@@ -20,8 +20,7 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_VELOCITY,
     Stepper,
 )
-from soft_throw_ros.core.throw import make_stepper
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import make_stepper, throw_many
 from soft_throw_ros.identification.least_squares import FitError
 
 Floats = NDArray[np.float64]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.recording.rerun_text import Values
 from soft_throw_ros.twin.results import Floats
 

@@ -63,9 +63,6 @@ _LONGER = 1.3
 _NEAR = 0.01
 """Time before the release at which the force shows its rate, over the ejection time. [-]"""
 
-_LONGEST_CONTACT = 4
-"""Oscillation cycles in contact after which the projectile counts as never leaving. [-]"""
-
 
 _WAITING = frozenset(
     entry.name
@@ -302,13 +299,9 @@ def _require_playable(config: TwinConfig, lead: float) -> None:
 
 def _ejection_time(stepper: Stepper) -> float:
     """Return the ejection time, or the waiting time if the projectile does not leave soon."""
-    rig = stepper.rig
-    cycle = 1.0 / min(rig.engine.frequency, rig.natural_frequency) + rig.crossing_time
-    if rig.engine.motion:
-        cycle += rig.engine.motion.end_time
-    latest = _LONGEST_CONTACT * cycle
+    latest = stepper.rig.longest_wait
     try:
-        release = stepper.advance_to_release(latest=latest, step=0.125 * cycle)
+        release = stepper.advance_to_release(latest=latest)
     except EventLimitError:  # the projectile has left, and bounces on a stiff layer
         release = stepper.events()[0]
     return latest if release is None else release.time

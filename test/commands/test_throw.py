@@ -11,7 +11,7 @@ from soft_throw_ros.commands import throw
 from soft_throw_ros.commands.options import add_rig_options, read_settings, stated_parameters
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.layers import default_file, library
-from soft_throw_ros.core import spring_mass
+from soft_throw_ros.core.closed_form import spring_release
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 
@@ -37,7 +37,7 @@ def test_json_has_the_throw_and_the_spring_to_the_last_digit(command):
     assert printed['leaves_linear_range'] is expected.leaves_linear_range is False
     ratio = rig.natural_frequency / rig.engine.frequency
     assert printed['spring']['energy_transfer'] == pytest.approx(
-        spring_mass.first_release(frequency_ratio=ratio).energy_transfer, rel=1e-14
+        spring_release(frequency_ratio=ratio).energy_transfer, rel=1e-14
     )
 
 

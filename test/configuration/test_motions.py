@@ -7,8 +7,7 @@ import pytest
 from soft_throw_ros.configuration import motions, ParameterError, rig_of, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Rig
-from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import simulate, throw_many
 
 PLATE = Underdamped.of(Rig().engine)
 TIMES = np.arange(0.0, 0.1, 2e-4)

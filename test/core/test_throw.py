@@ -1,12 +1,57 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""One throw with all its requested results."""
+"""One throw with all its results, and many at once by every method of computation."""
+
+import itertools
+import math
+import os
+import threading
 
 import numpy as np
 import pytest
+from soft_throw_ros.core.batch import (
+    leave_processors,
+    run_batches,
+    SearchCancelledError,
+    usable_processors,
+)
+from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
+from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.core.throw import ejections, simulate, ThrowUnfinishedError
+from soft_throw_ros.core.throw import (
+    ejections,
+    HELD,
+    last_release,
+    REFUSED,
+    RELEASED,
+    rig_with,
+    simulate,
+    throw_many,
+    ThrowUnfinishedError,
+)
+
+TIMES = np.arange(0.0, 0.05, 2e-4)
+MOTION = SampledMotion.from_positions(TIMES, Underdamped.of(Engine()).position(TIMES))
+SHAKEN = Rig(engine=Engine(motion=MOTION))
+LOSSY = Rig(layer=Layer(loss_tangent=0.1))
+STACK = Layer.of_sheets((Layer(thickness=8e-3, loss_tangent=0.1), Layer(wave_speed=20.0)))
+GEL = Layer(stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.1)
+CHANGES = {
+    'frequency': 50.0, 'amplitude': 1e-3, 'damping_ratio': 0.1, 'thickness': 0.01,
+    'wave_speed': 12.0, 'density': 900.0, 'diameter': 0.015, 'loss_tangent': 0.2, 'mass': 3e-3,
+    'gravity': 5.0,
+}
+METHODS = {
+    'closed form': (Rig(engine=Engine(damping_ratio=0.0)), {}, 2 << 14),
+    'waves': (Rig(engine=Engine(amplitude=1e-4)), {'gravity': 9.81}, 3 * 256),
+    'cells': (LOSSY, {}, 80),
+    'steppers': (SHAKEN, {}, 24),
+    'mixed': (Rig(), {'gravity': np.tile([0.0, 500.0], 40), 'loss_tangent': np.eye(8, 10).ravel()},
+              80),
+}
+methods = pytest.mark.parametrize('method', METHODS)
 
 
 def test_ejections_end_at_the_landing():
@@ -64,19 +109,206 @@ def test_every_throw_ends(rig):
     assert simulate(rig).end_time > 0.0
 
 
-def test_unfinished_throw_raises_an_error():
+def test_throw_without_a_release_raises_an_error():
     with pytest.raises(ThrowUnfinishedError, match=r'0\.001'):
         simulate(Rig(), until=1e-3)
+    with pytest.raises(ThrowUnresolvedError):
+        last_release(Rig(engine=Engine(frequency=1.0, amplitude=1e-3)))
 
 
 @pytest.mark.parametrize(
-    ('arguments', 'message'),
+    ('compute', 'rig', 'name', 'value'),
     [
-        ({'until': -1.0}, r'until .*-1\.0'),
-        ({'max_events': 0}, 'max_events .*0'),
-        ({'cells': 64}, 'cells .*64'),
+        (simulate, Rig(), 'until', -1.0), (simulate, Rig(), 'max_events', 0),
+        (simulate, Rig(), 'cells', 64), (throw_many, LOSSY, 'threads', 0),
+        (throw_many, LOSSY, 'threads', 1.5), (throw_many, LOSSY, 'cells', 7),
+        (CellStepper, Rig(), 'cells', 0), (CellStepper, Rig(), 'cells', MAX_CELLS + 1),
+        (CellStepper, Rig(), 'cells', 64.0),
     ],
 )
-def test_bad_requests_are_refused_with_the_value(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        simulate(Rig(), **arguments)
+def test_bad_options_are_quoted(compute, rig, name, value):
+    with pytest.raises(ValueError, match=f'^{name} .* got {value!r}$'):
+        compute(rig, **{name: value})
+
+
+@methods
+def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(method):
+    rig, changes, count = METHODS[method]
+    random = np.random.default_rng(2)
+    changes = {
+        **changes,
+        'mass': 1e-3 * np.exp(random.uniform(-1.0, 1.5, count)),
+        'thickness': random.uniform(5e-3, 0.03, count),
+        'damping_ratio': random.uniform(0.0, 0.3, count),
+    }
+    together = np.array(throw_many(rig, changes, threads=1))
+    assert together.tobytes() == np.array(throw_many(rig, changes, threads=3)).tobytes()
+    for i in range(0, count, count // 6):
+        single = {name: np.ravel(item)[i % np.size(item)] for name, item in changes.items()}
+        assert np.array_equal(np.array(throw_many(rig, single)), together[:, i], equal_nan=True)
+
+
+@methods
+def test_values_are_broadcast(method):
+    rig = METHODS[method][0]
+    throws = throw_many(rig, {'thickness': [[0.01], [0.02]], 'mass': [5e-4, 1e-3, 2e-3]})
+    assert all(values.shape == (2, 3) for values in throws)
+    single = throw_many(rig, {'thickness': 0.02, 'mass': 1e-3})
+    assert throws.ejection_speed[1, 1] == pytest.approx(float(single.ejection_speed), rel=1e-14)
+    assert throw_many(rig, {'mass': np.array([])}).ejection_time.shape == (0,)
+    with pytest.raises(ValueError, match='shape'):
+        throw_many(rig, {'thickness': np.ones(2), 'mass': np.ones(3)})
+
+
+@methods
+def test_status_says_what_became_of_a_throw(method):
+    rig = METHODS[method][0]
+    gravity, mass, thickness = [9.81, 1e4, 9.81, 9.81], [1e-3, 1e-3, 0.0, 1e-3], [1e-2] * 3 + [-1]
+    throws = throw_many(rig, {'gravity': gravity, 'mass': mass, 'thickness': thickness})
+    assert throws.status.tolist() == [RELEASED, HELD, REFUSED, REFUSED]
+    assert np.isnan(throws.ejection_speed).tolist() == [False, True, True, True]
+
+
+@pytest.mark.parametrize(
+    'rig',
+    [
+        Rig(), Rig(gravity=0.0), Rig(engine=Engine(amplitude=1e-4)), LOSSY, Rig(layer=GEL),
+        Rig(layer=STACK), SHAKEN,
+    ],
+)
+def test_release_and_loads_agree_with_a_simulated_throw(rig):
+    throw = simulate(rig, max_events=1)
+    throws = throw_many(rig, loads=True)
+    expected = (
+        throw.ejection_time, throw.ejection_speed, throw.energy_transfer, throw.peak_strain,
+        throw.loads.acceleration, throw.loads.plate_force, throw.energies.plate_work, RELEASED,
+    )
+    assert throws == pytest.approx(expected, rel=1e-3 if rig.layer.needs_cells else 1e-4)
+    assert throw_many(rig)[:2] == throws[:2]
+
+
+@pytest.mark.parametrize('start', [0.5, -1.0])
+@pytest.mark.parametrize('layer', [Layer(), Layer(wave_speed=60.0, loss_tangent=0.1)])
+def test_times_count_from_the_start_of_the_motion(start, layer):
+    now, later = (
+        Rig(engine=Engine(motion=SampledMotion(MOTION.times + offset, MOTION.states)), layer=layer)
+        for offset in (0.0, start)
+    )
+    expected = pytest.approx(simulate(now).ejection_time, rel=1e-9)
+    assert simulate(later).ejection_time == last_release(later).time == expected
+    assert float(throw_many(later).ejection_time) == pytest.approx(expected.expected, rel=1e-3)
+
+
+def test_light_projectiles_under_strong_gravity_agree_with_the_closed_form():
+    """They may leave and be caught again between two steps of the waves."""
+    random = np.random.default_rng(4)
+    mu, kappa = np.exp(random.uniform(np.log([[4e-4], [20.0]]), np.log([[2e-3], [80.0]]), (2, 60)))
+    gravity = random.uniform(0.3, 1.5, 60)
+    exact = first_releases(mass_ratio=mu, speed_ratio=kappa, gravity_ratio=gravity)
+    engine = Engine(frequency=1.0, amplitude=0.25 / math.pi**2, damping_ratio=0.0)
+    throws = throw_many(
+        Rig(engine=engine), {
+            'thickness': 1.0 / kappa, 'wave_speed': 1.0, 'gravity': gravity,
+            'mass': mu * Layer(thickness=1.0).mass / kappa,
+        }, loads=True,
+    )
+    is_released = ~np.isnan(exact.ejection_phase)
+    assert is_released.sum() > 30
+    assert throws.ejection_time[is_released] == pytest.approx(exact.ejection_phase[is_released])
+    assert np.isfinite(throws.plate_work[is_released]).all()
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('colour', 1.0), ('loss_tangent', np.nan), ('loss_tangent', -0.1), ('diameter', -0.012),
+        ('thickness', np.nan), ('frequency', 0.0), ('damping_ratio', 1.0), ('mass', np.inf),
+    ],
+)
+@pytest.mark.parametrize('rig', [Rig(), SHAKEN], ids=['step', 'file'])
+def test_bad_changes_are_refused_by_name(rig, name, value):
+    with pytest.raises(ValueError, match=name):
+        throw_many(rig, {name: np.array([value])})
+
+
+def test_ratios_of_the_closed_form_are_broadcast_or_refused():
+    throws = first_releases(mass_ratio=[[0.5], [1.0]], speed_ratio=[5.0, 8.0, 12.0])
+    assert all(values.shape == (2, 3) for values in throws)
+    for name, value in (('mass_ratio', 0.0), ('speed_ratio', np.inf), ('damping_ratio', 1.0)):
+        with pytest.raises(ValueError, match=f'^{name} must be .* got {value!r}$'):
+            first_releases(**{'mass_ratio': 1.0, 'speed_ratio': 5.0, name: value})
+
+
+@pytest.mark.parametrize(
+    ('compute', 'loss'), [(throw_many, 1e-3), (last_release, 1e-3), (last_release, 0.0)]
+)
+def test_single_throw_looks_at_the_flag_several_times(compute, loss):
+    """A stiff layer takes many cells or steps."""
+    layer = Layer(wave_speed=100.0, loss_tangent=loss)
+    rig = Rig(engine=Engine(frequency=3.0), layer=layer, gravity=0.0)
+    calls = itertools.count()
+    with pytest.raises(SearchCancelledError):
+        compute(rig, cancelled=lambda: next(calls) > 0)
+
+
+@pytest.mark.parametrize('rig', [Rig(), Rig(layer=STACK), SHAKEN], ids=str)
+def test_changes_agree_with_another_rig(rig):
+    changed = rig_with(rig, CHANGES)
+    for name, value in CHANGES.items():
+        components = changed.engine, changed.layer, changed.projectile, changed
+        component = next(item for item in components if name in vars(item))
+        assert getattr(component, name) == pytest.approx(value)
+    assert len(changed.layer.parts) == len(rig.layer.parts)
+    throws, expected = throw_many(rig, CHANGES), throw_many(changed)
+    assert throws[:3] == pytest.approx(expected[:3], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    'rigs',
+    [
+        [Rig(), Rig(gravity=5.0), Rig(layer=Layer(thickness=0.01, loss_tangent=0.1))],
+        [rig_with(SHAKEN, {'frequency': f}) for f in (50.0, 70.0)],
+    ],
+    ids=['engine', 'motions'],
+)
+def test_different_rigs_agree_with_changes_of_one_rig(rigs):
+    together = np.transpose(throw_many(rigs, loads=True))
+    for throw, rig in zip(together, rigs, strict=True):
+        assert throw == pytest.approx(np.array(throw_many(rig, loads=True)), rel=1e-12)
+
+
+def test_rigs_that_differ_in_more_than_values_are_refused():
+    for rigs in ([Rig(), Rig(layer=Layer(stress_strain_law='neo_hookean'))], []):
+        with pytest.raises(ValueError, match=f'got {len(rigs)} kinds'):
+            throw_many(rigs)
+
+
+@pytest.fixture
+def three(monkeypatch):
+    """Set the affinity of all threads to three processors."""
+    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 2, 5})
+
+
+@pytest.mark.usefixtures('three')
+def test_processors_are_left_to_others_in_a_context_of_one_thread():
+    elsewhere = []
+    with leave_processors(1):
+        assert usable_processors() == 2
+        with leave_processors(5):
+            assert usable_processors() == 1
+        thread = threading.Thread(target=lambda: elsewhere.append(usable_processors()))
+        thread.start()
+        thread.join()
+    assert elsewhere == [3] == [usable_processors()]
+
+
+@pytest.mark.usefixtures('three')
+def test_batches_run_in_as_many_threads_as_there_are_processors():
+    calls, together = [], threading.Barrier(3)
+
+    def run(batch):
+        together.wait(timeout=10.0)
+        calls.append(batch.tolist())
+
+    run_batches(run, np.arange(3), size=1, threads=None)
+    assert sorted(calls) == [[0], [1], [2]]

@@ -10,8 +10,7 @@ import pytest
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.core.throws import last_release, rig_with
+from soft_throw_ros.core.throw import last_release, rig_with, simulate
 from soft_throw_ros.design.aiming import aim
 from soft_throw_ros.design.score import Limits
 

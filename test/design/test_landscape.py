@@ -12,7 +12,7 @@ from reference.cases import exact_release
 from soft_throw_ros.core.closed_form import first_release
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throws import rig_with
+from soft_throw_ros.core.throw import rig_with
 from soft_throw_ros.design.landscape import compute_landscape
 
 HARMONIC = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
-from soft_throw_ros.core.throws import throw_many
+from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.design.recommendation import (
     MAX_STUCK_FRACTION,
     predict,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from reference.cases import exact_release
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.core.throws import rig_with, throw_many
+from soft_throw_ros.core.throw import rig_with, throw_many
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
 from soft_throw_ros.design.uncertainty import changes_of, Uncertainties
