@@ -30,6 +30,13 @@ for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda *_: None)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> Iterator[None]:
+    """Keep tests from the collector of doctests, which skips a file that it cannot import."""
+    collectors = yield
+    return [item for item in collectors if type(item).__name__ != 'DoctestModule']
+
+
 @pytest.fixture(autouse=True)
 def floating_point_errors_raise() -> Iterator[None]:
     """Raise on floating-point errors except underflow, which decaying values cause."""
