@@ -173,7 +173,7 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_stopped_subscriber_does_not_delay_the_end(start, stop, ros, texts) -> None:
     subscriber = start(sys.executable, '-c', SUBSCRIBER)
     subscriber.wait_for('ready')
-    by_itself = start(*COMMAND, str(texts), '--rate', '0.3')  # so slow that it is found
+    by_itself = start(*COMMAND, str(texts), '--rate', '0.1')  # so slow that it is found
     subscriber.wait_for('heard')
     by_signal = start(*COMMAND, str(texts), '--loop', '--clock')
     observer = ros.node(Node, 'observer')
