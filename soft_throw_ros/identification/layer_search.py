@@ -196,11 +196,12 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
             path = model.trajectory(start, number, body, track.time[union], changed)
         except FitError:
             return [math.inf] * len(_WINDOWS)
-        residual = (track.position[union] - path.height) / track.deviations[union]
+        residual = track.position[union] - path.height
         for window, some in enumerate(chosen):
             if some.size:
-                part = residual[np.searchsorted(union, some)]
-                totals[window] += part.size * float(np.var(part))
+                part, weights = residual[np.searchsorted(union, some)], track.deviations[some] ** -2
+                zero = np.average(part, weights=weights)
+                totals[window] += float(weights @ (part - zero) ** 2)
     return totals
 
 
