@@ -199,7 +199,8 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
         residual = track.position[union] - path.height
         for window, some in enumerate(chosen):
             if some.size:
-                part, weights = residual[np.searchsorted(union, some)], track.deviations[some] ** -2
+                part = residual[np.searchsorted(union, some)]
+                weights = track.deviations[some] ** -2
                 zero = np.average(part, weights=weights)
                 totals[window] += float(weights @ (part - zero) ** 2)
     return totals
