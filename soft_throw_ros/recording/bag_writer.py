@@ -16,6 +16,7 @@ from pathlib import Path
 import shutil
 from typing import Any
 
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
 from soft_throw_ros.storage.bag_lock import lock_folder
@@ -31,6 +32,8 @@ from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 CHUNK_SIZE = 256 * 2**10
 """A chunk that has grown beyond this is compressed and written. [bytes]"""
 
+_CHUNK = bytes([Opcode.CHUNK])
+
 
 class BagWriter:
     """
@@ -43,8 +46,8 @@ class BagWriter:
 
     `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
     whether to try again, which is False by default. After any BagError the bag can only be closed.
-    `counts` are the numbers of messages in the bag at the last flush. The folder is locked
-    (`flock`) while it is written.
+    `counts` are the numbers of messages in the bag at the last flush, or in whole chunks if the
+    disk has failed. The folder is locked (`flock`) while it is written.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class BagWriter:
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
         self.counts: Counter[Channel] = Counter()
         self._written: Counter[Channel] = Counter()  # accepted by `write`
+        self._in_chunks: Counter[Channel] = Counter()  # in whole chunks on the disk
         self._distribution = distribution
         self._compression = CompressionType[compression.upper()]
         self._max_size = max_size or math.inf
@@ -117,8 +121,8 @@ class BagWriter:
         if is_long or file.size > self._max_size:
             self.split()
             file = self._file()
-        file.add(message)
         self._written[message.channel] += 1
+        file.add(message)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write named texts."""
@@ -171,18 +175,24 @@ class BagWriter:
                 reason = f'{path}: {error.strerror}'
                 if not self.wait_for_disk(reason):
                     self._error = reason
+                    if not self._sync:
+                        self.counts = self._in_chunks
                     raise BagError(reason) from None
 
     def _mark_saved(self, file: _File) -> None:
-        """Note that all messages so far are written."""
+        """Note that all messages so far are on the disk."""
         if self._sync:
             self._try(file.path, os.fsync, file.descriptor)
         self.counts = self._written.copy()
 
+    def _on_chunk(self) -> None:
+        """Note that the messages so far are in whole chunks, whose index may be missing."""
+        self._in_chunks = self._written.copy()
+
     def _begin_file(self) -> None:
         """Begin the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
-        self._files.append(_File(path, self._try, self._compression))
+        self._files.append(_File(path, self._try, self._on_chunk, self._compression))
         for channel in self._written:
             self._files[-1].define(channel)
         self._write_metadata()
@@ -253,17 +263,22 @@ class _File:
     An MCAP file of the bag, and the stream of its `writer`.
 
     Nothing is buffered below the writer, so that the size of all written records is known. `act`
-    repeats a call that the disk refuses.
+    repeats a call that the disk refuses; `on_chunk` is called when a chunk is written.
     """
 
     def __init__(
-        self, path: Path, act: Callable[..., Any], compression: CompressionType
+        self,
+        path: Path,
+        act: Callable[..., Any],
+        on_chunk: Callable[[], None],
+        compression: CompressionType,
     ) -> None:
         self.path = path
         self.count = 0  # of messages
         self.first, self.last = LATEST, 0  # log times of messages [ns]
         self.size = 0  # [bytes]
         self._act = act
+        self._on_chunk = on_chunk
         self._ids: dict[Channel, int] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
@@ -282,6 +297,8 @@ class _File:
             count = self._act(self.path, os.write, self.descriptor, rest)
             self.size += count
             rest = rest[count:]
+        if data[:1] == _CHUNK:  # the library writes it at once
+            self._on_chunk()
 
     def tell(self) -> int:
         return self.size

@@ -40,7 +40,7 @@ class WriterThread:
         self._capacity = capacity
         self._count: Counter[Channel] = Counter()  # of all messages
         self._dropped: Counter[Channel] = Counter()
-        self._is_abandoned = False  # whether all that is not saved is lost
+        self._is_over = False  # whether all that is not saved is lost
         self._waiting: deque[Message] = deque()
         self._notes: Mapping[str, Mapping[str, str]] = {}
         # Two sums, each of one thread, and no lock
@@ -75,9 +75,7 @@ class WriterThread:
 
     def lost(self) -> Counter[Channel]:
         """Return the numbers of finally lost messages by channel."""
-        if self._is_abandoned:
-            return self._unsaved()
-        return self._dropped.copy() + (self.bag.lost if self.bag is not None else Counter())
+        return self._unsaved() if self._is_over else self._dropped.copy()
 
     def flush(self) -> None:
         """Begin to save all messages so far, without waiting for the next period."""
@@ -100,7 +98,7 @@ class WriterThread:
                 progress, since = self._progress(), time.monotonic()
         if self._thread.is_alive():
             self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
-            self._is_abandoned = True
+            self._is_over = True
 
     def _unsaved(self) -> Counter[Channel]:
         return self._count - (self.bag.counts if self.bag is not None else Counter())
@@ -125,7 +123,6 @@ class WriterThread:
             self._write()
         except BagError:
             pass  # closing raises it again
-        self._dropped.update(message.channel for message in self._waiting)
         if self.bag is not None:
             try:
                 with self.bag as bag:
@@ -134,6 +131,7 @@ class WriterThread:
                 self.error = ''
             except BagError as error:
                 self.error = str(error)
+        self._is_over = True
 
     def _write(self) -> None:
         """Write the queued messages."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import statistics
 from typing import Any
 
+from bags import notes
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
 from rclpy.serialization import deserialize_message
@@ -56,7 +57,9 @@ def loop(start_node: Any, record: Any, tmp_path: Any, monkeypatch: Any) -> Any:
 @pytest.mark.timeout(300)
 def test_loop_finds_the_rig_improves_layer_and_motion_and_records_all(loop, tmp_path) -> None:
     recorder, calibrator, _, rig = loop
-    assert ' lost, in ' in recorder.lines[-1]  # some, if the machine is busy
+    assert ' lost, in ' in recorder.lines[-1]
+    losses = notes(tmp_path / 'bag')['losses']  # of shallow or best-effort topics, on few cores
+    assert not losses.keys() & {'/twin/joint_states', '/twin/throw_result', '/twin/journal'}
     results, statuses, models = [], [], []
     with BagReader(tmp_path / 'bag') as bag:
         for message in bag.messages(['/twin/throw_result', '/diagnostics']):

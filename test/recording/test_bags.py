@@ -211,6 +211,19 @@ def test_full_disk_is_named_and_loses_nothing_if_space_is_freed(tmp_path, option
     assert (len(sizes) > 5 and max(sizes) < 3 * CHUNK_SIZE) == bool(options)
 
 
+@pytest.mark.parametrize('room', range(1000, 1200, 20))  # some end between a chunk and its index
+def test_whole_chunk_counts_as_saved_if_the_disk_is_full_before_its_index(tmp_path, room):
+    path = tmp_path / 'bag'
+    writer = BagWriter(path, distribution='', compression='none')
+    with largest_file(writer.saved_size + room), pytest.raises(BagError, match='too large'):
+        for number in range(1000):
+            writer.write(plain(number))
+            writer.flush()
+    with pytest.raises(BagError, match='too large'):
+        writer.close()
+    assert recover(path, tmp_path / 'recovered').message_count == writer.counts[PLAIN]
+
+
 def test_disk_full_at_the_end_is_named_by_close_and_keeps_flushed_messages(tmp_path):
     for size in (10, 300):
         with largest_file(size), pytest.raises(BagError, match='File too large'):
