@@ -215,10 +215,14 @@ def test_full_disk_is_named_and_loses_nothing_if_space_is_freed(tmp_path, option
 def test_whole_chunk_counts_as_saved_if_the_disk_is_full_before_its_index(tmp_path, room):
     path = tmp_path / 'bag'
     writer = BagWriter(path, distribution='', compression='none')
-    with largest_file(writer.saved_size + room), pytest.raises(BagError, match='too large'):
+
+    def fill():
         for number in range(1000):
             writer.write(plain(number))
             writer.flush()
+
+    with largest_file(writer.saved_size + room), pytest.raises(BagError, match='too large'):
+        fill()
     with pytest.raises(BagError, match='too large'):
         writer.close()
     assert recover(path, tmp_path / 'recovered').message_count == writer.counts[PLAIN]
