@@ -256,5 +256,5 @@ def test_viewer_of_the_recorder_ends_with_it(ros, recorder, tmp_path) -> None:
     ros.spin_until(drawing.exists, 'the drawing')
     viewer = node._viewer
     node.close()
-    assert viewer.poll() == 0
+    assert viewer.wait(60.0) == 0
     assert drawing.stat().st_size > 0
