@@ -204,6 +204,7 @@ class Calibrator(RunnableNode):
             message, values = describe_gain(self._predicted, throws)
             self.get_logger().info(message)
             self._status = self._make_status(message, values)
+            self._publish_status()  # at once: a user who has seen the message may end the node
             self._predicted, self._commanded = [], None
 
     def _measure_flight(self, result: ThrowResult, release_ns: int) -> MeasuredThrow:
