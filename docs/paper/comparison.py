@@ -379,7 +379,7 @@ def _change_by_elasticity() -> float:
 def _alpha_with_loss(mass_ratio: float, speed_ratio: float) -> float:
     """Return the energy transfer of a lossy layer, from cells."""
     rig = rig_of(mass_ratio=mass_ratio, speed_ratio=speed_ratio, loss_tangent=_LOSS_TANGENT)
-    return simulate(rig, max_events=1).energy_transfer
+    return simulate(rig).energy_transfer
 
 
 def _best_with_loss() -> tuple[float, float]:

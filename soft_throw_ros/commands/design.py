@@ -25,7 +25,7 @@ from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throw import last_release
+from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.requests import RequestResult, solve_request
@@ -118,9 +118,10 @@ def _columns(rig: Rig, best: RequestResult) -> dict[str, Mapping[str, Any] | Non
         now = vars(predict(rig))
     if isinstance(best, Aim):
         if now:
-            last = last_release(rig)
+            throw = simulate(rig)
             now |= {
-                'amplitude': rig.engine.amplitude, 'speed': last.speed, 'height': last.height,
+                'amplitude': rig.engine.amplitude, 'speed': throw.last_release.velocity,
+                'height': throw.flight_height,
             }
         return {'now': now, 'aimed': vars(best)}
     columns: dict[str, Mapping[str, Any] | None] = {'now': now, 'recommended': vars(best)}

@@ -124,9 +124,7 @@ def _spring(rig: Rig) -> dict[str, float]:
 def _simulated(rig: Rig) -> dict[str, float]:
     """Simulate a throw to its end."""
     throw = simulate(rig)
-    mass, release, loads, energies = (
-        rig.projectile.mass, throw.first_release, throw.loads, throw.energies
-    )
+    mass, release, loads = rig.projectile.mass, throw.first_release, throw.loads
     rise = release.position - throw.rest_height
     projectile_energy = mass * (0.5 * release.velocity**2 + rig.gravity * rise)
     result: dict[str, float] = {
@@ -135,7 +133,7 @@ def _simulated(rig: Rig) -> dict[str, float]:
         'ejection_speed': throw.ejection_speed,
         'peak_plate_speed': throw.peak_plate_speed,
         'energy_transfer': throw.energy_transfer,
-        'recontacts': throw.recontacts,
+        'recontacts': len(throw.ejections) - 1,
         'last_ejection_time': throw.last_release.time,
         'last_ejection_speed': throw.last_release.velocity,
         'last_energy_transfer': throw.last_energy_transfer,
@@ -144,14 +142,14 @@ def _simulated(rig: Rig) -> dict[str, float]:
         'peak_contact_strain': loads.contact_strain,
         'peak_acceleration': loads.acceleration,
         'peak_plate_force': loads.plate_force,
-        'plate_work': energies.plate_work,
-        'layer_energy': energies.stored - projectile_energy,
+        'plate_work': throw.plate_work,
+        'layer_energy': throw.plate_work - throw.heat - projectile_energy,
         'projectile_energy': projectile_energy,
     }
     if rig.gravity:
         result['apex_height'] = throw.apex_height
-    if energies.heat:
-        result['heat'] = energies.heat
+    if throw.heat:
+        result['heat'] = throw.heat
     return result
 
 

@@ -193,7 +193,7 @@ def throw_batch(
     cancelled: Cancelled | None = None,
 ) -> Floats:
     """
-    Compute first releases and loads for `throws.throw_many`, unchecked but for `cells`.
+    Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
     The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
     proportions of all layers. The number of cells, 8 to `MAX_CELLS`, is chosen for each throw by
@@ -215,7 +215,9 @@ def throw_batch(
         prepare(core, nodes, bodies[n], *(column[n] for column in columns))
         return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
 
-    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, math.nan, cancelled)
+    return follow_batch(
+        RECORD, advance_compiled(), prepare_throw, values, scales.longest_wait, cancelled
+    )
 
 
 def _choose_cells(scales: Scales, layer: Layer) -> NDArray[np.int64]:

@@ -144,16 +144,15 @@ class WaveStepper(Stepper):
 def throw_batch(
     values: Mapping[str, Floats],
     *,
-    until: Floats | float = math.nan,
+    until: Floats,
     cancelled: Cancelled | None = None,
 ) -> Floats:
     """
-    Compute first releases and loads for `throws.throw_many`, without loss, unchecked.
+    Compute loads for `throw.throw_many`, without loss, unchecked.
 
-    `until` has the times of the first releases where they are known, otherwise NaN [s]: a light
-    projectile may leave and be caught again within a step. Arguments and result are else those of
-    `cell_stepper.throw_batch`. Errors: 1e-5 in the release, and 1e-3 in loads and work for 95 % of
-    rigs.
+    `until` has the exact times of the first releases [s]: a light projectile may leave and be
+    caught again within a step. Arguments and result are else those of `cell_stepper.throw_batch`.
+    Errors in loads and work: 1e-3 for 95 % of rigs.
     """
     scales = scales_of(values)
     crossing, omega = scales.crossing_time, scales.angular_frequency
@@ -170,8 +169,8 @@ def throw_batch(
         prepare(core, *(column[n] for column in columns))
         return make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
 
-    until = until + crossing / steps
-    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, until, cancelled)
+    latest = until + crossing / steps
+    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, latest, cancelled)
 
 
 def warm_up() -> None:

@@ -233,8 +233,7 @@ def test_large_throws_can_be_simulated(amplitude, layer):
     assert stepper.event_count >= 1
     assert np.isfinite(stepper.state).all()
     assert np.isfinite(stepper.stored_energy())
-    result = simulate(rig, max_events=1)
-    assert result.leaves_linear_range is (amplitude > 0.02)
+    assert (simulate(rig).peak_strain > rig.layer.linear_range) is (amplitude > 0.02)
 
 
 @pytest.mark.parametrize('case', ['lossy', 'stacked', 'constant', 'gel', 'gels'])

@@ -332,7 +332,7 @@ def trial(
         for sample, (plate, projectile) in zip(samples, jumps.tolist(), strict=True)
     )
     run.receive()
-    truth = simulate(rig, max_events=1)
+    truth = simulate(rig)
     start_ns, predictions = run.begin_ns + onset * SECOND, run.results('predicted')
     return predictions[0].lead, [
         deviations(result, truth, start_ns) for result in (predictions[0], predictions[-1])
