@@ -12,7 +12,7 @@ from typing import Any
 from bench.race import Case, measure, Result
 import numpy as np
 from soft_throw_ros.core.cell_stepper import CellStepper
-from soft_throw_ros.core.closed_form import first_release, first_releases
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.core.wave_stepper import WaveStepper
@@ -58,7 +58,7 @@ def throws() -> Result:
         return float(stepper.events()[0].time * frequency)
 
     cases = [
-        Case('closed form', lambda: float(first_release(**ratios).ejection_phase), error=error),
+        Case('closed form', lambda: float(first_releases(**ratios).ejection_phase), error=error),
         Case(f'closed form, {MANY} at once, 1 thread',
              lambda: float(first_releases(**many, threads=1).ejection_phase[0]), MANY, error),
         Case('travelling waves', partial(by_waves, WaveStepper(rig)), error=error),

@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.closed_form import first_release, first_releases
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import WaveStepper
@@ -82,7 +82,7 @@ def test_limit_of_a_light_projectile_is_that_of_appendix_c_corrected(omega_tau):
 def test_ejection_time_jumps_where_it_passes_an_odd_crossing():
     # Fig. 5: a jump from 3 t_s at x = 1, between C = 7.919 and 7.921
     below, above = (
-        first_release(mass_ratio=0.02, speed_ratio=kappa) for kappa in (7.919214712, 7.920798713)
+        first_releases(mass_ratio=0.02, speed_ratio=kappa) for kappa in (7.919214712, 7.920798713)
     )
     assert below.ejection_phase * 7.919214712 == pytest.approx(3.0, abs=1e-3)
     assert above.ejection_phase * 7.920798713 > 3.02

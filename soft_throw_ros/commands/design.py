@@ -23,7 +23,7 @@ from soft_throw_ros.commands.output import (
 )
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.aiming import Aim

@@ -43,12 +43,10 @@ Floats = NDArray[np.float64]
 ) = range(7)
 """Indices of `Stepper.state`."""
 
-RELEASE, RECONTACT, LANDING = np.arange(3)
-"""Kinds of events in the memory of a kernel; `EVENT_KINDS` are their names."""
-
 EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 
-EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
+_EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
+_RELEASE, _RECONTACT, _LANDING = np.arange(3)  # in the memory of a kernel
 
 _NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
 
@@ -345,7 +343,7 @@ class Stepper:
     def events(self, start: int = 0) -> list[Event]:
         """Return the events until now, from number `start` on, counted from 0."""
         return [
-            Event(EVENT_KINDS[int(kind)], *numbers)
+            Event(_EVENT_KINDS[int(kind)], *numbers)
             for kind, *numbers in self._events[start:self.event_count].tolist()
         ]
 
@@ -412,10 +410,17 @@ def follow_batch(
 
 
 @subroutine
-def note_event(
-    s: Record, events: Floats, kind: int, time: float, height: float, velocity: float
-) -> None:
-    """Append an event, with its height from rest; the march ends if the table is full."""
+def note_event(s: Record, events: Floats, time: float, height: float, velocity: float) -> None:
+    """
+    Change between contact and flight, and append this event, with its height from rest.
+
+    The march ends if the table is full.
+    """
+    kind = _RELEASE
+    if not s.contact:
+        s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
+        kind = _LANDING if s.landed else _RECONTACT
+    s.contact = not s.contact
     s.events += 1
     s.event_time, s.event_velocity = time, velocity
     if s.events <= events.shape[0]:

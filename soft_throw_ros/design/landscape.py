@@ -38,7 +38,7 @@ from scipy.io import netcdf_file
 import soft_throw_ros
 from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import rig_with, simulate, throw_many
 from soft_throw_ros.storage.atomic_file import atomic_file

@@ -13,10 +13,11 @@ from soft_throw_ros.core.batch import (
     leave_processors,
     run_batches,
     SearchCancelledError,
+    ThrowUnresolvedError,
     usable_processors,
 )
 from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
-from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import rig_with, simulate

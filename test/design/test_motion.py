@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.batch import SearchCancelledError
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.motion import (
