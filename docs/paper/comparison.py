@@ -28,7 +28,7 @@ import scheme
 from scipy.optimize import bisect, minimize_scalar
 from soft_throw_ros.core.closed_form import first_releases, spring_release
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Rig, STANDARD_GRAVITY, values_of
+from soft_throw_ros.core.rig import Engine, Layer, Rig, scales_of, STANDARD_GRAVITY, values_of
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import throw_batch
 from soft_throw_ros.design.prediction import predict
@@ -321,7 +321,7 @@ def _alpha_at_axes() -> float:
     values = {key: np.full(x.size, value) for key, value in values_of(rig).items()}
     values['thickness'] = x / c * rig.layer.wave_speed / rig.engine.frequency
     values['mass'] = (1.0 - x) / c * rig.layer.impedance / rig.engine.frequency
-    speed = throw_batch(values)[1]
+    speed = throw_batch(values, until=scales_of(values).longest_wait)[1]
     return float(np.max(speed / rig.engine.speed_scale)) ** 2
 
 

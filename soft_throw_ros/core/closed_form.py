@@ -8,7 +8,7 @@ measured plates need `soft_throw_ros.core.wave_stepper`.
 
 Notes
 -----
-Time in crossings :math:`t_s`, speed in units of the plate's `velocity_factor`, so that
+Time in crossings :math:`t_s`, speed in :math:`A \omega / \sqrt{1 - \zeta^2}`, so that
 :math:`V_p = \Im e^{\lambda t}`. In the wave interval :math:`k`, that is
 :math:`t = 2 k + 1 + \sigma` with :math:`0 \le \sigma \le 2`, upward wave and mass move with
 
@@ -54,6 +54,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import run_batches
 from soft_throw_ros.core.kernels import inlined, kernel, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.rig import MAX_PERIODS
 
 Floats = NDArray[np.float64]
 
@@ -124,9 +125,9 @@ def first_releases(
     Returns
     -------
     FirstRelease
-        Of arrays with the common shape; NaN where the projectile does not leave within
-        `MAX_INTERVALS` (fewer if gravity makes many of them worth a search), or rounding would
-        spoil the promised accuracy. Errors: 1e-9 in the ejection phase and relative in the energy
+        Of arrays with the common shape; NaN where the projectile does not leave within 16 periods
+        of the plate or of its own on the layer and `MAX_INTERVALS` (fewer if gravity makes many of
+        them worth a search), or rounding would spoil the promised accuracy. Errors: 1e-9 in the ejection phase and relative in the energy
         transfer for :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in
         [0, 0.3]; a few roundings in practice.
 
@@ -288,7 +289,8 @@ def _find(wave, c, b):
     power = complex(1.0, 0.0)  # r^k
     largest = 1.0
     margin = turn
-    for k in range(1, MAX_INTERVALS):
+    longest = 0.5 * MAX_PERIODS * max(wave.kappa, 2.0 * math.pi * math.sqrt(wave.mu))
+    for k in range(1, int(min(MAX_INTERVALS, 2.0 + longest))):
         arriving *= wave.step
         power *= wave.reflection
         steady = arriving + wave.reflection * steady

@@ -456,7 +456,7 @@ def throw_many(
     is_settled = is_lossy | (cells is not None)
     needs_stepper = (needs_cells & ~is_settled) | (rig.engine.motion is not None)
     for run, chosen, size in (  # of a batch, some milliseconds
-        (by_closed_form, ~needs_stepper & ~needs_cells, 256 if loads else 1 << 14),
+        (by_closed_form, ~needs_stepper & ~needs_cells, 256),
         (by_cells, ~needs_stepper & needs_cells, 32),
         (by_steppers, needs_stepper, 8),
     ):
@@ -508,7 +508,6 @@ def _throw_by_closed_form(
     results = np.full((6, values['mass'].size), math.nan)
     results[0] = phase / values['frequency']
     results[1] = speed * values['amplitude'] * scales.angular_frequency
-    results[:, results[0] > scales.longest_wait] = math.nan  # as of a stepper
     if loads:
         known = ~np.isnan(results[0])
         results[2:, known] = wave_stepper.throw_batch(

@@ -640,7 +640,11 @@ class WaveStepper(Stepper):
         steps: int | None = None,
         field_points: int = 64,
     ) -> None:
-        rig.check_for_waves()
+        if rig.layer.needs_cells:
+            raise ValueError(
+                'travelling waves need a layer of one material, linear and without loss, '
+                f'got {len(rig.layer.sheets)} sheets, {rig.layer}'
+            )
         steps = steps_per_crossing(rig) if steps is None else steps
         self.steps = stepper.require_count('steps', steps, low=16, high=MAX_STEPS)
         self.cost = _STEP_COST * self.steps / rig.crossing_time
