@@ -46,9 +46,8 @@ from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, Settings, TWIN
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
-from soft_throw_ros.twin.sample_buffer import Samples
+from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Samples
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 Entry = Mapping[str, Any]  # of JSON, whose values are of many types
@@ -82,11 +81,6 @@ _FARTHEST = 2**62
 
 _SCHEDULE = ('anchor_step', 'anchor_time_ns', 'rate')
 """Keys of the fields of a `TickSchedule`."""
-
-_REST = {
-    'plate': 'plate_rest', 'projectile': 'projectile_rest', 'noise': 'noise', 'error': 'rest_error'
-}
-"""Keys of the fields of a `RestBaseline`; NaN is None."""
 
 _SAMPLE = np.dtype([('step', '<i8'), ('stamp_ns', '<i8'), ('heights', '<f8', (2,))])
 
@@ -205,10 +199,9 @@ def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
 
 def encode_onset(onset: Onset) -> Entry:
     """Encode an onset for an entry."""
-    rest = {_REST[name]: value for name, value in vars(onset.rest).items()}
     return {
         'onset_ns': onset.onset_ns,
-        **{key: None if math.isnan(value) else value for key, value in rest.items()},
+        'rest': [None if math.isnan(value) else value for value in onset.rest],
         'clock_offset_ns': onset.clock_offset_ns,
         **encode_samples([(0, onset.samples)]),
     }
@@ -217,12 +210,10 @@ def encode_onset(onset: Onset) -> Entry:
 def decode_onset(values: Entry) -> Onset:
     """Decode an onset."""
     with _reading('onset of a throw of a measured plate', values):
-        rest = {name: values[key] for name, key in _REST.items()}
-        if rest['projectile'] is None:  # it was not measured
-            rest['projectile'] = math.nan
+        rest = [math.nan if value is None else float(value) for value in values['rest']]
         return Onset(
             onset_ns=index(values['onset_ns']),
-            rest=RestBaseline(**{name: float(value) for name, value in rest.items()}),
+            rest=RestBaseline(*rest),
             samples=decode_samples({**values, 'step': 0})[0][1],
             clock_offset_ns=index(values.get('clock_offset_ns', 0)),
         )

@@ -25,7 +25,6 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_POSITION,
     TIME,
 )
-from soft_throw_ros.twin.plate_estimator import Onset, PAST, PlateEstimator, PlateStates
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
     layer_of,
@@ -46,6 +45,7 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
+from soft_throw_ros.twin.sample_buffer import Onset, PAST, SampleBuffer
 from soft_throw_ros.twin.throws import OngoingThrow, Tick
 from soft_throw_ros.twin.tick_schedule import SECOND
 
@@ -80,9 +80,9 @@ class MeasuredThrow(OngoingThrow):
     """
 
     def __init__(
-        self, prepared: PreparedRig, onset: Onset, estimator: PlateEstimator, *, number: int
+        self, prepared: PreparedRig, onset: Onset, buffer: SampleBuffer, *, number: int
     ) -> None:
-        config = estimator.config
+        config = buffer.config
         assert prepared.fork is not None
         assert prepared.release_weights is not None
         rest_speed = MEASURED_REST_SPEED * config.start_speed
@@ -90,7 +90,7 @@ class MeasuredThrow(OngoingThrow):
             prepared, number=number, start_ns=onset.onset_ns, rest_speed=rest_speed
         )
         self._fork = prepared.fork
-        self._onset, self._estimator = onset, estimator
+        self._onset, self._buffer = onset, buffer
         self._observer = PlateObserver(config, onset, prepared.release_weights)
         self._settled = [(np.empty(0), np.empty((0, 3)))]  # times and states of the plate
         self._path = self._settled[0]  # after these, with the continuation
@@ -118,14 +118,14 @@ class MeasuredThrow(OngoingThrow):
         """Whether the plate cannot change the release any more."""
         return self._accuracy is not None and self._accuracy.is_certain
 
-    def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
+    def advance(self, tick: Tick) -> Outputs:
         """Advance as far as the plate is known, and predict from there."""
-        estimator, observer, start_ns = self._estimator, self._observer, self.start_ns
-        crossing, window = self._prepared.rig.crossing_time, estimator.config.smoothing_window
-        if motion.gap > crossing or tick.due_ns - estimator.newest_ns > LOST:
+        buffer, observer, start_ns = self._buffer, self._observer, self.start_ns
+        crossing, window = self._prepared.rig.crossing_time, buffer.config.smoothing_window
+        if buffer.gap > crossing or tick.due_ns - buffer.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
-            observer.add(estimator.samples(observer.next_ns, estimator.complete_ns + 1))
+            observer.add(buffer.between(observer.next_ns, buffer.complete_ns + 1))
         known = observer.newest + crossing
         # a longer extrapolation has no meaning
         now = min((tick.due_ns - start_ns) / SECOND, known + window)
@@ -195,7 +195,7 @@ class MeasuredThrow(OngoingThrow):
         if residuals.is_complete:
             return self._go_to(known, max_events)[1], None
         stepper, first_ns = self._stepper, start_ns + round(self._stepper.state[TIME] * SECOND)
-        samples = self._estimator.samples(
+        samples = self._buffer.between(
             max(residuals.last_ns, first_ns) + 1, start_ns + math.floor(known * SECOND) + 1
         )
         heights = samples.heights - (rest.plate, rest.projectile)
@@ -240,7 +240,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _latest_peak(self, release: Event | None) -> float:
         """Return the time until which the plate has its peak speed: until the release too [s]."""
-        peak_time = 1.1 * self._estimator.config.motion.peak_velocity_time
+        peak_time = 1.1 * self._buffer.config.motion.peak_velocity_time
         return max(peak_time, release.time if release else 0.0)
 
     def peak_plate_speed(self, release: Event | None) -> float:
@@ -248,7 +248,7 @@ class MeasuredThrow(OngoingThrow):
         times, states = self._plate(self._path)
         is_early = times <= self._latest_peak(release)
         fastest = peak_speed(times[is_early], states[is_early])
-        return max(fastest, self._estimator.config.start_speed)
+        return max(fastest, self._buffer.config.start_speed)
 
     def _plate(self, *more: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
         """Return times and states of the plate that are settled, and more."""
@@ -259,14 +259,14 @@ class MeasuredThrow(OngoingThrow):
         """Return the accuracy of a release."""
         speed, peak_speed = release.velocity, self.peak_plate_speed(release)
         errors = self._observer.errors(speed, peak_speed)
-        estimator = self._estimator
+        buffer = self._buffer
         return Accuracy(
             is_certain=is_certain,
             release_time_error=errors.time,
             ejection_speed_error=errors.speed * abs(speed),
             energy_transfer_error=errors.energy_transfer * (speed / peak_speed) ** 2,
-            samples=len(estimator.samples(self.start_ns)) + estimator.outliers,
-            samples_left_out=estimator.outliers + self._observer.outliers,
+            samples=len(buffer.between(self.start_ns)) + buffer.outliers,
+            samples_left_out=buffer.outliers + self._observer.outliers,
         )
 
     def result(self, stage: str, tick: Tick) -> ThrowResult:
@@ -283,7 +283,7 @@ class MeasuredThrow(OngoingThrow):
         """Add the faults of the measurement until now, and to a valid result its accuracy."""
         disturbances = Disturbances(
             clock_offset_ns=self._onset.clock_offset_ns,
-            samples_missing=self._estimator.missing_since(self.start_ns),
+            samples_missing=self._buffer.missing_since(self.start_ns),
             time_skipped=self._time_skipped,
         )
         known: dict[str, Any] = {}

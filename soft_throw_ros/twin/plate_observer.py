@@ -42,9 +42,7 @@ from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, Record, subroutine
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import Onset, state_spacing_ns
-from soft_throw_ros.twin.sample_buffer import Samples
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.twin.sample_buffer import Onset, Samples
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +58,7 @@ AMPLITUDE_ERROR = 0.025
 _SETTLED = 0.5
 """Age at which a smoothed state does not change any more, over the smoothing window. [-]"""
 _SPACING = 0.125
-"""Time between states of the continuation, over the smoothing window. [-]"""
+"""Time between states of the plate, over the smoothing window. [-]"""
 _COARSE = 4
 """Weights of the release that the prediction of its errors passes in a step. [-]"""
 _AVERAGED = 16
@@ -331,7 +329,7 @@ class PlateObserver:
         )
         self._present = memory[0]
         self._steps = np.zeros(_CAPACITY, STEP)
-        self._spacing = 0.99 * state_spacing_ns(config) / SECOND  # least, between states [s]
+        self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
         self._filter(np.zeros(1), np.full(1, np.nan), np.zeros(1), 0.0)
 
     @property

@@ -18,11 +18,9 @@ from soft_throw_ros.configuration.motions import MotionSource
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
-from soft_throw_ros.twin.plate_estimator import SampleCounts
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.sample_buffer import Samples
-from soft_throw_ros.twin.sensor_checks import SensorFault
+from soft_throw_ros.twin.sample_buffer import SampleCounts, Samples
 from soft_throw_ros.twin.throw_cycle import ThrowCycle
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -228,20 +226,15 @@ class Session:
         with self._lock:
             self._cycle.clock_offset_ns = clock_offset_ns
             if (monitor := self._cycle.monitor) is not None and samples:
-                added = monitor.estimator.add_samples(samples, self.due_ns(self.step))
+                added = monitor.buffer.add(samples, self.due_ns(self.step))
                 if added:
                     self._journal.keep_samples(self.step, added)
 
-    def diagnose_sensors(self) -> tuple[SensorFault, ...]:
+    def diagnose_sensors(self) -> tuple[str, ...]:
         """Return new faults of the sensors of a measured plate; call it about once a second."""
         with self._lock:
-            cycle, monitor = self._cycle, self._cycle.monitor
-            if monitor is None:
-                return ()
-            crossing_time = cycle.prepared.rig.crossing_time
-            return cycle.sensor_checks.diagnose(
-                monitor.estimator, crossing_time, is_armed=monitor.is_armed
-            )
+            monitor = self._cycle.monitor
+            return () if monitor is None else monitor.faults()
 
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """

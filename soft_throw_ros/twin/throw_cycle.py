@@ -19,7 +19,6 @@ from soft_throw_ros.configuration import Settings
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
-from soft_throw_ros.twin.plate_estimator import NO_STATES, Onset, PlateStates, SampleCounts
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, PreparedRig, waiting_values
 from soft_throw_ros.twin.results import (
@@ -32,7 +31,7 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.sensor_checks import SensorChecks
+from soft_throw_ros.twin.sample_buffer import Onset, SampleCounts
 from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow, Tick
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -59,7 +58,7 @@ class _AtRest:
             else:
                 cycle.command_plate(step, self)
 
-    def advance(self, step: int, motion: PlateStates) -> Outputs:  # noqa: ARG002
+    def advance(self, step: int) -> Outputs:
         rest, monitor = self.cycle.prepared.rest, self.cycle.monitor
         return Outputs(step, self.cycle.throws, monitor.state(rest) if monitor else rest)
 
@@ -80,10 +79,10 @@ class _Throwing:
     cycle: ThrowCycle
     throw: OngoingThrow
 
-    def advance(self, step: int, motion: PlateStates) -> Outputs:
+    def advance(self, step: int) -> Outputs:
         cycle, throw, tick = self.cycle, self.throw, self.cycle.tick(step)
         was_released = bool(throw.events)
-        outputs = throw.advance(tick, motion)
+        outputs = throw.advance(tick)
         cycle.state = outputs.state
         cycle.rare.phases += tuple(
             (_PHASES[event.kind], throw.event_ns(event, tick)) for event in outputs.events
@@ -135,7 +134,7 @@ class _Returning:
             else:
                 self.cycle.enter(_AtRest(self.cycle), Phase.REST)
 
-    def advance(self, step: int, motion: PlateStates) -> Outputs:  # noqa: ARG002
+    def advance(self, step: int) -> Outputs:
         """
         Return a point of the way to rest with the least jerk [1]_, or that of a measured plate.
 
@@ -227,7 +226,6 @@ class ThrowCycle:
         self.schedule = TickSchedule(step=step, time_ns=0, rate=self.config.state_rate)
         self.clock_offset_ns = 0  # of the samples, see `Session.measure` [ns]
         self.sample_counts = SampleCounts()
-        self.sensor_checks = SensorChecks()
         self.monitor: PlateMonitor | None = None  # if the plate is measured
         self.state = prepared.rest  # in the last step
         self._period_start = step  # of the last throw, or of a reset
@@ -312,12 +310,11 @@ class ThrowCycle:
 
     def advance(self, step: int) -> Outputs:
         """Advance by one step."""
-        motion = NO_STATES
         if self.monitor is not None:
-            motion = self._watch_plate(step, self.monitor)
+            self._watch_plate(step, self.monitor)
         elif not isinstance(self.rig_state, _Throwing):
             self.rig_state.start_next(step)
-        outputs = self.rig_state.advance(step, motion)
+        outputs = self.rig_state.advance(step)
         self.state = outputs.state
         rows = [
             since * self.config.field_rate // self.config.state_rate
@@ -383,7 +380,7 @@ class ThrowCycle:
             self._start_monitoring(onset)
             assert self.monitor is not None
             throw = MeasuredThrow(
-                self.prepared, onset, self.monitor.estimator, number=self.throws
+                self.prepared, onset, self.monitor.buffer, number=self.throws
             )
         self.enter(
             _Throwing(self, throw), Phase.CONTACT, None if onset is None else onset.onset_ns
@@ -417,27 +414,20 @@ class ThrowCycle:
 
     def _start_monitoring(self, onset: Onset | None = None) -> None:
         """Wait for the next throw of the plate, if it is measured."""
-        config = self.config
-        if not config.is_measured:
+        config, crossing_time = self.config.measurement, self.prepared.rig.crossing_time
+        if not self.config.is_measured:
             self.monitor = None
         elif self.monitor is None or onset is not None:
-            self.sensor_checks.begin()
-            self.monitor = PlateMonitor(config.measurement, self.sample_counts, onset)
+            self.monitor = PlateMonitor(config, crossing_time, self.sample_counts, onset)
         else:
-            self.monitor.rearm(config.measurement)
+            self.monitor.rearm(config, crossing_time)
 
-    def _watch_plate(self, step: int, monitor: PlateMonitor) -> PlateStates:
-        """Return the motion of the plate, and start a throw at its onset."""
+    def _watch_plate(self, step: int, monitor: PlateMonitor) -> None:
+        """Take over the samples of the plate, and start a throw at its onset."""
         now_ns, rig_state = self.schedule.deadline(step), self.rig_state
-        motion = NO_STATES
         onset = rig_state.onset if isinstance(rig_state, _AtRest) else None
-        if onset is None:
-            motion, onset = monitor.advance(now_ns)
-            if onset is not None:
-                onset = replace(onset, clock_offset_ns=self.clock_offset_ns)
-            crossing_time = self.prepared.rig.crossing_time
-            if onset and not self.sensor_checks.has_rate(monitor.estimator, crossing_time):
-                onset = None
+        if onset is None and (onset := monitor.advance(now_ns)) is not None:
+            onset = replace(onset, clock_offset_ns=self.clock_offset_ns)
         if onset is not None:
             if isinstance(rig_state, _Throwing):
                 rig_state.end(step, 'next')
@@ -445,9 +435,8 @@ class ThrowCycle:
             if self.config.is_measured:
                 self.begin_throw(step, onset)
                 assert self.monitor is not None
-                motion, _ = self.monitor.advance(now_ns)  # since the start of the throw
+                self.monitor.advance(now_ns)  # since the start of the throw
             elif self.monitor is not None:  # the change that took effect ends the measurement
                 self.put_back(step)
         elif isinstance(rig_state, _Returning) and monitor.is_armed:
             self.enter(_AtRest(self), Phase.REST)
-        return motion

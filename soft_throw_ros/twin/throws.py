@@ -12,7 +12,6 @@ from typing import NamedTuple
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
-from soft_throw_ros.twin.plate_estimator import PlateStates
 from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
@@ -73,9 +72,9 @@ class OngoingThrow(ABC):
         return layer_of(self._stepper)
 
     @abstractmethod
-    def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
+    def advance(self, tick: Tick) -> Outputs:
         """
-        Advance to a step, with the latest motion of a measured plate.
+        Advance to a step.
 
         The outputs are state, events and, with a measured plate, residual and predictions.
         """
@@ -180,7 +179,7 @@ class ScheduledThrow(OngoingThrow):
         self._time = 0.0  # since the start [s]
         self._stamps: dict[Event, int] = {}  # of events, by the clock of the ticks [ns]
 
-    def advance(self, tick: Tick, motion: PlateStates) -> Outputs:  # noqa: ARG002
+    def advance(self, tick: Tick) -> Outputs:
         """Advance to a step."""
         self._time = (tick.step - self._start_step) * self._prepared.tick
         state, events = self._go_to(self._time, tick.config.max_events)

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
-from soft_throw_ros.twin.sample_buffer import Sample, Samples
+from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Sample, Samples
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 from twin_runs import replay, Run, same

@@ -10,14 +10,13 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
 from soft_throw_ros.twin.plate_observer import (
     AMPLITUDE_ERROR,
     PlateObserver,
     ReleaseWeights,
     UNMODELLED,
 )
-from soft_throw_ros.twin.sample_buffer import Sample, Samples
+from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Sample, Samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, MEASUREMENT, PLATE
 
