@@ -266,7 +266,7 @@ class MeasuredThrow(OngoingThrow):
             ejection_speed_error=errors.speed * abs(speed),
             energy_transfer_error=errors.energy_transfer * (speed / peak_speed) ** 2,
             samples=len(buffer.between(self.start_ns)) + buffer.outliers,
-            samples_left_out=buffer.outliers + self._observer.outliers,
+            samples_left_out=buffer.outliers,
         )
 
     def result(self, stage: str, tick: Tick) -> ThrowResult:

@@ -21,8 +21,7 @@ velocity of the plate. These three integrals are states of the filter too, so th
 are those of the whole path, with all correlations.
 
 A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t`, which adds
-to the noise. A height is an outlier if it is six standard errors off; the third in a row shows
-that the plate moves in another way, and widens the errors of the state.
+to the noise. A height counts as at most six standard errors off.
 
 References
 ----------
@@ -41,7 +40,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, Record, subroutine
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
+from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
 from soft_throw_ros.twin.sample_buffer import Onset, Samples
 
 Floats = NDArray[np.float64]
@@ -78,12 +77,9 @@ _MEMORY = np.dtype(
         ('zeta', 'f8'),
         ('amplitude', 'f8'),  # expected [m]
         ('unmodelled', 'f8'),  # spectral density of q [m2/s3]
-        ('wide', 'f8', (3,)),  # variances of a state of which nothing is known
         ('time', 'f8'),  # since the start [s]
         ('state', 'f8', (3,)),
         ('covariance', 'f8', (_STATES, _STATES)),
-        ('in_a_row', 'i8'),  # outliers until now
-        ('outliers', 'i8'),
         ('steps', 'i8'),  # of the filter since the last settled state
         ('settled', 'f8'),  # time of this state [s]
         ('ratio', 'f8'),  # mean square of normalised innovations [-]
@@ -197,21 +193,13 @@ def _filter(
         s.steps += 1
         _transition(s, s.time, f)  # from the rest, which gives the expected speed
         noise = errors[n] ** 2 + (f[1, 2] * s.amplitude * stamp_error) ** 2
-        error = heights[n] - s.state[0]
-        is_used = not np.isnan(error)
-        if is_used and error * error > OUTLIER_SIGMAS**2 * (p[0, 0] + noise):
-            s.in_a_row += 1
-            s.outliers += 1
-            is_used = s.in_a_row >= MAX_OUTLIERS_IN_A_ROW
-            if is_used:
-                for i in range(3):
-                    p[i, i] += s.wide[i]
+        variance = p[0, 0] + noise
+        most = OUTLIER_SIGMAS * math.sqrt(variance)
+        error = min(max(heights[n] - s.state[0], -most), most)
         step.time, step.pull = times[n], 0.0
         step.state[:], step.covariance[:], step.gain[:] = s.state, p[:3, :3], 0.0
-        if not is_used:
+        if np.isnan(heights[n]):
             continue
-        s.in_a_row = 0
-        variance = p[0, 0] + noise
         step.pull = error / variance
         gain = p[:, 0] / variance
         step.gain[:] = gain[:3]
@@ -323,7 +311,6 @@ class PlateObserver:
         memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
         memory['ratio'] = _FIRST_RATIO
         memory['settled'] = -1.0
-        memory['wide'] = plate.amplitude**2, swing**2, plate.amplitude**2
         memory['covariance'][0][range(3), range(3)] = np.square(
             [onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude]
         )
@@ -331,11 +318,6 @@ class PlateObserver:
         self._steps = np.zeros(_CAPACITY, STEP)
         self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
         self._filter(np.zeros(1), np.full(1, np.nan), np.zeros(1), 0.0)
-
-    @property
-    def outliers(self) -> int:
-        """Number of outliers."""
-        return int(self._present['outliers'])
 
     @property
     def newest(self) -> float:

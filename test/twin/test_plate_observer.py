@@ -94,11 +94,10 @@ def test_smoothed_states_and_errors_are_those_of_the_joint_distribution() -> Non
     assert observer.errors(1.0, 1.0).speed == pytest.approx(math.sqrt(variance), rel=0.05)
 
 
-def test_plate_that_moves_in_another_way_is_followed_after_three_outliers() -> None:
+def test_plate_that_moves_in_another_way_is_followed() -> None:
     times = STEP * np.arange(1, 101)
     jump = 1e-3 * (times > 5e-3)
     observer = observe(PLATE.position(times) + jump)
-    assert 3 <= observer.outliers <= 6
     found, states, _ = observer.motion(0.0)
     late = found > 7e-3
     np.testing.assert_allclose(states[late, 0], PLATE.position(found[late]) + 1e-3, atol=5e-6)
