@@ -7,16 +7,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
-from soft_throw_ros.twin.prepared_rig import layer_of, PreparedRig
+from soft_throw_ros.twin.prepared_rig import layer_of
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
     Outputs,
+    Phase,
     Release,
     State,
     ThrowField,
@@ -24,39 +24,35 @@ from soft_throw_ros.twin.results import (
 )
 from soft_throw_ros.twin.tick_schedule import SECOND
 
+if TYPE_CHECKING:
+    from soft_throw_ros.twin.session import Session
+
 LONGEST_THROW = 10.0
 """Longest duration of a throw, which without gravity would never end. [s]"""
 
 REST_SPEED = 1e-3
 """Largest speed at rest, over the largest speed of the plate. [-]"""
 
-
-class Tick(NamedTuple):
-    """A step that is due."""
-
-    step: int
-    due_ns: int  # by the clock of the ticks [ns]
-    config: TwinConfig  # in effect
+_PHASES = {'release': Phase.FLIGHT, 'recontact': Phase.CONTACT, 'landing': Phase.LANDED}
 
 
 class OngoingThrow(ABC):
     """
-    A throw from its start to its end, with its events and results.
+    A state of the rig: a throw from its start to its end, with its events and results.
 
     A throw ends at rest, or for another reason, see `ThrowResult`. Rest means contact, and speeds
     of plate and projectile below `rest_speed` [m/s] for the longer of their periods.
     """
 
-    def __init__(
-        self, prepared: PreparedRig, *, number: int, start_ns: int, rest_speed: float
-    ) -> None:
-        prepared.stepper.reset()
-        self.number = number
+    def __init__(self, session: Session, *, start_ns: int, rest_speed: float) -> None:
+        session.prepared.stepper.reset()
+        self.session = session
+        self.number = session.throws
         self.start_ns = start_ns  # by the clock of the ticks [ns]
         self.ended_by = ''  # while it goes on
         self.events: list[Event] = []  # so far
-        self._prepared = prepared
-        self._stepper = prepared.stepper
+        self._prepared = session.prepared
+        self._stepper = session.prepared.stepper
         self._rest_speed = rest_speed
         self._last_moving_time = 0.0  # since the start [s]
         self._has_shown_field = False
@@ -66,21 +62,43 @@ class OngoingThrow(ABC):
         """Return the first release, if the projectile has left."""
         return self.events[0] if self.events else None
 
-    @property
+    def advance(self) -> Outputs:
+        """Advance to the present step, and end the throw if it is over."""
+        session, was_released = self.session, bool(self.events)
+        outputs = self._advance()
+        session.state = outputs.state
+        for event in outputs.events:
+            session.phases.append((_PHASES[event.kind], self._event_ns(event)))
+        if self.events and not was_released:
+            session.report(self._result('release'))
+        returning = self._prepared.return_ticks(session.config.throw_period)
+        if self.ended_by or session.step >= session.next_start - returning:
+            self.end(self.ended_by or 'period')
+        else:
+            session.throw_field = self._throw_field()
+        return outputs
+
+    def end(self, ended_by: str) -> None:
+        """End the throw, and put the rig back."""
+        self.ended_by = ended_by
+        self.session.report(self._result('final'))
+        self.session.throw_field = self._throw_field()
+        self.session.put_back()
+
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
         return layer_of(self._stepper)
 
-    @abstractmethod
-    def advance(self, tick: Tick) -> Outputs:
-        """
-        Advance to a step.
-
-        The outputs are state, events and, with a measured plate, residual and predictions.
-        """
+    def request_throw(self) -> str:
+        """Refuse another throw."""
+        return self.session.refusal(f'throw {self.number} is under way', self.session.due)
 
     @abstractmethod
-    def throw_field(self) -> Callable[[], ThrowField] | None:
+    def _advance(self) -> Outputs:
+        """Advance to the present step; end the throw by `ended_by`."""
+
+    @abstractmethod
+    def _throw_field(self) -> Callable[[], ThrowField] | None:
         """
         Return the layer over time once, when it is known for long enough or the throw ends.
 
@@ -88,14 +106,14 @@ class OngoingThrow(ABC):
         """
 
     @abstractmethod
-    def event_ns(self, event: Event, tick: Tick) -> int:
-        """Return the time of an event in a step, by the clock of the ticks [ns]."""
+    def _event_ns(self, event: Event) -> int:
+        """Return the time of an event, by the clock of the ticks [ns]."""
 
     @abstractmethod
-    def peak_plate_speed(self, release: Event | None) -> float:
+    def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate, until the first release if it is known [m/s]."""
 
-    def _go_to(self, time: float, max_events: int) -> tuple[State, tuple[Event, ...]]:
+    def _go_to(self, time: float) -> tuple[State, tuple[Event, ...]]:
         """Advance to a time after the start; return the state and the new events."""
         stepper, seen = self._stepper, len(self.events)
         count = self._try_to_advance(stepper, time)
@@ -104,7 +122,8 @@ class OngoingThrow(ABC):
             self._last_moving_time = time
         if count > seen:
             self.events = stepper.events()
-            if sum(event.kind != 'release' for event in self.events) >= max_events:
+            contacts = sum(event.kind != 'release' for event in self.events)
+            if contacts >= self.session.config.max_events:
                 self.ended_by = 'max_events'
         if time > LONGEST_THROW:
             self.ended_by = 'duration'
@@ -120,16 +139,14 @@ class OngoingThrow(ABC):
             self.ended_by = 'max_events'
             return 0
 
-    def result(self, stage: str, tick: Tick) -> ThrowResult:
+    def _result(self, stage: str) -> ThrowResult:
         """Return the result so far."""
-        return self._result_of(stage, tick, self._stepper, self.events)
+        return self._result_of(stage, self._stepper, self.events)
 
-    def _result_of(
-        self, stage: str, tick: Tick, stepper: Stepper, events: Sequence[Event]
-    ) -> ThrowResult:
+    def _result_of(self, stage: str, stepper: Stepper, events: Sequence[Event]) -> ThrowResult:
         """Return the result by a stepper; an invalid throw has no events."""
-        prepared, loads = self._prepared, stepper.loads
-        peak_speed = self.peak_plate_speed(events[0] if events else None)
+        rig, loads = self._prepared.rig, stepper.loads
+        peak_speed = self._peak_plate_speed(events[0] if events else None)
         if self.ended_by in INVALID_ENDS:
             events = ()
         ejected = ejections(events)
@@ -138,30 +155,28 @@ class OngoingThrow(ABC):
                 ejection_time=event.time,
                 ejection_speed=event.velocity,
                 energy_transfer=(event.velocity / peak_speed) ** 2,
-                release_ns=self.event_ns(event, tick),
+                release_ns=self._event_ns(event),
             )
             for event in ejected
         ]
         kinds = [event.kind for event in events]
-        rest_height = prepared.rest.projectile_position
+        rest_height = self._prepared.rest.projectile_position
         return ThrowResult(
             throw=self.number,
-            step=tick.step,
+            step=self.session.step,
             stage=stage,
             ended_by=self.ended_by,
             start_ns=self.start_ns,
-            rig=prepared.rig,
+            rig=rig,
             first=releases[0] if releases else None,
             last=releases[-1] if releases else None,
             peak_plate_speed=peak_speed,
             peak_strain=loads.strain,
-            max_strain=tick.config.max_strain,
+            max_strain=self.session.config.max_strain,
             peak_acceleration=loads.acceleration,
             peak_plate_force=loads.plate_force,
             plate_work=stepper.plate_work,
-            apex_height=(
-                apex_height(ejected[-1], prepared.rig.gravity) if ejected else rest_height
-            ),
+            apex_height=apex_height(ejected[-1], rig.gravity) if ejected else rest_height,
             recontacts=kinds.count('recontact'),
             landings=kinds.count('landing'),
         )
@@ -170,32 +185,29 @@ class OngoingThrow(ABC):
 class ScheduledThrow(OngoingThrow):
     """A throw by the period or on request, see `OngoingThrow`."""
 
-    def __init__(
-        self, prepared: PreparedRig, *, number: int, start_step: int = 0, start_ns: int = 0
-    ) -> None:
-        rest_speed = REST_SPEED * prepared.peak_plate_speed
-        super().__init__(prepared, number=number, start_ns=start_ns, rest_speed=rest_speed)
-        self._start_step = start_step
+    def __init__(self, session: Session) -> None:
+        rest_speed = REST_SPEED * session.prepared.peak_plate_speed
+        super().__init__(session, start_ns=session.due_ns(session.step), rest_speed=rest_speed)
+        self._start_step = session.step
         self._time = 0.0  # since the start [s]
         self._stamps: dict[Event, int] = {}  # of events, by the clock of the ticks [ns]
 
-    def advance(self, tick: Tick) -> Outputs:
-        """Advance to a step."""
-        self._time = (tick.step - self._start_step) * self._prepared.tick
-        state, events = self._go_to(self._time, tick.config.max_events)
-        return Outputs(tick.step, self.number, state, events=events)
+    def _advance(self) -> Outputs:
+        step = self.session.step
+        self._time = (step - self._start_step) * self._prepared.tick
+        state, events = self._go_to(self._time)
+        return Outputs(step, self.number, state, events=events)
 
-    def event_ns(self, event: Event, tick: Tick) -> int:
-        """Return the time of an event, relative to the step because steps may be skipped [ns]."""
+    def _event_ns(self, event: Event) -> int:
+        # relative to the step, because steps may be skipped
         since = (self._time - event.time) / self._prepared.config.time_scale
-        return self._stamps.setdefault(event, tick.due_ns - round(since * SECOND))
+        due_ns = self.session.due_ns(self.session.step)
+        return self._stamps.setdefault(event, due_ns - round(since * SECOND))
 
-    def peak_plate_speed(self, release: Event | None) -> float:  # noqa: ARG002
-        """Return the largest speed of the plate by the engine [m/s]."""
+    def _peak_plate_speed(self, release: Event | None) -> float:  # noqa: ARG002
         return self._prepared.peak_plate_speed
 
-    def throw_field(self) -> Callable[[], ThrowField] | None:
-        """Return the layer over time once, when that time has passed or the throw is over."""
+    def _throw_field(self) -> Callable[[], ThrowField] | None:
         field = self._prepared.throw_field
         if self._has_shown_field or field is None:
             return None
