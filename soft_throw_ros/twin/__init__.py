@@ -9,7 +9,7 @@ Notes
 -----
 `session.Session` receives requests, changes of settings and samples between steps, and writes
 them to the journal. In each step it advances the state of the rig: `rig_states.AtRest`, a throw
-under way (`throws.ScheduledThrow` or `measured_throw.MeasuredThrow`), or `rig_states.Returning`.
+under way (`rig_states.ScheduledThrow` or `measured_throw.MeasuredThrow`), or `rig_states.Returning`.
 
 A sample of a measured plate passes the following stations:
 

@@ -38,8 +38,8 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
+from soft_throw_ros.twin.rig_states import OngoingThrow
 from soft_throw_ros.twin.sample_buffer import Onset, PAST, SampleBuffer
-from soft_throw_ros.twin.throws import OngoingThrow
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 if TYPE_CHECKING:

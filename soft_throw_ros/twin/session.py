@@ -30,9 +30,14 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.rig_states import AtRest, Returning, RigState
+from soft_throw_ros.twin.rig_states import (
+    AtRest,
+    OngoingThrow,
+    Returning,
+    RigState,
+    ScheduledThrow,
+)
 from soft_throw_ros.twin.sample_buffer import Onset, SampleCounts, Samples
-from soft_throw_ros.twin.throws import OngoingThrow, ScheduledThrow
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
@@ -70,7 +75,7 @@ class Session:
     Notes
     -----
     A throw starts on request, or `throw.period` after the start of the last throw. It ends when
-    the projectile is at rest, after `throw.max_events` contacts, after `throws.LONGEST_THROW`, or
+    the projectile is at rest, after `throw.max_events` contacts, after `rig_states.LONGEST_THROW`, or
     when only the time to return to rest remains until the next throw. Then plate and projectile
     return to rest along continuous paths.
 
@@ -159,11 +164,10 @@ class Session:
         if pending := journal.checked_settings(entry, 'pending'):
             self._stage(self._prepare(pending, motion_of))
         self.throws = entry['throw'] - 1
-        onset = None if self.monitor is None else journal.decode_onset(entry.get('onset', {}))
-        # also if changes wait
-        self._rig_state = AtRest(self, start_step=self.step, onset=onset)
         if 'schedule' in entry:
             self._schedule = journal.decode_schedule(entry['schedule'])
+        is_measured = self.is_measured
+        self.begin_throw(journal.decode_onset(entry.get('onset', {})) if is_measured else None)
 
     def _prepare(self, values: Settings, motion_of: MotionSource) -> PreparedRig:
         """Return the wanted rig after a change."""
@@ -507,15 +511,12 @@ class Session:
     def _watch_plate(self, monitor: PlateMonitor) -> None:
         """Take over the samples of the plate, and start a throw at its onset."""
         now_ns, rig_state = self.due_ns(self.step), self._rig_state
-        onset = rig_state.onset if isinstance(rig_state, AtRest) else None
-        if onset is None and (onset := monitor.advance(now_ns)) is not None:
-            onset = replace(onset, clock_offset_ns=self._clock_offset_ns)
-        if onset is not None:
+        if (onset := monitor.advance(now_ns)) is not None:
             if isinstance(rig_state, OngoingThrow):
                 rig_state.end('next')
             self._commit()
             if self.config.is_measured:
-                self.begin_throw(onset)
+                self.begin_throw(replace(onset, clock_offset_ns=self._clock_offset_ns))
                 assert self.monitor is not None
                 self.monitor.advance(now_ns)  # since the start of the throw
             elif self.monitor is not None:  # the change that took effect ends the measurement
