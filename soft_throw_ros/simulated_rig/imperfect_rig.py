@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.plate import motion_of, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event, EventLimitError, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import make_stepper
@@ -185,15 +185,14 @@ class Deviations:
 
 
 def _plate(rig: Rig, imperfections: Imperfections, time: Floats, start: float) -> Floats:
-    """Return heights of the plate: the step of the engine, ringing, and a second mode."""
+    """Return heights of the plate: the motion of the engine, ringing, and a second mode."""
     engine = rig.engine
-    motion = Underdamped.of(engine)
-    height = motion.position(time)
+    height = motion_of(engine).position(time)
     if imperfections.ringing:
-        rate = motion.exponent
+        own = engine
         if imperfections.ringing_damping_ratio is not None:
             own = replace(engine, damping_ratio=imperfections.ringing_damping_ratio)
-            rate = Underdamped.of(own).exponent
+        rate = Underdamped.of(own).exponent
         growth = np.clip((time - start) / _LEAD_IN + 1.0, 0.0, 1.0)
         decay = np.exp(rate.real * np.maximum(time - start, 0.0))
         wave = np.sin(rate.imag * (time - start) + imperfections.ringing_phase)

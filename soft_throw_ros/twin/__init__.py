@@ -8,8 +8,8 @@ This package may import `configuration`, `core` and `storage`.
 Notes
 -----
 `session.Session` receives requests, changes of settings and samples between steps, and writes
-them to the journal. In each step it advances the state of the rig: `rig_states.AtRest`, a throw
-under way (`rig_states.ScheduledThrow` or `measured_throw.MeasuredThrow`), or `rig_states.Returning`.
+them to the journal. In each step it advances the state of the rig, see `rig_states`: at rest, a
+throw under way (`ScheduledThrow` or `measured_throw.MeasuredThrow`), or returning to rest.
 
 A sample of a measured plate passes the following stations:
 

@@ -232,15 +232,13 @@ class MeasuredThrow(OngoingThrow):
 
     def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
         """Return the accuracy of a release."""
-        speed, peak_speed, buffer = (
-            release.velocity, self._peak_plate_speed(release), self._buffer
-        )
-        errors = self._observer.errors(speed, peak_speed)
+        buffer, peak_speed = self._buffer, self._peak_plate_speed(release)
+        time, speed, energy_transfer = self._observer.errors(release.velocity, peak_speed)
         return Accuracy(
             is_certain=is_certain,
-            release_time_error=errors.time,
-            ejection_speed_error=errors.speed * abs(speed),
-            energy_transfer_error=errors.energy_transfer * (speed / peak_speed) ** 2,
+            release_time_error=time,
+            ejection_speed_error=speed,
+            energy_transfer_error=energy_transfer,
             samples=len(buffer.between(self.start_ns)) + buffer.outliers,
             samples_left_out=buffer.outliers,
         )

@@ -100,14 +100,6 @@ STEP = np.dtype(
 """Record of a step of the filter, for the smoother."""
 
 
-class ReleaseErrors(NamedTuple):
-    """Standard errors of a release: of its time [s], and relative ones of speed and alpha [-]."""
-
-    time: float
-    speed: float
-    energy_transfer: float
-
-
 class ReleaseWeights(NamedTuple):
     """
     Weights of the velocity of the plate in a release.
@@ -374,9 +366,9 @@ class PlateObserver:
             states[0, 1] = max(states[0, 1], 0.0)
         return times, states, settled
 
-    def errors(self, speed: float, peak_speed: float) -> ReleaseErrors:
+    def errors(self, speed: float, peak_speed: float) -> tuple[float, float, float]:
         """
-        Return the standard errors of a release with the given speeds [m/s].
+        Return the standard errors of time [s], speed [m/s] and energy transfer [-] of a release.
 
         Innovations that are larger than the stated noise explains make the errors larger.
         """
@@ -389,8 +381,8 @@ class PlateObserver:
         variances = memory['covariance'][0].diagonal()[3:] * max(1.0, float(memory['ratio'][0]))
         speed_error, time_error, peak_error = np.sqrt(variances).tolist()
         # errors of both speeds count as independent: another motion than expected makes them so
-        alpha = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
-        return ReleaseErrors(time_error, speed_error / abs(speed), alpha)
+        relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
+        return time_error, speed_error, relative_error * (speed / peak_speed) ** 2
 
 
 def warm_up() -> None:

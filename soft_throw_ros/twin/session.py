@@ -75,9 +75,9 @@ class Session:
     Notes
     -----
     A throw starts on request, or `throw.period` after the start of the last throw. It ends when
-    the projectile is at rest, after `throw.max_events` contacts, after `rig_states.LONGEST_THROW`, or
-    when only the time to return to rest remains until the next throw. Then plate and projectile
-    return to rest along continuous paths.
+    the projectile is at rest, after `throw.max_events` contacts, after 10 s, or when only the time
+    to return to rest remains until the next throw. Then plate and projectile return to rest along
+    continuous paths.
 
     A change of the rig, of the measurement, of rates or of the time scale waits until the return
     begins, and all that wait take effect together: after a throw, at a reset, or, if the rig is at

@@ -91,7 +91,7 @@ def test_smoothed_states_and_errors_are_those_of_the_joint_distribution() -> Non
     left = covariance - gain @ covariance[measured]
     rows = [3 * count - 2, 3 * count + 1]  # the velocities around the step of the weights
     variance = left[np.ix_(rows, rows)].mean()
-    assert observer.errors(1.0, 1.0).speed == pytest.approx(math.sqrt(variance), rel=0.05)
+    assert observer.errors(1.0, 1.0)[1] == pytest.approx(math.sqrt(variance), rel=0.05)
 
 
 def test_plate_that_moves_in_another_way_is_followed() -> None:
