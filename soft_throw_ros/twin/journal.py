@@ -15,10 +15,9 @@ throw         the same, `throw` (its number), `pending` (changes that wait) and 
 samples       `count` and `data`, see `encode_samples`: taken before this step, or others
 input         `input`: 'throw', 'reset', or 'parameters' with their `values` and `motions`
 tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
-result        `result`: the values of a `ThrowResult`, where None is infinite; and in the end of
-              a throw `states` and `fields` as below, of the steps before from its start on
+result        `result`: the values of a `ThrowResult`, where None is infinite
 checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps from `first` to before
-              `step`, for about a second
+              `step`, for at most a second, and from the start of a throw on
 ============= ================================================================================
 
 All but the last two repeat a run; the last two show whether it is the same. Numbers are written
@@ -227,12 +226,6 @@ class _Checksum:
     states: int = 0
     fields: int = 0
 
-    def add(self, outputs: Outputs) -> None:
-        """Add the outputs of a step."""
-        self.states = crc32(STATE.pack(*outputs.state), self.states)
-        for array in outputs.layer or ():
-            self.fields = crc32(array.data, self.fields)
-
 
 class JournalWriter:
     """
@@ -247,8 +240,7 @@ class JournalWriter:
         self._line = 0
         self._batches: list[tuple[int, Samples]] = []
         self._last_flush_step = step
-        self._second = _Checksum(step)
-        self._throw: _Checksum | None = None
+        self._checksum = _Checksum(step)
 
     def write(self, kind: str, step: int, **values: object) -> None:
         """Write an entry, without `motions` if there are none."""
@@ -262,8 +254,6 @@ class JournalWriter:
     def begin(self, kind: str, step: int, settings: Settings, **values: Any) -> None:
         """Write the start of a session or a throw, and begin a checksum."""
         self._write_checksum(step)
-        if kind == 'throw':
-            self._throw = _Checksum(step)
         self.write(kind, step, settings=dict(settings), versions=dict(VERSIONS), **values)
 
     def keep_samples(self, step: int, samples: Samples) -> None:
@@ -272,25 +262,22 @@ class JournalWriter:
 
     def write_result(self, step: int, result: ThrowResult) -> None:
         """Write the result of a throw."""
-        checksums: dict[str, int] = {}
-        if result.stage == 'final' and self._throw is not None:
-            checksums = {'states': self._throw.states, 'fields': self._throw.fields}
-            self._throw = None
         values = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in result.values().items()
         }
-        self.write('result', step, result=values, **checksums)
+        self.write('result', step, result=values)
 
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
-        """Add the outputs of a step to the checksums, and write the entries that are due."""
-        self._second.add(outputs)
-        if self._throw is not None:
-            self._throw.add(outputs)
+        """Add the outputs of a step to the checksum, and write the entries that are due."""
+        checksum = self._checksum
+        checksum.states = crc32(STATE.pack(*outputs.state), checksum.states)
+        for array in outputs.layer or ():
+            checksum.fields = crc32(array.data, checksum.fields)
         following = outputs.step + 1
         if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
             self._flush(following)  # also without samples, as a sign of life
-        if following - self._second.first >= CHECKSUM_TIME * rate:
+        if following - checksum.first >= CHECKSUM_TIME * rate:
             self._write_checksum(following)
 
     def close(self, step: int) -> None:
@@ -301,9 +288,9 @@ class JournalWriter:
 
     def _write_checksum(self, step: int) -> None:
         """Write the checksum of the steps before `step`, if any, and begin the next."""
-        if step > self._second.first:
-            self.write('checksum', step, **vars(self._second))
-        self._second = _Checksum(step)
+        if step > self._checksum.first:
+            self.write('checksum', step, **vars(self._checksum))
+        self._checksum = _Checksum(step)
 
     def _flush(self, step: int) -> None:
         """Write the stored samples."""
