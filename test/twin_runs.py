@@ -15,7 +15,6 @@ from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.nodes.texts import sensor_text
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample, Samples
@@ -74,7 +73,7 @@ class Run:
             del self._waiting[:count]
             self.on_step(self.session.advance())
             if self.session.step % round(self.session.rate) == 0:
-                self._notices += map(sensor_text, self.session.diagnose_sensors())
+                self._notices += self.session.diagnose_sensors()
         return self.outputs[first:]
 
     def on_entry(self, line: str) -> None:
@@ -130,7 +129,7 @@ class Run:
         return [change for outputs in self.outputs for change in outputs.phases]
 
     def notices(self) -> list[str]:
-        self._notices += map(sensor_text, self.session.diagnose_sensors())
+        self._notices += self.session.diagnose_sensors()
         return self._notices
 
     def entries(self, kind: str) -> list[dict[str, Any]]:

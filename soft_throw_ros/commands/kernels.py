@@ -19,16 +19,16 @@ import time
 from types import ModuleType
 
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.core import cell_stepper, smoothing, wave_stepper
+from soft_throw_ros.core import cell_stepper, wave_stepper
 from soft_throw_ros.design.requests import solve_request
-from soft_throw_ros.twin import outlier_filter, plate_estimator, plate_observer
+from soft_throw_ros.twin import outlier_filter, plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 Say = Callable[[str], object]
 
 _INTERVAL = 2.0  # from one line of progress to the next [s]
 _SOURCES = (  # of kernels
-    *Path(smoothing.__file__).parent.glob('*.py'),
+    *Path(wave_stepper.__file__).parent.glob('*.py'),
     *Path(str(plate_observer.__file__)).parent.glob('*.py'),
 )
 
@@ -42,7 +42,7 @@ def _step(stepper: ModuleType, **layer: float) -> None:
 
 def _measure() -> None:
     """Run the kernels that process samples of a plate once."""
-    for module in (smoothing, outlier_filter, plate_estimator, plate_observer):
+    for module in (outlier_filter, sample_buffer, plate_observer):
         module.warm_up()
 
 
@@ -112,7 +112,7 @@ def _mark(part: str) -> Path:
 
     It has the suffix of numba's index files, so that clearing the cache deletes it as well.
     """
-    folder = Path(str(smoothing.fit_cubics.stats.cache_path))
+    folder = Path(str(wave_stepper.prepare.stats.cache_path))
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f'{part}.{sys.implementation.cache_tag}.nbi'
 
