@@ -56,9 +56,9 @@ REFUSALS = [
     ('design map x layer.density', "AXIS must be .* got 'layer.density'"),
     ('design map x=0.1:0.9:4.5 C', "AXIS must be .* got 'x=0.1:0.9:4.5'"),
     ('design map x=0.9:0.1 C', 'x must be increasing'),
-    ('design map x=0.1:0.9:1 C', "AXIS must have 2 points .* got 'x=0.1:0.9:1'"),
+    ('design map x=0.1:0.9:1 C', "AXIS must .* got 'x=0.1:0.9:1'"),
     ('design map x=0.1:1 C', r'x must .* got 1\.0'),
-    ('design map engine.damping_ratio=0:0.3:9:log mu', 'AXIS must .* above 0 with :log'),
+    ('design map engine.damping_ratio=0:0.3:9:log mu', 'AXIS must .* LOW above 0 '),
     ('design map --release second', "argument --release: .*'second'"),
     ('design map --output no_such/map.nc', 'no_such/map.nc: folder no_such not found'),
     ('identify none.csv', 'none.csv: No such file or directory'),
@@ -80,7 +80,7 @@ REFUSALS = [
     ('track a.avi --rate 1 --scale 1 0', "argument --scale: .* positive, got '0'"),
     ('track a.avi --rate 1 --scale 1 1 --overlay a.gif', r'argument --overlay: .* \.png'),
     ('track none.avi --rate 1 --scale 1 1', 'none.avi: No such file or directory'),
-    ('warm_up waves', "PART must be one of travelling_wave, .* got 'waves'"),
+    ('warm_up waves', "argument PART: .*'waves'"),
     ('inspect_bag bag --size 5x5', "argument --size: .* got '5x5'"),
     ('inspect_bag bag --port 80', "argument --port: .* got '80'"),
     ('inspect_bag nosuch --save a.rrd', 'nosuch'),
@@ -96,7 +96,7 @@ def test_refusal_is_one_line(capsys, tmp_path, monkeypatch, words, message):
         MODULES[name].main(args)
     out, err = capsys.readouterr()
     assert (end.value.code, out) == (2, '')
-    (line,) = [line for line in err.splitlines() if not re.search('computing|--help', line)]
+    (line,) = [line for line in err.splitlines() if not re.search('computing', line)]
     assert re.search(message, line.partition('error: ')[2])
     assert not list(tmp_path.iterdir())
 
