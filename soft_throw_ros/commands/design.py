@@ -11,7 +11,7 @@ from typing import Any
 
 from soft_throw_ros.commands import design_map, design_motion, options, output
 from soft_throw_ros.commands.output import CommandParser
-from soft_throw_ros.configuration import rig_of, Settings, TWIN
+from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
@@ -20,8 +20,6 @@ from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
-
-_TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 
 
 def main(args: list[str] | None = None) -> int:
@@ -45,36 +43,18 @@ def _add_recommend_arguments(parser: CommandParser) -> None:
 
 def _add_aim_arguments(parser: CommandParser) -> None:
     parser.add_json_option()
-    names = [*_TARGETS, 'recommendation.max_strain']
+    names = [f'recommendation.{name}' for name in ('target_height', 'target_speed', 'max_strain')]
     options.add_options(parser, names, title='target and limit')
     options.add_rig_options(parser)
 
 
-def _recommend(arguments: argparse.Namespace) -> int:
-    """Print a recommendation; return 0."""
-    settings = options.read_settings(arguments)
-    for name, value in (('objective', 'aim'), ('vary', 'motion')):
-        if settings[f'recommendation.{name}'] == value:
-            raise ValueError(
-                f'argument --{name}: {value!r} needs the command `design {value}`'
-            )
-    return _answer(settings, 'recommendation', as_json=arguments.json)
-
-
-def _aim(arguments: argparse.Namespace) -> int:
-    """Print an aim; return 0."""
-    settings = options.read_settings(arguments)
-    # Only a file with the objective 'aim' has a target; otherwise an option must give it.
-    if settings['recommendation.objective'] != 'aim' and not vars(arguments).keys() & {*_TARGETS}:
-        raise ValueError('no target: give --target-height M or --target-speed M/S')
-    settings['recommendation.objective'] = 'aim'
-    return _answer(settings, 'aim', as_json=arguments.json)
-
-
-def _answer(settings: Settings, name: str, *, as_json: bool) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     """Compute a recommendation or an aim, and print the result; return 0."""
+    settings, name = options.read_settings(arguments), 'recommendation'
+    if arguments.task == 'aim':
+        settings['recommendation.objective'] = name = 'aim'
     with output.slow_notice('design'):
-        best, rig = solve_request(settings), rig_of(settings)
+        best = solve_request(settings)
         uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
         names = TWIN.names_in('uncertainty') + TWIN.names_in('recommendation')
         data = {
@@ -82,8 +62,8 @@ def _answer(settings: Settings, name: str, *, as_json: bool) -> int:
             name: {**vars(best), 'summary': best.summary},
             'uncertainty': uncertainty.values(),
         }
-        lines = _lines(best, _columns(rig, best), str(uncertainty))
-        output.print_result(data, lines, as_json=as_json)
+        lines = _lines(best, _columns(rig_of(settings), best), str(uncertainty))
+        output.print_result(data, lines, as_json=arguments.json)
     return 0
 
 
@@ -114,14 +94,14 @@ def _columns(rig: Rig, best: RequestResult) -> dict[str, Mapping[str, Any] | Non
                 'amplitude': rig.engine.amplitude, 'speed': last.speed, 'height': last.height,
             }
         return {'now': now, 'aimed': vars(best)}
-    alternatives = {name: getattr(best, name) for name in ('by_thickness', 'by_wave_speed')}
+    alternatives = {name: getattr(best, name, None) for name in ('by_thickness', 'by_wave_speed')}
     others = {name: vars(throw) for name, throw in alternatives.items() if throw}
     return {'now': now, 'recommended': vars(best), **others}
 
 
 TASKS = {
-    'recommend': (_add_recommend_arguments, _recommend, 'recommend a layer'),
-    'aim': (_add_aim_arguments, _aim, 'find the amplitude that reaches a height or speed'),
+    'recommend': (_add_recommend_arguments, _run, 'recommend a layer'),
+    'aim': (_add_aim_arguments, _run, 'find the amplitude that reaches a height or speed'),
     'motion': (
         design_motion.add_arguments, design_motion.run, 'optimise the motion of the plate'
     ),
