@@ -168,13 +168,6 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     assert result.ejection_speed == pytest.approx(speed, rel=1e-5)
 
 
-@pytest.mark.slow
-def test_recorded_motion_is_improved(command):
-    track = ROOT / 'test/data/reference_tracks.csv'
-    throws = command.json('motion', '-p', 'gravity:=0', '--motion', track)['motion']
-    assert throws['ejection_speed'] > throws['now']['ejection_speed']
-
-
 def test_map_is_summarised_and_saved_in_every_format(command, tmp_path):
     pytest.importorskip('matplotlib', reason='comes with the extra [plot]')
     files = [tmp_path / f'map.{ending}' for ending in ('nc', 'png')]

@@ -102,12 +102,3 @@ def test_quoted_line_ends_are_one_line(capsys):
     with pytest.raises(SystemExit):
         throw.main(['--bogus=1\n2'])
     assert '--bogus=1 2' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize('name', ['throw', 'identify', 'free_layers', 'track', *design.TASKS])
-def test_commands_have_few_options(capsys, name):
-    main = MODULES[name].main if name in MODULES else design.main
-    with pytest.raises(SystemExit):
-        main(['--help'] if name in MODULES else [name, '--help'])
-    shown = re.findall(r'^  (-\S+)', capsys.readouterr().out, re.MULTILINE)
-    assert 1 < len(shown) <= 17
