@@ -21,7 +21,7 @@ from soft_throw_ros.design.aiming import aim
 from soft_throw_ros.design.landscape import compute_landscape
 from soft_throw_ros.design.motion import PlateLimits
 from soft_throw_ros.design.recommendation import predict, recommend
-from soft_throw_ros.design.score import Limits, robust, versatile
+from soft_throw_ros.design.score import Limits, robust
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 import yaml
 
@@ -89,12 +89,6 @@ def test_layer_without_a_throw_is_null_in_json(command):
                     robust, uncertainties=Uncertainties(wave_speed=0.6, mass=0.05)
                 ),
             },
-        ),
-        (
-            '--objective versatile -p recommendation.masses:=[1e-3,3e-3] '
-            '-p recommendation.frequencies:=[50,70]',
-            Rig(),
-            {'objective': partial(versatile, masses=(1e-3, 3e-3), frequencies=(50.0, 70.0))},
         ),
         (
             '--config FILE --max-strain 0.11',
