@@ -10,7 +10,7 @@ A file is read again after it has changed. A journal contains the motions of its
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 import math
 from pathlib import Path
@@ -71,21 +71,25 @@ def _read(name: str, _changed_ns: int) -> SampledMotion:
     """Read a file that has changed at a time [ns]."""
     try:
         text = read_regular_file(name, max_bytes=_MAX_BYTES).decode('utf-8-sig')
-        columns = read_columns(text.splitlines(), name, _COLUMNS)
+        return _motion(read_columns(text.splitlines(), name, _COLUMNS))
     except UnicodeDecodeError:
         raise ParameterError(f'{name}: is no UTF-8 text', PARAMETER) from None
     except ValueError as error:
-        raise ParameterError(str(error), PARAMETER) from None
+        place = f'{name}: ' * (not str(error).startswith(f'{name}:'))
+        raise ParameterError(f'{place}{error}', PARAMETER) from None
+
+
+def _motion(columns: Mapping[str, Floats]) -> SampledMotion:
+    """Return the motion in the columns of a file, which are complete or times and heights."""
     times = columns['time']
-    try:
-        if not set(_STATES) <= set(columns):
-            return motion_from_record(times, columns['height'])
-        states = np.stack([columns[key] for key in _STATES], axis=1)
-        _require_rest(states)
-        states[:, 0] -= states[0, 0]
-        return SampledMotion(times - times[0], states)
-    except ValueError as error:
-        raise ParameterError(f'{name}: {error}', PARAMETER) from None
+    if not set(_STATES) <= set(columns):
+        return motion_from_record(times, columns['height'])
+    states = np.stack([columns[key] for key in _STATES], axis=1)
+    start, end = states[[0, -1], 1].tolist()
+    if start != 0.0 or abs(end) > _MAX_END_SPEED * np.abs(states[:, 1]).max():
+        raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
+    states[:, 0] -= states[0, 0]
+    return SampledMotion(times - times[0], states)
 
 
 def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
@@ -185,12 +189,6 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
     return start(share.item()), rest_height
 
 
-def _require_rest(states: Floats) -> None:
-    start, end = states[[0, -1], 1].tolist()
-    if start != 0.0 or abs(end) > _MAX_END_SPEED * np.abs(states[:, 1]).max():
-        raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
-
-
 @lru_cache(maxsize=4)  # each change of the rig asks again
 def encode(motion: SampledMotion) -> str:
     """Write a motion as text for a journal, which takes milliseconds."""
@@ -201,7 +199,8 @@ def encode(motion: SampledMotion) -> str:
 def decode(text: str) -> SampledMotion:
     """Decode a motion; raise ValueError if the text is none."""
     try:
-        data = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), 4 * _MAX_BYTES)
+        packed = base64.b64decode(text, validate=True)
+        data = zlib.decompressobj().decompress(packed, 4 * _MAX_BYTES)
         rows = np.frombuffer(data, '<f8').reshape(-1, 4)
         return SampledMotion(rows[:, 0].copy(), rows[:, 1:].copy())
     except (TypeError, ValueError, zlib.error) as error:

@@ -77,9 +77,9 @@ def gain_text(gain: float) -> str:
     return f'{100.0 * abs(gain):.2g} % {"more" if gain >= 0.0 else "less"} energy'
 
 
-def flat_values(record: Mapping[str, Any]) -> dict[str, float | str | bool]:
+def flat_values(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a record, and those of its parts with the name of the part before."""
-    flat: dict[str, float | str | bool] = {}
+    flat: dict[str, Any] = {}
     for name, value in record.items():
         parts = value._asdict() if hasattr(value, '_asdict') else value
         parts = vars(parts) if isinstance(parts, PredictedThrow) else parts

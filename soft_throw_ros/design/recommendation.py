@@ -13,9 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import get_args, Literal, NamedTuple, TypeAlias
+from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
@@ -24,6 +25,8 @@ from soft_throw_ros.design.maximise import Box, maximise, NEAR, Optimum
 from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
 from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score
 from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
+
+Floats = NDArray[np.float64]
 
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 
@@ -198,7 +201,9 @@ def recommend(
         others = sorted([*ranked, *others], key=lambda item: -item.score)
         best = next((item for item in others if is_stuck(item) <= MAX_STUCK_FRACTION), best)
     now_score = search._replace(limits=Limits()).evaluate(rig).score
-    throws = {f'by_{name}': predict(items[0].rig) if items else None for name, items in by.items()}
+    throws: dict[str, Any] = {
+        f'by_{name}': predict(items[0].rig) if items else None for name, items in by.items()
+    }
     score = Score(best.rig, search.objective, cells=SEARCH_CELLS, cancelled=cancelled)
     return Recommendation(
         **vars(predict(best.rig)),
@@ -219,17 +224,22 @@ def recommend(
 
 def _tolerance(score: Score, layer: Layer, name: str) -> float:
     """Return the change of a value of a layer, up or down, that costs `TOLERATED_LOSS` [SI]."""
-    values = {'thickness': layer.thickness, 'wave_speed': layer.wave_speed}
-    least = (1.0 - TOLERATED_LOSS) * float(score(**values)[0])
+    value = float(getattr(layer, name))
+
+    def scores_of(changed: ArrayLike, needed: float = 0.0) -> Floats:
+        values = {'thickness': layer.thickness, 'wave_speed': layer.wave_speed, name: changed}
+        return score(values['thickness'], values['wave_speed'], needed)
+
+    least = (1.0 - TOLERATED_LOSS) * float(scores_of(value)[0])
     low, high = 0.0, _LARGEST_CHANGE
     for _ in range(3):  # each divides the interval by 16
         changes = np.linspace(low, high, 17)[1:]
-        ends = values[name] * (1.0 + np.concatenate([-changes, changes]))
-        scores = score(**{**values, name: ends}, needed=least).reshape(2, -1).min(axis=0)
+        ends = value * (1.0 + np.concatenate([-changes, changes]))
+        scores = scores_of(ends, least).reshape(2, -1).min(axis=0)
         if (scores >= least).all():
-            return values[name] * high
-        low, high = np.append(low, changes)[(scores < least).argmax() + np.arange(2)]
-    return values[name] * float(low)
+            return value * high
+        low, high = np.append(low, changes)[(scores < least).argmax() + np.arange(2)].tolist()
+    return value * low
 
 
 class _Space(NamedTuple):

@@ -125,7 +125,7 @@ class PredictionUncertainty:
     jumps: bool  # whether the release jumps, so that throws fall into groups
     stuck_fraction: float  # share of the throws without a release, not in the intervals [-]
 
-    def values(self) -> dict[str, float | str | bool]:
+    def values(self) -> dict[str, float]:
         """Return everything by name, with a dot between the name of an interval and its end."""
         return flat_values(vars(self))
 
