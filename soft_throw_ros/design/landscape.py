@@ -30,7 +30,7 @@ import functools
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, get_args, Literal, NamedTuple
+from typing import get_args, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,7 +135,6 @@ class Landscape:
 
     def save(self, path: Path) -> None:
         """Write NetCDF 3, which xarray and MATLAB read; the file is complete or not there."""
-        axes = [name.replace('.', '_') for name in self.axes]
         with (
             atomic_file(path) as unfinished,
             netcdf_file(unfinished, 'w', mmap=False, version=2) as data,
@@ -144,17 +143,16 @@ class Landscape:
             data.release = self.release
             for name, value in rig_values(self.rig).items():
                 setattr(data, name.replace('.', '_'), value)
-
-            def write(name: str, values: Floats, dimensions: list[str], label: Any) -> None:
-                variable = data.createVariable(name, 'f8', dimensions)
-                variable[:] = values
-                variable.long_name, variable.units = label.meaning, label.unit or '1'
-
-            for axis, (name, values) in zip(axes, self.axes.items(), strict=True):
-                data.createDimension(axis, values.size)
-                write(axis, values, [axis], AXES[name])
-            for name, label in RESULTS.items():
-                write(name, getattr(self, name), axes, label)
+            dimensions = [name.replace('.', '_') for name in self.axes]
+            for name, values in self.axes.items():
+                data.createDimension(name.replace('.', '_'), values.size)
+            for name, label in {**AXES, **RESULTS}.items():
+                if name in self.axes or name in RESULTS:
+                    axis = name.replace('.', '_')
+                    along = [axis] if name in self.axes else dimensions
+                    variable = data.createVariable(axis, 'f8', along)
+                    variable[:] = self.axes.get(name, getattr(self, name, None))
+                    variable.long_name, variable.units = label.meaning, label.unit or '1'
 
 
 def compute_landscape(

@@ -12,6 +12,8 @@ from soft_throw_ros.core.closed_form import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import throw_many
 
+_OF_LAYER = ('thickness', 'wave_speed', 'density', 'youngs_modulus', 'loss_tangent')
+
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedThrow:
@@ -58,11 +60,7 @@ def predict(rig: Rig) -> PredictedThrow:
             f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
         )
     return PredictedThrow(
-        thickness=layer.thickness,
-        wave_speed=layer.wave_speed,
-        density=layer.density,
-        youngs_modulus=layer.youngs_modulus,
-        loss_tangent=layer.loss_tangent,
+        **{name: getattr(layer, name) for name in _OF_LAYER},
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
         **{name: float(getattr(throws, name)) for name in throws._fields if name != 'status'},

@@ -127,34 +127,13 @@ def recommend(
     """
     Recommend the layer that throws best.
 
-    Only the layer changes: either thickness and wave speed, at the same density and loss tangent,
-    so that another wave speed means another modulus; or the whole layer, as one of a library.
+    Only the layer changes: its thickness and wave speed, at the same density and loss tangent, so
+    that another wave speed means another modulus; or the whole layer, as one of a library of
+    `materials`, of which idealised ones are not recommended. The `limits` of the layer do not
+    apply to parameters that may not change. Within the `uncertainties`, those of the paper if not
+    given, at most `MAX_STUCK_FRACTION` of the throws have no release, if a layer allows that. The
+    result is the present layer if no other is better, and the thinner one of equals.
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig with the present layer.
-    vary : {'thickness', 'wave_speed', 'both', 'library'}
-        Part of the layer that may change.
-    objective : Objective, optional
-        Score to maximise, as in `score.OBJECTIVES`; the energy of the throw if not given.
-    limits : Limits, optional
-        Limits of the layer and its loads. They do not apply to parameters that may not change.
-    materials : mapping of str to Material, optional
-        The library, if `vary` is 'library'; idealised materials are not recommended.
-    uncertainties : Uncertainties, optional
-        Errors within which at most `MAX_STUCK_FRACTION` of the throws may have no release, if a
-        layer allows that; those of the paper if not given.
-    cancelled : callable, optional
-        Called every few tenths of a second; returns whether to give up.
-
-    Returns
-    -------
-    Recommendation
-        The present layer if no other is better, and the thinner one of equals.
-
-    Notes
-    -----
     The score is within 0.1 % of the best, as seen in random rigs, objectives and limits beside
     fine grids; except as said in `soft_throw_ros.design.maximise`.
 
