@@ -4,8 +4,7 @@
 Table of all topics and services; nodes, recording and docs/topics.md read it.
 
 A new topic of the twin is one row of `TwinTopics` and the line in the node that fills the message.
-The publisher, the decoding of recorded messages and docs/topics.md follow from the row. The module
-does not need ROS; `nodes.topics` creates publishers and subscriptions from the rows.
+Publishers, the decoding of recorded messages and docs/topics.md follow from the row.
 """
 
 from __future__ import annotations
@@ -260,30 +259,22 @@ INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
 _FINDABLE = sorted((*TWIN_TOPICS, *RECORDER_TOPICS), key=lambda topic: -len(topic.name))
 
 
-class NodeTopic(NamedTuple):
-    """A topic with the full name of its node, empty for a topic that several nodes share."""
-
-    node: str
-    topic: Topic
-
-
-def find_topic(name: str, type_name: str) -> NodeTopic | None:
+def find_topic(name: str, type_name: str) -> tuple[str, Topic] | None:
     """
-    Return the topic and node of a full name, or None for a topic of other packages.
+    Return the node and the topic of a full name, or None for a topic of other packages.
 
-    The longest matching name has precedence, so that the layer's joint states do not match the
-    topic of a node named `layer`.
+    The node is empty for a topic that several nodes share. The longest matching name has
+    precedence, so that the layer's joint states do not match the topic of a node named `layer`.
 
     Examples
     --------
-    >>> match = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
-    >>> match.node, match.topic.name
+    >>> node, topic = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
+    >>> node, topic.name
     ('/rig1/twin', '~/layer/joint_states')
-    >>> find_topic('/camera/image', 'sensor_msgs/msg/Image')
 
     """
     for topic in _FINDABLE:
         node = name.removesuffix(resolve(topic.name, ''))
         if topic.type == type_name and node != name and bool(node) is topic.name.startswith('~'):
-            return NodeTopic(node, topic)
+            return node, topic
     return None

@@ -41,13 +41,11 @@ OBJECTIVES: Mapping[str, str] = {
 """Objectives and their meanings; `design.score` has the functions."""
 
 _RIG = Rig()
-
 _NAMED = (*STACKED, 'layer.diameter', 'layer.stack', 'layer.library')
 """Parameters that the name of a layer may set, and the library that has the name."""
 
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 """Targets of an aim, of which one is 0."""
-
 
 JOINT_ROWS = tuple(
     row(f'joint_names.{body}', body, f'Name of the {body} in all messages with joints',
@@ -55,7 +53,6 @@ JOINT_ROWS = tuple(
     for body in JOINTS
 )
 """Rows of the names of the joints."""
-
 
 _ENTRIES = (
     row('engine.motion_file', '',
@@ -211,8 +208,12 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
     harmonic motion. One target replaces the other.
     """
     after = {**settings, name: value}
-    if name == 'layer.name':
-        return {} if value == CUSTOM else _named_layer(after)
+    if name == 'layer.name' and value != CUSTOM:
+        layers = library(settings['layer.library']).layers
+        if value not in layers:
+            rule = f'must be one of {", ".join(layers)} or {CUSTOM!r}'
+            raise ParameterError(f'{name} {rule}, got {quote(value)}', name)
+        return layers[value]
     if name == 'layer.stack' and value:
         sheets = read_stack(value, lambda: library(after['layer.library']).materials)
         numbers = {name: write_stack(sheets), **whole(sheets)}
@@ -236,17 +237,6 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
         ended = {'layer.stack': ''} if name in STACKED and settings['layer.stack'] else {}
         return {**ended, **_custom_layer({**after, **ended})}
     return {}
-
-
-def _named_layer(settings: Settings) -> Settings:
-    """Return the values of the layer that the settings name."""
-    name, layers = settings['layer.name'], library(settings['layer.library']).layers
-    if name not in layers:
-        raise ParameterError(
-            f'layer.name must be one of {", ".join(layers)} or {CUSTOM!r}, got {quote(name)}',
-            'layer.name',
-        )
-    return layers[name]
 
 
 def _custom_layer(settings: Settings) -> Settings:
@@ -280,19 +270,9 @@ def joint_names(settings: Settings) -> tuple[str, str]:
 
 def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -> Rig:
     """
-    Make the rig that complete settings describe.
+    Make the rig that complete settings describe; ParameterError if a file cannot be read.
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin.
-    motion_of : callable
-        Returns the motion of the plate by the path of its file; by default it reads the file.
-
-    Raises
-    ------
-    ParameterError
-        If a file cannot be read.
+    `motion_of` returns the motion of the plate by the path of its file.
 
     Examples
     --------
@@ -347,8 +327,9 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 
     """
     values = {
-        name: getattr(part, name.partition('.')[2])
-        for part in (rig.engine, rig.layer, rig.projectile) for name in _names_of(type(part))
+        f'{group}.{name}': value
+        for group in ('engine', 'layer', 'projectile')
+        for name, value in vars(getattr(rig, group)).items() if name not in ('motion', 'parts')
     }
     stack = write_stack(rig.layer.parts) if rig.layer.parts else ''
     return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
@@ -356,10 +337,8 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 
 def _values_of(kind: type, settings: Settings) -> dict[str, Any]:
     """Return the arguments of a part of the rig, but for a motion of the plate and sheets."""
-    return {name.partition('.')[2]: settings[name] for name in _names_of(kind)}
-
-
-def _names_of(kind: type) -> list[str]:
-    """Return the names of the parameters of a part of the rig."""
-    names = (item.name for item in fields(kind))
-    return [f'{kind.__name__.lower()}.{name}' for name in names if name not in ('motion', 'parts')]
+    group = kind.__name__.lower()
+    return {
+        item.name: settings[f'{group}.{item.name}'] for item in fields(kind)
+        if item.name not in ('motion', 'parts')
+    }
