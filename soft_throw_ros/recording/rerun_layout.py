@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -30,7 +30,6 @@ ORANGE = (0xE6, 0x9F, 0x00)
 GREEN = (0x00, 0x9E, 0x73)
 PURPLE = (0xCC, 0x79, 0xA7)
 RED = (0xD5, 0x5E, 0x00)
-BLACK = (0x00, 0x00, 0x00)
 
 PHASES = {
     'rest': (0x60, 0x60, 0x60),
@@ -88,6 +87,12 @@ _PLOTS = {
 _OPTIONAL = {'energy', 'residual', 'track', LOG}
 """Panels that are left out while they would be empty."""
 
+STRAIN_WIDTH = 4.0
+"""Width of the picture of the strain over time, whose height is 1, in its view."""
+
+STRAIN_VIEW = rrb.VisualBounds2D(x_range=[-0.5, STRAIN_WIDTH + 0.9], y_range=[-0.4, 1.3])
+"""Section of this view, whose vertical axis points downwards."""
+
 _BEFORE, _AFTER = 0.7, 1.8
 """Time that plots show before and after the cursor. [periods of the plate]"""
 
@@ -102,7 +107,8 @@ class TwinLayout:
     root: str  # of its entities
     title: str
     period: float  # of the plate, on the timeline that is shown [s]
-    side: tuple[float, float, float]  # half the width of the side view, and its heights [mm]
+    diameter: float  # of the layer [mm]
+    height: float  # of the side view above the plate [mm]
     residual_limit: float  # beyond which the model is reported as wrong [um]
     present: set[str]  # optional panels that are there
 
@@ -116,21 +122,16 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
         rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-before, after)
     )
     window = rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end))
-    root, (half, low, high), limit = twin.root, twin.side, twin.residual_limit
+    half, limit = 1.25 * twin.diameter, twin.residual_limit
 
-    def text(name: str, title: str) -> rrb.View:
-        return rrb.TextDocumentView(origin=f'{root}/{name}', name=title)
+    def view(kind: type[rrb.View], entity: str, title: str, **options: Any) -> rrb.View:
+        return kind(origin=f'{twin.root}/{entity}', name=title, **options)
 
-    def image(name: str, title: str) -> rrb.View:
-        return rrb.Spatial2DView(origin=f'{root}/{name}', name=title)
-
-    def plot(name: str, title: str) -> rrb.View:
-        return rrb.TimeSeriesView(
-            origin=f'{root}/{name}',
-            name=title,
-            axis_x=window,
-            axis_y=rrb.ScalarAxis(range=(-limit, limit)) if name == 'residual' else None,
-            plot_legend=rrb.PlotLegend('RightTop' if name == 'force' else 'LeftTop'),
+    def plot(entity: str, title: str) -> rrb.View:
+        return view(
+            rrb.TimeSeriesView, entity, title, axis_x=window,
+            axis_y=rrb.ScalarAxis(range=(-limit, limit)) if entity == 'residual' else None,
+            plot_legend=rrb.PlotLegend('RightTop' if entity == 'force' else 'LeftTop'),
         )
 
     def column(panels: dict[str, tuple[float, rrb.View]]) -> rrb.Container:
@@ -138,31 +139,34 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
             panel for name, panel in panels.items()
             if name not in _OPTIONAL or name in twin.present
         ]
-        return rrb.Vertical(*(view for _, view in shown), row_shares=[share for share, _ in shown])
+        return rrb.Vertical(*(item for _, item in shown), row_shares=[share for share, _ in shown])
 
     hidden = [rrb.encodings.TimelineColumn(name, visible=False) for name in (STAMP, THROW_TIME)]
     log_columns = rrb.TextLogColumns(
         timeline_columns=hidden, text_log_columns=['LogLevel', 'Body']
     )
     left = {
-        'side': (3.0, rrb.Spatial2DView(
-            origin=f'{root}/side',
-            name='Rig, z (mm)',
-            visual_bounds=rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low]),
+        'side': (3.0, view(
+            rrb.Spatial2DView, 'side', 'Rig, to scale',
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=[-half, half], y_range=[-twin.height, 0.4 * twin.diameter]
+            ),
         )),
-        'throw_result': (2.75, text('throw_result', 'Throw')),
+        'throw_result': (2.75, view(rrb.TextDocumentView, 'throw_result', 'Throw')),
     }
     middle = {
-        'phase': (1.5, rrb.StateTimelineView(
-            origin=f'{root}/phase', name='Phase', time_view=window
-        )),
+        'phase': (1.5, view(rrb.StateTimelineView, 'phase', 'Phase', time_view=window)),
         **{name: (3.0, plot(name, title)) for name, title in _PLOTS.items()},
     }
     right = {
-        'strain': (2.7, image('strain', 'Strain ε(y, t) in the throw')),
-        'landscape': (3.5, image('landscape', 'Energy transfer α(Lₛ, cₛ)')),
-        'recommendation': (4.15, text('recommendation', 'Recommended layer')),
-        'track': (1.9, text('track', 'Measured track')),
+        'strain': (2.7, view(
+            rrb.Spatial2DView, 'strain', 'Strain ε(y, t) in the throw', visual_bounds=STRAIN_VIEW
+        )),
+        'landscape': (3.5, view(rrb.Spatial2DView, 'landscape', 'Energy transfer α(Lₛ, cₛ)')),
+        'recommendation': (4.15, view(
+            rrb.TextDocumentView, 'recommendation', 'Recommended layer'
+        )),
+        'track': (1.9, view(rrb.TextDocumentView, 'track', 'Measured track')),
         LOG: (2.25, rrb.TextLogView(origin=LOG, name='Log', columns=log_columns)),
     }
     return rrb.Horizontal(
