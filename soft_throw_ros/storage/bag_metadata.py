@@ -50,7 +50,6 @@ class BagInformation(NamedTuple):
     """The parts of the file of a bag that are needed to find and read the other files."""
 
     distribution: str = ''
-    storage: str = ''
     compression_mode: str = ''
     files: Sequence[str] = ()
 
@@ -66,7 +65,6 @@ def read_metadata(path: Path) -> BagInformation:
         information = yaml.safe_load(text)[_KEY]
         return BagInformation(
             distribution=str(information.get('ros_distro') or ''),
-            storage=str(information.get('storage_identifier') or ''),
             compression_mode=str(information.get('compression_mode') or ''),
             files=[str(name) for name in information['relative_file_paths']],
         )
