@@ -107,13 +107,6 @@ def draw_map(
         )
 
 
-def _energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
-    """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
-    layer = Layer(density=rig.layer.density, diameter=rig.layer.diameter)
-    rig = replace(rig, engine=replace(rig.engine, motion=None), layer=layer)
-    return throw_many(rig, {'thickness': thickness, 'wave_speed': wave_speed}).energy_transfer
-
-
 def draw_energy_map(values: Values, settings: Settings) -> Figure:
     """
     Draw alpha over layers, with marks at that of the rig and at the recommended one.
@@ -122,6 +115,7 @@ def draw_energy_map(values: Values, settings: Settings) -> Figure:
     and the marks, select the layers.
     """
     rig = rig_of({**TWIN.defaults(), **{name: values[name] for name in rig_values(Rig())}})
+    lossless = replace(rig, layer=Layer(density=rig.layer.density, diameter=rig.layer.diameter))
     layers = {'now': (rig.layer.thickness, rig.layer.wave_speed)}
     match [values.get(name) for name in _MAP_COUNTS]:
         case float(thickness), float(wave_speed):
@@ -136,7 +130,8 @@ def draw_energy_map(values: Values, settings: Settings) -> Figure:
             np.geomspace(*ends, count // coarseness)
             for ends, count in zip(limits, _MAP_COUNTS.values(), strict=True)
         )
-        transfer = _energy_transfer(rig, thicknesses[:, None], wave_speeds)
+        layers_of_map = {'thickness': thicknesses[:, None], 'wave_speed': wave_speeds}
+        transfer = throw_many(lossless, layers_of_map).energy_transfer
         # Duration of the next grid; the first one loads the kernels
         if coarseness < 8 and 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:
             break

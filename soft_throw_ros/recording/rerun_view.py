@@ -25,6 +25,7 @@ from soft_throw_ros.configuration.interface import (
     Topic,
     TWIN_TOPICS,
 )
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_layout as layout
@@ -367,12 +368,10 @@ class _TwinView:
 
     def draw_journal(self, message: Message) -> None:
         """Apply a line of the journal; draw the rig if it is another one."""
-        twin = self._journal
-        rig, throw = twin.rig, twin.throw
-        twin.read(message)
-        if twin.rig is not None and twin.rig is not rig:
-            begun = twin.throw if twin.throw is not throw else None
-            self._draw_rig(begun.stamp if begun else self._stamp_of(message), twin.rig)
+        rig = self._journal.rig
+        self._journal.read(message)
+        if self._journal.rig is not None and self._journal.rig is not rig:
+            self._draw_rig(self._stamp_of(message), self._journal.rig)
 
     def _draw_rig(self, stamp: int, rig: Rig) -> None:
         """Draw the bodies of a rig with their names, which follow plate and projectile."""
@@ -539,26 +538,16 @@ def _read_cloud(message: Message, topic: Topic) -> Floats:
 
 def _read_statuses(message: Message) -> list[tuple[int, Any, words.Values]]:
     """Return stamp, status and its named values, for each status of a DiagnosticArray."""
-    array = decode(message)
-    return [
-        (
-            _to_ns(array.header.stamp),
-            status,
-            {str(item.key): _number_or_text(item.value) for item in status.values},
-        )
-        for status in array.status
-    ]
+    array, result = decode(message), []
+    for status in array.status:
+        texts = {str(item.key): str(item.value) for item in status.values}
+        numbers = {key: number for key in texts if (number := float_of(texts[key])) is not None}
+        result.append((_to_ns(array.header.stamp), status, texts | numbers))
+    return result
 
 
 def _to_ns(time: Any) -> int:  # a builtin_interfaces/Time
     return int(time.sec * SECOND + time.nanosec)
-
-
-def _number_or_text(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return str(text)
 
 
 # shapes
