@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
-from soft_throw_ros.configuration.interface import ENERGIES, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import ENERGIES, Topic, TWIN_TOPICS
 
 STAMP = 'stamp'
 """Timeline of the messages' stamps."""
@@ -43,38 +43,38 @@ PHASES = {
 class Lines(NamedTuple):
     """Lines of a plot, in one entity."""
 
+    topic: Topic
+    quantity: str  # of its messages JointState; empty for a cloud
     names: tuple[str, ...]
     colours: tuple[Colour, ...]
-    factor: float = 1.0  # from SI units to the units of the plot
-    width: float | tuple[float, ...] = 1.5  # of all lines, or of each
+    factors: float | tuple[float, ...] = 1.0  # from SI units to the units of the plot
+    widths: float | tuple[float, ...] = 1.0  # of all lines, or of each
 
 
-BODIES = ('plate', 'projectile')
+_STATES = TWIN_TOPICS.joint_states
+_BODIES = ('plate', 'projectile')
 
 LINES = {
-    'position': Lines(BODIES, (GREY, BLUE), 1e3),
-    'velocity': Lines(BODIES, (GREY, BLUE)),
-    'force': Lines(('at the plate', 'at the projectile'), (GREY, BLUE)),
+    'position': Lines(_STATES, 'position', _BODIES, (GREY, BLUE), 1e3, 1.5),
+    'velocity': Lines(_STATES, 'velocity', _BODIES, (GREY, BLUE), 1.0, 1.5),
+    'force': Lines(
+        _STATES, 'effort', ('at the plate', 'at the projectile'), (GREY, BLUE), (-1.0, 1.0), 1.5
+    ),
     'energy': Lines(
+        TWIN_TOPICS.throw_energies, '',
         ('work of the plate', *ENERGIES[2:4], 'projectile + layer'),
-        (GREY, BLUE, ORANGE, GREEN),
-        1e3,
-        (4.0, 1.5, 1.5, 1.5),
+        (GREY, BLUE, ORANGE, GREEN), 1e3, (4.0, 1.5, 1.5, 1.5),
     ),
     'position/measured': Lines(
-        ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3, 1.0
+        TWIN_TOPICS.measured_joint_states, 'position',
+        ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3,
     ),
-    'position/predicted': Lines(('projectile, predicted',), (GREEN,), 1e3, 1.0),
-    'residual': Lines(BODIES, (GREY, BLUE), 1e6, 1.0),
+    'position/predicted': Lines(
+        TWIN_TOPICS.predicted_joint_states, 'position', ('projectile, predicted',), (GREEN,), 1e3
+    ),
+    'residual': Lines(TWIN_TOPICS.residual, 'position', _BODIES, (GREY, BLUE), 1e6),
 }
 """Lines by entity below that of the twin; the first part of its name is the plot."""
-
-POSITIONS = {
-    TWIN_TOPICS.measured_joint_states: 'position/measured',
-    TWIN_TOPICS.predicted_joint_states: 'position/predicted',
-    TWIN_TOPICS.residual: 'residual',
-}
-"""Entities of positions that are not those of the states."""
 
 _PLOTS = {
     'position': 'Position z (mm)',

@@ -48,7 +48,7 @@ from soft_throw_ros.storage.cdr import (
 from soft_throw_ros.storage.message import Message, SECOND
 from soft_throw_ros.twin.results import Floats, Phase
 
-_MILLI = 1e3
+_MILLI, _MICRO = 1e3, 1e6
 
 _LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
 
@@ -251,9 +251,9 @@ class _TwinView:
             values=list(layout.PHASES), colors=list(layout.PHASES.values())
         )
         self._style('phase', phases)
-        for name, (titles, colours, _, width) in layout.LINES.items():
-            widths = np.broadcast_to(width, len(titles))
-            self._style(name, rr.SeriesLines(names=titles, colors=colours, widths=widths))
+        for name, line in layout.LINES.items():
+            widths = np.broadcast_to(line.widths, len(line.names))
+            self._style(name, rr.SeriesLines(names=line.names, colors=line.colours, widths=widths))
         pixels = rr.components.ImageFormat(
             width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
         )
@@ -272,9 +272,7 @@ class _TwinView:
             period=1.0 if twin.rig is None else 1.0 / (twin.rig.engine.frequency * scale),
             diameter=self._diameter,
             height=self._height,
-            residual_limit=(
-                layout.LINES['residual'].factor * twin.settings['measured.residual_threshold']
-            ),
+            residual_limit=_MICRO * twin.settings['measured.residual_threshold'],
             present=self._present | ({layout.LOG} if has_log else set()),
         )
 
@@ -301,45 +299,40 @@ class _TwinView:
 
     # plots
 
-    def draw_states(self, *messages: Message) -> None:
-        """Draw height, velocity and force of plate and projectile, and move them."""
-        joints = _read_joints(messages)
-        series = joints.position, joints.velocity, joints.effort
-        names = tuple(self._journal.settings[f'joint_names.{joint}'] for joint in JOINTS)
-        if joints.names != names or any(values.shape[1] != len(JOINTS) for values in series):
-            return
-        stamps, self._last = joints.stamps, int(joints.stamps[-1])
-        self._offset = self._last - messages[-1].published
-        self._draw_lines('position', stamps, joints.position)
-        self._draw_lines('velocity', stamps, joints.velocity)
-        self._draw_lines('force', stamps, joints.effort * [-1.0, 1.0])
-        translation = np.zeros((stamps.size, 3))
-        for name, height in zip(JOINTS, joints.position.T, strict=True):
-            translation[:, 1] = -_MILLI * height
-            columns = rr.Transform3D.columns(translation=translation)
-            self.canvas.columns(self._path(f'side/{name}'), stamps, columns)
-
-    def draw_positions(self, *messages: Message, topic: Topic, name: str) -> None:
+    def draw_joints(self, *messages: Message, topic: Topic) -> None:
         """
-        Draw measured positions, predicted positions or residuals; NaN for a joint without them.
+        Draw the lines of a topic, NaN for a joint without values; states move the bodies.
 
         Measured positions are relative to rest, at times by the clock of the twin; they are not
         drawn while the rest is unknown.
         """
         joints, twin = _read_joints(messages), self._journal
         names = [twin.settings[f'joint_names.{joint}'] for joint in topic.joints]
-        if names[0] not in joints.names or joints.position.shape[1] != len(joints.names):
-            return
-        stamps, position = joints.stamps, np.full((len(messages), len(names)), math.nan)
-        for column, joint in enumerate(names):
-            if joint in joints.names:
-                position[:, column] = joints.position[:, joints.names.index(joint)]
+        values = {name: getattr(joints, name) for name in topic.quantities}
+        if names[0] not in joints.names or any(
+            array.shape[1] != len(joints.names) for array in values.values()
+        ):
+            return  # of another machine
+        indices = [joints.names.index(name) if name in joints.names else -1 for name in names]
+        for name, array in values.items():
+            values[name] = np.where(np.array(indices) < 0, math.nan, array[:, indices])
+        stamps = joints.stamps
         if topic == TWIN_TOPICS.measured_joint_states:
             if twin.rest_heights is None or twin.rig is None:
                 return
-            position -= [twin.rest_heights[0], twin.rest_heights[1] - twin.rig.rest_height]
+            values['position'] -= np.array(twin.rest_heights) - [0.0, twin.rig.rest_height]
             stamps = stamps + twin.clock_offset_ns
-        self._draw_lines(name, stamps, position)
+        for name, line in layout.LINES.items():
+            if line.topic == topic:
+                self._draw_lines(name, stamps, values[line.quantity])
+        if topic == TWIN_TOPICS.joint_states:
+            self._last = int(stamps[-1])
+            self._offset = self._last - messages[-1].published
+            translation = np.zeros((stamps.size, 3))
+            for name, height in zip(JOINTS, values['position'].T, strict=True):
+                translation[:, 1] = -_MILLI * height
+                columns = rr.Transform3D.columns(translation=translation)
+                self.canvas.columns(self._path(f'side/{name}'), stamps, columns)
 
     def draw_energies(self, message: Message) -> None:
         """Draw the energies of the throw under way."""
@@ -360,7 +353,7 @@ class _TwinView:
 
     def _draw_lines(self, name: str, stamps: Stamps, values: Floats) -> None:
         """Draw lines of a plot, of values in SI units."""
-        columns = rr.Scalars.columns(scalars=layout.LINES[name].factor * values)
+        columns = rr.Scalars.columns(scalars=values * layout.LINES[name].factors)
         self.canvas.columns(self._path(name), stamps, columns)
         self._present.add(name)
 
@@ -482,10 +475,9 @@ class _TwinView:
 
 _DRAWERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.journal: _TwinView.draw_journal,
-    TWIN_TOPICS.joint_states: _TwinView.draw_states,
     **{
-        topic: partial(_TwinView.draw_positions, topic=topic, name=name)
-        for topic, name in layout.POSITIONS.items()
+        line.topic: partial(_TwinView.draw_joints, topic=line.topic)
+        for line in layout.LINES.values() if line.quantity
     },
     TWIN_TOPICS.layer_joint_states: _TwinView.draw_layer,
     TWIN_TOPICS.phase_change: _TwinView.draw_phases,
