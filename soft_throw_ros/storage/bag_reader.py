@@ -162,13 +162,12 @@ class BagFolder:
         self.defects: list[str] = []  # files that are missing or empty
         if not self.path.is_dir():
             return
-        information = read_metadata(self.path / METADATA_FILE)
-        self.distribution = information.distribution
+        self.distribution, compression, names = read_metadata(self.path / METADATA_FILE)
         # `bag_2` before `bag_10`
         present = sorted(self.path.glob('*.mcap'), key=lambda path: (len(path.name), path.name))
-        if not present or information.compression_mode.lower() == 'message':
+        if not present or compression == 'message':
             raise BagError(f'{self.path} {_NO_MCAP}')
-        listed = [self.path / Path(name).name for name in information.files]
+        listed = [self.path / Path(name).name for name in names]
         self.defects = [f'{path}: the file is missing' for path in listed if path not in present]
         # A loss of power may leave empty files
         empty = [path for path in present if path.is_file() and not path.stat().st_size]
