@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-import itertools
 import struct
 
+import numpy as np
 from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TEXT, TWIN_TOPICS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
@@ -157,15 +157,14 @@ class _Check:
 
     def _read_states(self) -> int:
         """Read the recorded states; return the number of messages that are none."""
-        read, unreadable = JointStateReader().read, 0
+        reader, unreadable = JointStateReader(), 0
         for message in self._reader.messages([TWIN_TOPICS.joint_states.at(self._node).name]):
             try:
-                stamp, _, *series = read(message.data)
+                (stamp,), _, *series = reader.read_all([message.data])
             except MessageError:
                 series = []
-            if [len(numbers) for numbers in series] == [len(JOINTS)] * 3:
-                row = _STATE.pack(*itertools.chain(*series))
-                self._states.setdefault(stamp, []).append(row)
+            if [numbers.size for numbers in series] == [len(JOINTS)] * 3:
+                self._states.setdefault(int(stamp), []).append(np.hstack(series).tobytes())
             else:
                 unreadable += 1
         return unreadable

@@ -9,7 +9,7 @@ right after the state message of its step, and gets the stamp of this state mess
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import partial
 import math
@@ -528,14 +528,13 @@ def _read_cloud(message: Message, topic: Topic) -> Floats:
     return np.frombuffer(bytes(cloud.data), '<f8').reshape(shape)
 
 
-def _read_statuses(message: Message) -> list[tuple[int, Any, words.Values]]:
-    """Return stamp, status and its named values, for each status of a DiagnosticArray."""
-    array, result = decode(message), []
+def _read_statuses(message: Message) -> Iterator[tuple[int, Any, words.Values]]:
+    """Yield stamp, status and its named values, for each status of a DiagnosticArray."""
+    array = decode(message)
     for status in array.status:
         texts = {str(item.key): str(item.value) for item in status.values}
         numbers = {key: number for key in texts if (number := float_of(texts[key])) is not None}
-        result.append((_to_ns(array.header.stamp), status, texts | numbers))
-    return result
+        yield _to_ns(array.header.stamp), status, texts | numbers
 
 
 def _to_ns(time: Any) -> int:  # a builtin_interfaces/Time

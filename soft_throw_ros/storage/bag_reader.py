@@ -75,13 +75,14 @@ def _check_size(size: int) -> None:
 def open_mcap(path: Path) -> io.BufferedReader:
     """Open an MCAP file; raise BagError if it cannot be opened, is empty or no MCAP file."""
     try:
-        with open_regular_file(path, max_bytes=sys.maxsize) as file:
-            begin = file.read(16)
+        stream = _BoundedFile(open_regular_file(path, max_bytes=sys.maxsize).detach())
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
+    begin = stream.peek(len(MAGIC))
     if not begin.startswith(MAGIC):
+        stream.close()
         raise BagError(f'{path} {_NO_MCAP if begin else "is empty"}')
-    return _BoundedFile(io.FileIO(path))
+    return stream
 
 
 def _make_channel(record: mcap.Channel, schemas: Mapping[int, mcap.Schema]) -> Channel:
