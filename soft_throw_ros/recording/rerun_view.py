@@ -534,7 +534,7 @@ def _read_statuses(message: Message) -> Iterator[tuple[int, Any, words.Values]]:
     for status in array.status:
         texts = {str(item.key): str(item.value) for item in status.values}
         numbers = {key: number for key in texts if (number := float_of(texts[key])) is not None}
-        yield _to_ns(array.header.stamp), status, texts | numbers
+        yield _to_ns(array.header.stamp), status, {**texts, **numbers}
 
 
 def _to_ns(time: Any) -> int:  # a builtin_interfaces/Time
