@@ -1,17 +1,13 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The node `recorder`: records topics into a bag, and may start a viewer that shows them live."""
+"""The node `recorder`: records topics into a bag."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-import contextlib
 from functools import partial
 import gc
-import json
 from pathlib import Path
-import subprocess
-import sys
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -21,11 +17,9 @@ from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
 from soft_throw_ros.nodes.recording import bag_path, Recording
 from soft_throw_ros.nodes.topics import create_service, Publishers
-from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin.session import RequestRejected
 
 _DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
-_VIEWER_TIMEOUT = 2.0  # longest wait for the end of the viewer [s]
 
 
 class Recorder(RunnableNode):
@@ -34,11 +28,9 @@ class Recorder(RunnableNode):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None  # the one under way
-        self._viewer: subprocess.Popen[bytes] | None = None  # while it runs
         self.add_cleanup(self.close)
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
-        self._logged: set[str] = set()  # problems of the recording
         self.parameters = NodeParameters(self, RECORDER, arguments=arguments)
         if self.parameters.settings['start']:
             _check(self.parameters.settings)
@@ -56,20 +48,12 @@ class Recorder(RunnableNode):
             self.begin()
         else:
             self._report()
-        if self.parameters.settings['rerun.sink'] != 'none':
-            self._viewer = self._start_viewer(self.parameters.settings)
         self.get_logger().info('ready')
 
     def close(self) -> None:
-        """Finish the recording under way, end the viewer, and set the exit code."""
-        viewer, self._viewer = self._viewer, None
-        if viewer is not None:
-            viewer.terminate()  # it ends while the bag is finished
+        """Finish the recording under way, and set the exit code."""
         if self.recording is not None:
             self.end()
-        if viewer is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                viewer.wait(_VIEWER_TIMEOUT)
         if self._has_failed:
             self.exit_code = 1
 
@@ -77,7 +61,6 @@ class Recorder(RunnableNode):
         """Start a recording; ParameterError if the bag exists."""
         _check(self.parameters.settings)
         self.recording = Recording(self, self.parameters.settings)
-        self._logged = set()
         self._on_discovery()
         self._report()
         error = self.recording.writer.error
@@ -93,23 +76,6 @@ class Recorder(RunnableNode):
         self._report()
         self._log(self._last, is_error=recording.has_failed)
         return recording.has_failed
-
-    def _start_viewer(self, settings: Settings) -> subprocess.Popen[bytes]:
-        """Start a viewer of the same topics, which never outlives this process."""
-        path = self.recording.bag if self.recording is not None else None
-        parameters = {
-            'topics': list(settings['topics']),
-            'sink': settings['rerun.sink'],
-            'file': f'{(path or bag_path(settings)).absolute()}.rrd',
-        }
-        rules = [f'{name}:={json.dumps(value)}' for name, value in parameters.items()]
-        command = [sys.executable, '-m', 'soft_throw_ros', 'viewer', '--ros-args']
-        command += ['-r', f'__ns:={self.get_namespace()}']
-        return subprocess.Popen(
-            bound_to_parent([*command, *(word for rule in rules for word in ('-p', rule))]),
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C reaches only the recorder
-        )
 
     def _log(self, text: str, *, is_error: bool) -> None:
         if is_error:
@@ -137,18 +103,11 @@ class Recorder(RunnableNode):
 
     def _on_second(self) -> None:
         """Publish the state of the recording, and log its problems."""
-        if self._viewer is not None and self._viewer.poll() is not None:
-            code, self._viewer = self._viewer.returncode, None
-            self._log(f'the viewer has ended with exit code {code}', is_error=True)
-        recording = self.recording
-        if recording is not None:
-            recording.watch_publishers()
-            for problem in recording.problems():
-                if problem not in self._logged:
-                    self._logged.add(problem)
-                    self.get_logger().warning(problem)
-            if error := recording.writer.error:
-                waiting, lost = recording.writer.waiting, sum(recording.losses().values())
+        if self.recording is not None:
+            for problem in self.recording.new_problems():
+                self.get_logger().warning(problem)
+            if error := self.recording.writer.error:
+                waiting, lost = self.recording.writer.waiting, self.recording.losses().total()
                 self.get_logger().error(f'{error}; {waiting} messages wait, {lost} are lost')
         self._outgoing.report(RECORDER_TOPICS.diagnostics, self._statuses())
 
@@ -173,13 +132,14 @@ class Recorder(RunnableNode):
             'messages': recording.subscriptions.received,
             'topics': len(list(recording.subscriptions)),
         }
-        error, missing = recording.writer.error, recording.missing_sources
-        losses = recording.losses()
-        lost = sum(losses.values())
-        text = f'{lost} messages lost{missing}'
+        error, missing, losses = recording.writer.error, recording.missing, recording.losses()
+        lost = losses.total()
         return [
             status('bag', error or self._message(), values, warn=bool(error)),
-            status('losses', text, {'lost': lost, **losses}, warn=lost > 0 or bool(missing)),
+            status(
+                'losses', f'{lost} messages lost{missing}', {'lost': lost, **losses},
+                warn=bool(lost or missing),
+            ),
         ]
 
 

@@ -44,6 +44,7 @@ class Recording:
         self._wanted = [full_name(recorder, name) for name in settings['topics']]
         self._began = time.monotonic()
         self._silences: dict[bytes, tuple[int, int]] = {}  # received messages and silent seconds
+        self._reported: set[str] = set()  # problems
         self.silent_topics: list[str] = []  # of processes that are present
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
         self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
@@ -56,9 +57,26 @@ class Recording:
         """Folder of the bag; None if there is none yet."""
         return self.writer.bag.folder if self.writer.bag is not None else None
 
-    def watch_publishers(self) -> None:
+    def new_problems(self) -> Iterator[str]:
+        """Yield new sentences on topics of which nothing comes; call this once a second."""
+        self.silent_topics = self._find_silent_topics()
+        topics = [item.channel.topic for item in self.subscriptions]
+        absent = [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
+        problems = set()
+        if self.silent_topics:
+            problems.add(
+                f'no message on {first_few(self.silent_topics)} for {SILENCE_LIMIT} s: if there '
+                'should be, run publisher and recorder as one user (docs/twin.md), or restart '
+                'the recorder'
+            )
+        if absent and time.monotonic() - self._began > PUBLISHER_TIMEOUT:
+            problems.add(f'nothing is published yet on {", ".join(absent)}')
+        yield from problems - self._reported
+        self._reported |= problems
+
+    def _find_silent_topics(self) -> list[str]:
         """
-        Update `silent_topics`; call this once a second.
+        Return the topics of silent processes.
 
         A process is silent if nothing comes on any of its topics. Latched topics do not count,
         since they may be published only once, nor do topics of several processes, since ROS 2
@@ -70,34 +88,22 @@ class Recording:
             is_latched = item.profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
             if len(processes) == 1 and not is_latched:
                 items_by_process[processes.pop()].append(item)
-        self.silent_topics = []
+        silent = []
         for process, items in items_by_process.items():
             received = sum(item.received for item in items)
             before, seconds = self._silences.get(process, (received, 0))
             seconds = seconds + 1 if received == before else 0
             self._silences[process] = received, seconds
             if seconds >= SILENCE_LIMIT:
-                self.silent_topics += [item.channel.topic for item in items]
+                silent += [item.channel.topic for item in items]
+        return silent
 
-    def problems(self) -> Iterator[str]:
-        """Yield sentences on topics of which nothing comes at present."""
-        if self.silent_topics:
-            yield (
-                f'no message on {first_few(self.silent_topics)} for {SILENCE_LIMIT} s: if there '
-                'should be, run publisher and recorder as one user (docs/twin.md), or restart '
-                'the recorder'
-            )
-        topics = [item.channel.topic for item in self.subscriptions]
-        absent = [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
-        if absent and time.monotonic() - self._began > PUBLISHER_TIMEOUT:
-            yield f'nothing is published yet on {", ".join(absent)}'
-
-    def losses(self) -> dict[str, int]:
+    def losses(self) -> Counter[str]:
         """Return the number of lost messages by topic: published, but not in the bag."""
         lost = Counter({item.channel.topic: item.lost for item in self.subscriptions})
         for channel, count in self.writer.lost().items():
             lost[channel.topic] += count
-        return dict(sorted((+lost).items()))
+        return +lost
 
     @property
     def has_failed(self) -> bool:
@@ -116,21 +122,20 @@ class Recording:
         self.writer.flush()  # first, since the process may be killed soon
         self.subscriptions.close()
         losses, refused = self.losses(), self.subscriptions.refused
-        counts = {'total': sum(losses.values()), **losses}
+        counts = {'total': losses.total(), **losses}
         notes = {'losses': {topic: str(count) for topic, count in counts.items()}}
         self.writer.close(notes | ({'not recorded': refused} if refused else {}))
 
     def summary(self) -> str:
         """Return a sentence with the numbers of recorded and lost messages."""
-        seconds = time.monotonic() - self._began
-        losses = Counter(self.losses())
+        seconds, losses = time.monotonic() - self._began, self.losses()
         text = f'{self.subscriptions.received} messages in {seconds:.1f} s, {losses.total()} lost'
         if losses:
             counts = [f'{count} of {topic}' for topic, count in losses.most_common()]
             text += f', {first_few(counts)}'
         if self.bag is not None:
             text += f', in {self.bag}'
-        text += self.missing_sources
+        text += self.missing
         if self.writer.error:
             text += f'; the end is missing: {self.writer.error}'
             if self._saved and self.bag is not None:
@@ -138,7 +143,7 @@ class Recording:
         return text
 
     @property
-    def missing_sources(self) -> str:
+    def missing(self) -> str:
         """Clauses on topics and publishers of which nothing is recorded; mostly empty."""
         refused, silent = list(self.subscriptions.refused), self.silent_topics
         text = f'; not recorded: {first_few(refused)}' if refused else ''
