@@ -50,15 +50,12 @@ class RealTimeNode(RunnableNode):
     def _compile_kernels(self) -> None:
         """Compile in a child process, because numba suppresses exceptions of signal handlers."""
         self.get_logger().info('compiling the kernels, once for this installation')
-        with subprocess.Popen(
+        subprocess.run(  # kills the process when a signal comes: files are complete at any time
             bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
             stdin=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C reaches only the node, which then kills the process
-        ) as process:
-            try:
-                process.wait()
-            finally:
-                process.kill()  # files on the disk are complete at any time
+            start_new_session=True,  # Ctrl-C reaches only the node
+            check=False,
+        )
 
     def attach_session(self, session: Session) -> None:
         """Attach the session that the node advances after its start."""

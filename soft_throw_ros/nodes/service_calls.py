@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import threading
+import contextlib
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
@@ -26,28 +26,19 @@ def get_parameters(client: Client, names: Sequence[str]) -> Settings:
 
 def set_parameters(client: Client, values: Settings) -> None:
     """Set parameters by a client of SetParametersAtomically; raise RequestRejected if rejected."""
-    request = SetParametersAtomically.Request(
-        parameters=[
-            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-        ]
-    )
-    result = call(client, request).result
+    items = (Parameter(name, value=value) for name, value in values.items())
+    parameters = [item.to_parameter_msg() for item in items]
+    result = call(client, SetParametersAtomically.Request(parameters=parameters)).result
     if not result.successful:
         raise RequestRejected(f'{client.srv_name} rejects {values}: {result.reason}')
 
 
 def call(client: Client, request: object) -> Any:
-    """
-    Call a service and wait until the executor has received the answer.
-
-    RequestRejected is raised if the service is missing or does not answer.
-    """
-    if not client.wait_for_service(_ANSWER_TIMEOUT):
-        raise RequestRejected(f'{client.srv_name} is not available')
-    answered = threading.Event()
-    future = client.call_async(request)
-    future.add_done_callback(lambda _: answered.set())
-    if not answered.wait(_ANSWER_TIMEOUT):
-        client.remove_pending_request(future)
+    """Call a service and wait for the answer; raise RequestRejected if it does not come."""
+    response: Any = None
+    if client.wait_for_service(_ANSWER_TIMEOUT):
+        with contextlib.suppress(TimeoutError):  # of later versions than Jazzy
+            response = client.call(request, _ANSWER_TIMEOUT)
+    if response is None:
         raise RequestRejected(f'{client.srv_name} does not answer')
-    return future.result()
+    return response

@@ -21,8 +21,8 @@ from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
-from soft_throw_ros.nodes.diagnostics import Diagnostics, duplicate_name_warning
+from soft_throw_ros.nodes.conversions import throw_result_to_msg
+from soft_throw_ros.nodes.diagnostics import Diagnostics
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
@@ -40,7 +40,7 @@ from soft_throw_ros.nodes.texts import (
     sensor_text,
     throw_text,
 )
-from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
+from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
@@ -50,6 +50,7 @@ PHASES = tuple(Phase)
 """Phases, each at the index that `~/phase_change` publishes."""
 
 _LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
+_NAME_WARNING_PERIOD = 10.0  # between two errors about another node of the same name [s]
 _RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
 
 
@@ -70,12 +71,10 @@ class Twin(RealTimeNode):
         self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
-        self._duplicate_nodes = 0
         self.parameters = NodeParameters(
             self, TWIN, self._on_changed, check=self.prepare, arguments=arguments
         )
         self._joints = joint_names(self.parameters.settings)
-        self._serialize_command()
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         session = Session(
@@ -111,13 +110,11 @@ class Twin(RealTimeNode):
             send(TWIN_TOPICS.layer_joint_states, due, outputs.layer)
         prediction, residual = outputs.prediction, outputs.residual
         if prediction is not None:
-            self.measurement.leads.append(prediction.lead_ns)
-            send(TWIN_TOPICS.predicted_joint_states, prediction.stamp_ns, prediction[1:4])
+            send(TWIN_TOPICS.predicted_joint_states, prediction.stamp_ns, prediction[1:])
         if residual is not None:
             send(TWIN_TOPICS.residual, residual.stamp_ns, residual[1:])
-        if outputs.command is not None:
-            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
-        if outputs.phases or outputs.results or outputs.throw_field is not None:
+        others = outputs.phases, outputs.results, outputs.throw_field, outputs.command
+        if any(others):
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
     # Any thread
@@ -159,6 +156,8 @@ class Twin(RealTimeNode):
     def _publish_outputs(self, outputs: Outputs, due: int) -> None:
         """Publish and log the outputs of a step other than the state."""
         send = self.outgoing.send
+        if outputs.command is not None:
+            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
         for phase, stamp_ns in outputs.phases:
             send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
         if outputs.phases:
@@ -226,20 +225,15 @@ class Twin(RealTimeNode):
     def describe_start(self) -> str:
         """Return the rig, rates and topics for the log line at the start."""
         settings, rig = self.parameters.settings, self.parameters.checked.rig
-        name = self.get_fully_qualified_name()
-        motion, period = settings['engine.motion'], settings['throw.period']
-        engine = f'{rig.engine.frequency:.4g} Hz, {1e3 * rig.engine.amplitude:.4g} mm'
-        if motion == 'file':
-            engine = settings['engine.motion_file']
-        elif motion == 'measured':
-            engine = TWIN_TOPICS.measured_joint_states.at(name).name
+        name, period = self.get_fully_qualified_name(), settings['throw.period']
         throws = f'a throw every {period:.4g} s' if period else 'throws on request'
+        if settings['engine.motion'] == 'measured':
+            throws = f'plate of {TWIN_TOPICS.measured_joint_states.at(name).name}'
         return (
             f": layer {settings['layer.name']}, {1e3 * rig.layer.thickness:.4g} mm, "
             f'{rig.layer.wave_speed:.4g} m/s; projectile {1e3 * rig.projectile.mass:.4g} g; '
-            f'plate {motion}, {engine}; '
-            f"{settings['rate.state']:.4g} Hz on {TWIN_TOPICS.joint_states.at(name).name}"
-            + ('' if motion == 'measured' else f', {throws}')
+            f"plate {settings['engine.motion']}, {throws}; {settings['rate.state']:.4g} Hz on "
+            f'{TWIN_TOPICS.joint_states.at(name).name}'
         )
 
     def _log_end(self) -> None:
@@ -265,18 +259,10 @@ class Twin(RealTimeNode):
         self.outgoing.report(TWIN_TOPICS.recommendation, [status])
 
     def _on_changed(self, changes: Settings) -> None:
-        self._serialize_command()
         self.session.change(changes, self.parameters.checked)
         if any(affects_recommendation(name) for name in changes):
             self.recommendation = None
             self._worker.submit(self.parameters.checked.config)
-
-    def _serialize_command(self) -> None:
-        """Serialize the motion of a commanded plate in advance, which is too slow for a tick."""
-        config = self.parameters.checked.config
-        motion = config.rig.engine.motion
-        if config.command_lead is not None and motion is not None:
-            encode_command(0, motion, self._joints[0], frame_of(self))
 
     def _on_throw(self) -> str:
         number = self.session.request_throw()
@@ -307,17 +293,13 @@ class Twin(RealTimeNode):
         for fault in self.session.diagnose_sensors():
             self.get_logger().warning(sensor_text(fault))
         name = self.get_fully_qualified_name()
-        before = self._duplicate_nodes
-        publishers = self.count_publishers(TWIN_TOPICS.journal.at(name).name)
-        self._duplicate_nodes = max(publishers - 1, 0)
-        if self._duplicate_nodes > before:
-            self.get_logger().error(duplicate_name_warning(name))
-        elif before and not self._duplicate_nodes:
-            self.get_logger().info('no other node has this name any more')
-        statuses = self._diagnostics.statuses(
-            self._last_result, duplicate_nodes=self._duplicate_nodes
-        )
-        self.outgoing.report(TWIN_TOPICS.diagnostics, statuses)
+        if self.count_publishers(TWIN_TOPICS.journal.at(name).name) > 1:
+            self.get_logger().error(
+                f'another node is named {name}, and both publish on the same topics: start one of '
+                'them with -r __ns:=/NAMESPACE or -r __node:=NAME',
+                throttle_duration_sec=_NAME_WARNING_PERIOD,
+            )
+        self.outgoing.report(TWIN_TOPICS.diagnostics, self._diagnostics.statuses())
 
 
 main = partial(run, 'twin', Twin)

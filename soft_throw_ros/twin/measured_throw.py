@@ -151,7 +151,6 @@ class MeasuredThrow(OngoingThrow):
                 predicted.projectile_position,
                 predicted.projectile_velocity,
                 predicted.projectile_force,
-                stamp_ns - tick.due_ns,
             ),
             residual=residual,
         )

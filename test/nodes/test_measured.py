@@ -18,7 +18,7 @@ from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values
-from soft_throw_ros.nodes.measured import _to_samples
+from soft_throw_ros.nodes.measured import to_samples
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -71,7 +71,7 @@ def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
     for message, prediction in zip(heard, expected, strict=True):
         assert message.name == ['projectile']
         assert msg_to_time(message.header.stamp) == prediction.stamp_ns
-        assert [*message.position, *message.velocity, *message.effort] == list(prediction[1:4])
+        assert [*message.position, *message.velocity, *message.effort] == list(prediction[1:])
 
     residuals = [outputs.residual for outputs in twin.outputs if outputs.residual]
     heard = listener.hear(TWIN_TOPICS.residual, len(residuals))
@@ -172,7 +172,7 @@ def test_without_measurement_nothing_is_reported_about_it(ros, sensors_of) -> No
         return twin.measurement.count()['messages'] == 1
 
     ros.spin_until(is_dropped, 'the sample')
-    listener.status(TWIN_TOPICS.diagnostics, 'layer')
+    listener.status(TWIN_TOPICS.diagnostics, 'parameters')
     statuses = listener.heard[TWIN_TOPICS.diagnostics.name][0].status
     assert not {'/twin: measurement', '/twin: model'} & {status.name for status in statuses}
     assert twin.session.sample_counts.taken == 0
@@ -190,7 +190,7 @@ def test_damaged_messages_never_reach_the_outputs(damaged: dict[int, bytes]) -> 
     run, reader = Run(engine__motion='measured'), JointStateReader()
     for number, message in enumerate(THROW):
         values = accepted(partial(reader.read_all, [damaged.get(number, message)]))
-        samples = values and _to_samples(values, JOINTS)
+        samples = values and to_samples(values, JOINTS)
         if samples is not None:
             run.session.measure(samples)
         if number % 5 == 0:

@@ -232,10 +232,7 @@ def test_diagnostics_report_the_timing(thrown) -> None:
     timing = msg_to_values(status('timing', lambda item: msg_to_values(item)['ticks'] == step))
     assert timing['ticks_skipped'] == 0
     assert timing['ticks_caught_up'] == 630  # ten at a time
-    assert 'compute_p50' in msg_to_values(status('load'))
-    layer = status('layer')
-    assert layer.level == DiagnosticStatus.OK
-    assert msg_to_values(layer)['max_strain'] == 0.15
+    assert {'lateness_p99', 'compute_p50', 'scheduler'} <= timing.keys()
 
 
 def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None:
@@ -250,19 +247,6 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
     twin.go(1)
     names = ['rest', 'contact', 'flight', 'returning', 'rest', 'contact']
     assert [change.phase.value for out in twin.outputs for change in out.phases] == names
-
-
-def test_storm_of_changes_is_logged_in_few_lines(ros, twin, capfd) -> None:
-    lines: list[str] = []
-
-    def is_last_logged() -> bool:
-        lines.extend(capfd.readouterr().err.splitlines())
-        return any('throw.period is now 200.0' in line for line in lines)
-
-    for number in range(1, 201):
-        twin.parameters.apply({'throw.period': float(number)})
-    ros.spin_until(is_last_logged, 'the last log line')
-    assert sum('throw.period' in line for line in lines) < 20
 
 
 def settled(ros: Any, twin: Any) -> Any:
@@ -411,27 +395,15 @@ def test_use_sim_time_may_be_changed(ros, twin, listener) -> None:
     assert len(twin.outputs) == 11 + 4
 
 
-def test_two_twins_of_one_name_are_reported_by_both_until_one_ends(ros, capfd) -> None:
-    twins = [ros.start_twin() for _ in range(2)]
-    listener = ros.listen_to(twins[0])
-    listener.listen(TWIN_TOPICS.diagnostics)
-    log = ''
-
-    def is_logged(text: str, count: int) -> bool:
-        nonlocal log
-        log += capfd.readouterr().err
-        return log.count(text) == count
-
+def test_two_twins_of_one_name_are_reported_by_both(ros, capfd) -> None:
+    for _ in range(2):
+        ros.start_twin()
+    log: list[str] = []
     ros.spin_until(
-        lambda: is_logged('another node is named /twin', 2), 'the warnings of both twins'
+        lambda: log.append(capfd.readouterr().err)
+        or ''.join(log).count('another node is named /twin') == 2,
+        'the errors of both twins',
     )
-    status = listener.status(
-        TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['duplicate_nodes'] == 1
-    )
-    assert status.level == DiagnosticStatus.WARN
-    assert '/twin' in status.message
-    ros.remove(twins[1])
-    ros.spin_until(lambda: is_logged('no other node has this name', 1), 'the end of the warning')
 
 
 def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
