@@ -46,7 +46,6 @@ from soft_throw_ros.nodes.conversions import (
     msg_to_motion,
     msg_to_throw_result,
     msg_to_time,
-    msg_to_values,
 )
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
 from soft_throw_ros.nodes.parameters import NodeParameters
@@ -76,8 +75,8 @@ class MeasuredThrow(NamedTuple):
     """A throw whose projectile was measured in flight."""
 
     speed: Estimate  # at the release, with the error by the scatter of the heights [m/s]
-    common_error: float  # of the speeds of all such throws [m/s]
     peak_plate_speed: float  # [m/s]
+    common_error: float  # of the speeds of all such throws [m/s]
 
 
 class Calibrator(RunnableNode):
@@ -141,7 +140,7 @@ class Calibrator(RunnableNode):
             try:
                 result = msg_to_throw_result(status)
             except ValueError as error:
-                self._warn_of_throw(msg_to_values(status).get('throw', ''), error)
+                self.get_logger().warning(f'a result cannot be used: {error}')
                 continue
             if result.stage == 'final' and not self._is_busy:
                 self._ended = result, msg_to_time(msg.header.stamp)
@@ -166,10 +165,7 @@ class Calibrator(RunnableNode):
             elif result.is_valid and result.accuracy is None:
                 self._on_commanded_throw(self._commanded, result, stamp_ns)
         except ValueError as error:  # of the tracks, or a command
-            self._warn_of_throw(result.throw, error)
-
-    def _warn_of_throw(self, number: object, error: Exception) -> None:
-        self.get_logger().warning(f'throw {number} cannot be used: {error}')
+            self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
 
     def _on_measured_throw(self, result: ThrowResult, begin_ns: int, end_ns: int) -> None:
         """Collect a throw; identify the rig, or command a motion, after enough of them."""
@@ -228,7 +224,7 @@ class Calibrator(RunnableNode):
         tracks = self._measured.between(release_ns, end_ns)
         assert tracks.projectile is not None
         speed = flight_speed(tracks.projectile, gravity=gravity)
-        return MeasuredThrow(speed, gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)
+        return MeasuredThrow(speed, result.peak_plate_speed, gravity * _RELEASE_TIME_ERROR)
 
     def _submit(self, task: Callable[[], None], reason: str) -> None:
         self.get_logger().info(reason)

@@ -211,8 +211,7 @@ class RawSubscriptions:
         channel = Channel(
             topic=topic, type=types[0], schema=schema.text, type_hash=schema.type_hash, qos=qos
         )
-        # the strictest request that is compatible with all offers
-        fitting = make_profile(
+        fitting = make_profile(  # the strictest request that is compatible with all offers
             _DEPTH,
             is_reliable=all(p.reliability is ReliabilityPolicy.RELIABLE for p in profiles),
             is_latched=all(p.durability is DurabilityPolicy.TRANSIENT_LOCAL for p in profiles),

@@ -33,9 +33,9 @@ class SystemClock:
     """
     The time of day; it advances steadily between calls of `adjust`.
 
-    Every clock for ticks has three attributes. `epoch` changes when the clock is set, so that
-    times before and after cannot be compared. After a stall, at most `max_catch_up` is caught up
-    and the remaining steps are skipped. A tick later than `tolerance` counts as late. [ns]
+    `epoch` changes when the clock is set, so that times before and after cannot be compared. After
+    a stall, at most `max_catch_up` is caught up and the remaining steps are skipped. A tick later
+    than `tolerance` counts as late. [ns]
     """
 
     max_catch_up = SECOND // 10
@@ -113,7 +113,7 @@ class NodeClock:
 Clock: TypeAlias = SystemClock | NodeClock
 
 _STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
-_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
+_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'clock_jumps')
 
 
 class Ticker:
@@ -151,12 +151,6 @@ class Ticker:
         times, self._times = self._times, []
         return times
 
-    def stall_reason(self) -> str:
-        """Return the reason why there are no ticks."""
-        if isinstance(self._clock(), NodeClock):
-            return 'the twin follows /clock (use_sim_time), which stands still'
-        return 'the tick thread gets no processor time'
-
     def start(self) -> None:
         """Start the thread."""
         self._thread.start()
@@ -182,19 +176,16 @@ class Ticker:
         due = schedule.deadline(session.step)
         if self.scheduler == 'fifo' and now - due > _STALL * clock.max_catch_up:
             self._stalled = time.monotonic()
-        done = 0
         while due <= now:
             begin = time.perf_counter_ns()
             self._on_tick(due)
             self._times.append((now - due, time.perf_counter_ns() - begin))
+            counts['ticks'] += 1
             counts['ticks_late'] += now - due > clock.tolerance
-            done += 1
             if session.rate != schedule.rate:
                 schedule.change_rate(step=session.step - 1, rate=session.rate)
                 session.set_tick_schedule(schedule)
             due = schedule.deadline(session.step)
-        counts['ticks'] += done
-        counts['ticks_caught_up'] += max(done - 1, 0)
         return due
 
     def _schedule_of(self, clock: Clock, now: int) -> TickSchedule | None:

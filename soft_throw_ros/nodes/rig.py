@@ -46,8 +46,7 @@ class SimulatedRig(RealTimeNode):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('rig', **kwargs)
         self._chances = chances_one_by_one(np.random.default_rng(0))
-        self._throws = 0
-        self._start = 0  # step at which the last throw began
+        self._throws = self._start = 0  # number of throws, and step at which the last one began
         self._is_worn = False
         self._commanded: list[JointTrajectoryPoint] = []  # the last motion
         self._motions = 0  # number of different commanded motions
@@ -59,10 +58,10 @@ class SimulatedRig(RealTimeNode):
             check=lambda settings, before: self.prepare(to_twin(settings), before),
             arguments=arguments,
         )
-        self._joints = joint_names(self.parameters.settings)
+        settings = self.parameters.settings
+        self._joints = joint_names(settings)
         outgoing = Publishers(self, RIG_TOPICS, self._joints)
         self.send = outgoing.sender(RIG_TOPICS.measured_joint_states)
-        settings = self.parameters.settings
         self._played = self.parameters.checked.config.settings
         self._faults = _faults_of(SensorFaults, settings)
         self._deviations = self._next_deviations = self._find_deviations()
@@ -89,31 +88,25 @@ class SimulatedRig(RealTimeNode):
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
             self._deviations = self._next_deviations
-        rate = self.session.rate
-        time = outputs.step / rate
-        deviation = self._deviation(outputs.step, rate)
+        time = outputs.step / self.session.rate
         plate, projectile, plate_velocity, projectile_velocity = outputs.state[:4]
+        of_plate, of_projectile = self._deviation((outputs.step - self._start) / self.session.rate)
         sample = self._faults.measure(
             time,
-            lambda moment: plate + deviation[0] + (moment - time) * plate_velocity,
-            lambda moment: projectile + deviation[1] + (moment - time) * projectile_velocity,
+            lambda moment: plate + of_plate + (moment - time) * plate_velocity,
+            lambda moment: projectile + of_projectile + (moment - time) * projectile_velocity,
             next(self._chances),
         )
         if sample.is_received:
             self.send(due + round(1e9 * (sample.stamp - time)), (sample.plate, sample.projectile))
 
-    def _deviation(self, step: int, rate: float) -> tuple[float, float]:
-        """Return the deviations of plate and projectile from the model [m]."""
-        deviations = self._deviations
-        if deviations is None:
+    def _deviation(self, since: float) -> tuple[float, float]:
+        """Return the deviations of plate and projectile from the model [m] since a throw [s]."""
+        deviations, period = self._deviations, self.parameters.settings['throw.period']
+        is_before_next = period and deviations and since > period + deviations.start  # it rings
+        if deviations is None or not (self._throws or is_before_next):
             return 0.0, 0.0
-        since = (step - self._start) / rate
-        period = self.parameters.settings['throw.period']
-        if period and since > period + deviations.start:  # ringing before the next throw
-            since -= period
-        elif not self._throws:
-            return 0.0, 0.0
-        return deviations.at(since)
+        return deviations.at(since - period if is_before_next else since)
 
     # Executor thread
 

@@ -142,9 +142,8 @@ class Twin(RealTimeNode):
                 publish(recommended)
                 self._uncertainty = config.rig, uncertainty_values(config.rig, config.settings)
         except Exception as error:  # noqa: BLE001  later requests must still be answered
-            reason = f'the search has failed: {error!r}'
-            self.get_logger().error(f'{reason}\n{traceback.format_exc()}')
-            publish(RecommendationState(config=config, reason=reason))
+            self.get_logger().error(traceback.format_exc())
+            publish(RecommendationState(config=config, reason=f'the search has failed: {error!r}'))
 
     # Executor thread
 

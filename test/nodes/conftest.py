@@ -42,6 +42,7 @@ from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Top
 from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
+from soft_throw_ros.nodes.transport import use_transport_profile
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.message import SECOND
@@ -375,6 +376,7 @@ def domain_id() -> Iterator[int]:
                     continue
                 patch.setenv('ROS_DOMAIN_ID', str(domain))
                 patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+                use_transport_profile()
                 yield domain
                 return
     raise RuntimeError('all 101 ROS domains are in use by other test processes')

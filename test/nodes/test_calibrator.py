@@ -182,7 +182,7 @@ def test_measurements_whose_stamps_stand_still_are_forgotten(
     ],
 )
 def test_error_of_the_gain_has_the_larger_scatter_and_the_common_error(speeds, error, expected):
-    throws = [MeasuredThrow(Estimate(speed, error), 1e-3, 0.75) for speed in speeds]
+    throws = [MeasuredThrow(Estimate(speed, error), 0.75, 1e-3) for speed in speeds]
     _, values = describe_gain(throws, throws)
     value, total = map(float, str(values['engine.ejection_speed']).split(' +- '))
     assert value == pytest.approx(1.5, abs=1e-3)

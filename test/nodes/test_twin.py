@@ -231,7 +231,6 @@ def test_diagnostics_report_the_timing(thrown) -> None:
     step = thrown.twin.session.step
     timing = msg_to_values(status('timing', lambda item: msg_to_values(item)['ticks'] == step))
     assert timing['ticks_skipped'] == 0
-    assert timing['ticks_caught_up'] == 630  # ten at a time
     assert {'lateness_p99', 'compute_p50', 'scheduler'} <= timing.keys()
 
 
@@ -354,8 +353,9 @@ def test_aim_is_applied_as_an_amplitude_and_refused_beyond_a_limit(ros, twin, li
     assert math.isnan(client.get('recommended.amplitude'))
 
 
-def test_steps_follow_the_clock_topic_and_a_standstill_is_reported(ros) -> None:
-    twin = ros.node(Twin, ros_args=('-p', 'use_sim_time:=true', '-p', 'throw.period:=0.2'))
+def test_steps_follow_a_clock_topic_that_is_chosen_later_and_a_standstill_is_reported(ros) -> None:
+    twin = ros.node(Twin, ros_args=('-p', 'throw.period:=0.2'))
+    assert ros.parameters(twin).set(use_sim_time=True) == ['']
     listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.joint_states, TWIN_TOPICS.diagnostics)
     clock = listener.create_publisher(ClockMessage, '/clock', 10)
@@ -377,22 +377,6 @@ def test_steps_follow_the_clock_topic_and_a_standstill_is_reported(ros) -> None:
     assert twin.session.throws == 5
     assert twin.ticker.counts['clock_jumps'] == 1
     assert twin.ticker.counts['ticks_skipped'] == 0
-
-
-def test_use_sim_time_may_be_changed(ros, twin, listener) -> None:
-    twin.go(10)
-    clock = listener.create_publisher(ClockMessage, '/clock', 10)
-    assert ros.parameters(twin).set(use_sim_time=True) == ['']
-    ros.spin_until(lambda: clock.get_subscription_count() > 0, '/clock')
-    twin.go(100)  # the system clock continues but is not used
-    assert len(twin.outputs) == 11
-    for now in (50, 53):
-        clock.publish(ClockMessage(clock=time_to_msg(now * MILLISECOND)))
-        ros.spin_until(
-            lambda now=now: twin.get_clock().now().nanoseconds == now * MILLISECOND, '/clock'
-        )
-        twin.ticker.run_due()
-    assert len(twin.outputs) == 11 + 4
 
 
 def test_two_twins_of_one_name_are_reported_by_both(ros, capfd) -> None:
