@@ -102,6 +102,13 @@ class RunnableNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.create_timer(seconds, callback, clock=steady)
 
+    def log(self, text: str, *, is_error: bool) -> None:
+        """Log at level ERROR or INFO; rclpy allows one level per line of code."""
+        if is_error:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().info(text)
+
     def add_cleanup(self, callback: Callable[..., object], *args: object) -> None:
         """Register a function to call when the node is destroyed, in reverse order."""
         self._cleanups.callback(callback, *args)

@@ -1,25 +1,196 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The node `recorder`: records topics into a bag."""
+"""
+The node `recorder`: records topics into a bag.
+
+One thread takes the received messages every few milliseconds; another one writes them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from datetime import datetime
 from functools import partial
 import gc
 from pathlib import Path
+import threading
+import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
 from soft_throw_ros.configuration import ParameterError, RECORDER, Settings
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.recording import bag_path, Recording
-from soft_throw_ros.nodes.topics import create_service, Publishers
+from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, RawSubscriptions
+from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
+from soft_throw_ros.nodes.transport import distribution
+from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin.session import RequestRejected
 
 _DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
+_DRAIN_TIME = 0.01  # time between two calls that take the received messages [s]
+
+PUBLISHER_TIMEOUT = 2.0
+"""Time after which wanted topics without a publisher are reported. [s]"""
+
+SILENCE_LIMIT = 5
+"""Time without messages after which topics are reported although they have publishers. [s]"""
+
+_PARTICIPANT = slice(12)  # part of the identifier of a publisher that names its process, in DDS
+_MAX_NAMES = 2  # in a sentence
+
+
+class Recording:
+    """One recording from start to stop: subscriptions and bag."""
+
+    def __init__(self, recorder: Node, settings: Settings) -> None:
+        self._settings = settings
+        self._wanted = [full_name(recorder, name) for name in settings['topics']]
+        self._began = time.monotonic()
+        self._silences: dict[bytes, tuple[int, int]] = {}  # received messages and silent seconds
+        self._reported: set[str] = set()  # problems
+        self.silent_topics: list[str] = []  # of processes that are present
+        self.subscriptions = RawSubscriptions(recorder, self._wanted)
+        self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def bag(self) -> Path | None:
+        """Folder of the bag; None if there is none yet."""
+        return self.writer.bag.folder if self.writer.bag is not None else None
+
+    def new_problems(self) -> Iterator[str]:
+        """Yield new sentences on topics of which nothing comes; call this once a second."""
+        self.silent_topics = self._find_silent_topics()
+        topics = [item.channel.topic for item in self.subscriptions]
+        absent = [name for name in self._wanted if not any(is_wanted(t, [name]) for t in topics)]
+        problems = set()
+        if self.silent_topics:
+            problems.add(
+                f'no message on {first_few(self.silent_topics)} for {SILENCE_LIMIT} s: if there '
+                'should be, run publisher and recorder as one user (docs/twin.md), or restart '
+                'the recorder'
+            )
+        if absent and time.monotonic() - self._began > PUBLISHER_TIMEOUT:
+            problems.add(f'nothing is published yet on {", ".join(absent)}')
+        yield from problems - self._reported
+        self._reported |= problems
+
+    def _find_silent_topics(self) -> list[str]:
+        """
+        Return the topics of silent processes.
+
+        A process is silent if nothing comes on any of its topics. Latched topics do not count,
+        since they may be published only once, nor do topics of several processes, since ROS 2
+        Jazzy does not tell whose messages come.
+        """
+        items_by_process: dict[bytes, list[RawSubscription]] = defaultdict(list)
+        for item in self.subscriptions:
+            processes = {publisher[_PARTICIPANT] for publisher in item.publishers}
+            is_latched = item.profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+            if len(processes) == 1 and not is_latched:
+                items_by_process[processes.pop()].append(item)
+        silent = []
+        for process, items in items_by_process.items():
+            received = sum(item.received for item in items)
+            before, seconds = self._silences.get(process, (received, 0))
+            seconds = seconds + 1 if received == before else 0
+            self._silences[process] = received, seconds
+            if seconds >= SILENCE_LIMIT:
+                silent += [item.channel.topic for item in items]
+        return silent
+
+    def losses(self) -> Counter[str]:
+        """Return the number of lost messages by topic: published, but not in the bag."""
+        lost = Counter({item.channel.topic: item.lost for item in self.subscriptions})
+        for channel, count in self.writer.lost().items():
+            lost[channel.topic] += count
+        return +lost
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether, after `stop`, the bag has no end, or has none of the received messages."""
+        return bool(self.writer.error) or 0 == self._saved < self.subscriptions.received
+
+    @property
+    def _saved(self) -> int:
+        """Number of received messages that the writer has not lost."""
+        return max(self.subscriptions.received - self.writer.lost().total(), 0)
+
+    def stop(self) -> None:
+        """Take the last messages, and finish the bag; see `writer.error` and `has_failed`."""
+        self._is_stopping.set()
+        self._thread.join()
+        self.writer.flush()  # first, since the process may be killed soon
+        self.subscriptions.close()
+        losses, refused = self.losses(), self.subscriptions.refused
+        counts = {'total': losses.total(), **losses}
+        notes = {'losses': {topic: str(count) for topic, count in counts.items()}}
+        self.writer.close(notes | ({'not recorded': refused} if refused else {}))
+
+    def summary(self) -> str:
+        """Return a sentence with the numbers of recorded and lost messages."""
+        seconds, losses = time.monotonic() - self._began, self.losses()
+        text = f'{self.subscriptions.received} messages in {seconds:.1f} s, {losses.total()} lost'
+        if losses:
+            counts = [f'{count} of {topic}' for topic, count in losses.most_common()]
+            text += f', {first_few(counts)}'
+        if self.bag is not None:
+            text += f', in {self.bag}'
+        text += self.missing
+        if self.writer.error:
+            text += f'; the end is missing: {self.writer.error}'
+            if self._saved and self.bag is not None:
+                text += f'; `soft-throw recover {self.bag}` writes a repaired bag'
+        return text
+
+    @property
+    def missing(self) -> str:
+        """Clauses on topics and publishers of which nothing is recorded; mostly empty."""
+        refused, silent = list(self.subscriptions.refused), self.silent_topics
+        text = f'; not recorded: {first_few(refused)}' if refused else ''
+        return text + (f'; nothing comes on {first_few(silent)}' if silent else '')
+
+    def _open_bag(self) -> BagWriter:
+        settings = self._settings
+        return BagWriter(
+            bag_path(settings),
+            distribution=distribution(),
+            compression=settings['compression'],
+            max_size=settings['split.size'],
+            max_duration=settings['split.duration'],
+            sync=settings['sync'],
+        )
+
+    def _run(self) -> None:
+        """Record messages until `stop` is called, and then once more."""
+        is_last = False
+        while not is_last:
+            is_last = self._is_stopping.wait(_DRAIN_TIME)
+            self.writer.put(self.subscriptions.drain())
+
+
+def first_few(names: Sequence[str]) -> str:
+    """Return the first names of a list, and the number of the others."""
+    others = len(names) - _MAX_NAMES
+    return ', '.join(names[:_MAX_NAMES]) + (f' and {others} more' if others > 0 else '')
+
+
+def bag_path(settings: Settings) -> Path:
+    """Return the folder of a bag that is opened now."""
+    folder = Path(settings['folder']).expanduser()
+    if settings['name']:
+        return folder / str(settings['name'])
+    name = f'{datetime.now().astimezone():soft_throw_%Y_%m_%d-%H_%M_%S}'
+    names = [name, *(f'{name}_{number}' for number in range(2, 100))]
+    return next((folder / name for name in names if not (folder / name).exists()), folder / name)
 
 
 class Recorder(RunnableNode):
@@ -64,7 +235,7 @@ class Recorder(RunnableNode):
         self._on_discovery()
         self._report()
         error = self.recording.writer.error
-        self._log(error or self._message(), is_error=bool(error))
+        self.log(error or self._message(), is_error=bool(error))
 
     def end(self) -> bool:
         """Finish the recording, and return whether it has failed."""
@@ -74,14 +245,8 @@ class Recorder(RunnableNode):
         self._has_failed |= recording.has_failed
         self._last = recording.summary()
         self._report()
-        self._log(self._last, is_error=recording.has_failed)
+        self.log(self._last, is_error=recording.has_failed)
         return recording.has_failed
-
-    def _log(self, text: str, *, is_error: bool) -> None:
-        if is_error:
-            self.get_logger().error(text)
-        else:
-            self.get_logger().info(text)
 
     def _on_start(self) -> str:
         if self.recording is not None:

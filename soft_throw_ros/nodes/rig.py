@@ -18,7 +18,7 @@ from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
-from soft_throw_ros.nodes.realtime_node import RealTimeNode
+from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections

@@ -26,7 +26,7 @@ from soft_throw_ros.nodes.diagnostics import Diagnostics
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
-from soft_throw_ros.nodes.realtime_node import RealTimeNode
+from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.recommendations import (
     affects_recommendation,
     recommend_for,
@@ -67,7 +67,7 @@ class Twin(RealTimeNode):
         self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
-        self._last_result: ThrowResult | None = None
+        self._throw = 0  # number of the throw of the last result
         self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
@@ -170,44 +170,45 @@ class Twin(RealTimeNode):
 
     def _publish_result(self, result: ThrowResult, due: int) -> None:
         """Publish a result as one message, and the numbers of its first release, or NaN."""
-        last, self._last_result = self._last_result, result
+        is_first, self._throw = result.throw != self._throw, result.throw
         send = self.outgoing.send
         rig, uncertainty = self._uncertainty
         beside = uncertainty if rig == result.rig else {}
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first
-        if result.stage == 'release' or (result.stage == 'final' and first is None):
+        is_ejection = result.stage == 'release' or (result.stage == 'final' and first is None)
+        if is_ejection:
             for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
                 send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
         if result.stage == 'final' and result.comparison is not None:
             self._diagnostics.compared = result
-        if warning := self._warning_of(result, last):
+        if warning := self._warning_of(result, is_first=is_first):
             self.get_logger().warning(warning)
-        elif result.stage == 'release' or (result.stage == 'final' and first is None):
+        elif is_ejection:
             self._log_throw(result, due)
 
-    def _warning_of(self, result: ThrowResult, last: ThrowResult | None) -> str:
+    def _warning_of(self, result: ThrowResult, *, is_first: bool) -> str:
         """Return a warning of an invalid, late or mispredicted throw or a large strain, if any."""
-        is_first = last is None or last.throw != result.throw
-        comparison, rig = result.comparison, (result.rig, result.max_strain)
+        rig = result.rig, result.max_strain
         if not result.is_valid:
             return throw_text(result)
         if result.stage == 'predicted' and is_first and not result.is_ahead:
             age = self.measurement.age_ns / SECOND
-            cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
-            if age <= self.parameters.settings['measured.smoothing_window'] / 4.0:
-                cause = (
-                    'for an earlier prediction decrease measured.smoothing_window or '
-                    'measured.latency, or increase rate.state'
-                )
-            return f'throw {result.throw}: {lead_text(result)}; {cause}'
+            is_late = age > self.parameters.settings['measured.smoothing_window'] / 4.0
+            return f'throw {result.throw}: {lead_text(result)}; ' + (
+                f'samples arrive {1e3 * age:.1f} ms after their stamps'
+                if is_late
+                else 'for an earlier prediction decrease measured.smoothing_window or '
+                'measured.latency, or increase rate.state'
+            )
         if result.stage != 'predicted' and not result.is_linear and rig != self._rig_beyond_range:
             self._rig_beyond_range = rig
             return throw_text(result)
-        if result.stage == 'final' and comparison and not comparison.is_within_threshold:
-            return f'throw {result.throw}: {comparison_text(result)}'
-        return ''
+        if result.stage != 'final' or not result.comparison:
+            return ''
+        is_good = result.comparison.is_within_threshold
+        return '' if is_good else f'throw {result.throw}: {comparison_text(result)}'
 
     def _log_throw(self, result: ThrowResult, due: int) -> None:
         """Log a throw; one in ten seconds at level INFO, with a summary since the start."""
@@ -250,12 +251,9 @@ class Twin(RealTimeNode):
             return
         self.recommendation = recommended
         self.parameters.set_results(recommended.results())
-        if recommended.best is None:
-            self.get_logger().warning(recommended.describe())
-        else:
-            self.get_logger().info(recommended.describe())
         status = recommended.to_status(self.get_fully_qualified_name())
         self.outgoing.report(TWIN_TOPICS.recommendation, [status])
+        self.log(status.message, is_error=recommended.best is None)
 
     def _on_changed(self, changes: Settings) -> None:
         self.session.change(changes, self.parameters.checked)
@@ -273,12 +271,9 @@ class Twin(RealTimeNode):
         return 'resetting the rig'
 
     def _on_apply_recommendation(self) -> str:
-        recommended = self.recommendation
-        if recommended is None:
+        if self.recommendation is None:
             raise RequestRejected('the recommendation is being computed; ask again')
-        if recommended.best is None:
-            raise RequestRejected(recommended.describe())
-        changes = recommended.changes()
+        changes = self.recommendation.changes()
         if not changes:
             return 'the present layer is the best one and stays'
         self.parameters.apply(changes)

@@ -92,8 +92,8 @@ class Viewer(RunnableNode):
     def _report(self) -> None:
         """Publish how many messages are not shown."""
         values = {'lost': self.raw_subscriptions.lost, 'damaged': self._scene.damaged}
-        missing = sum(values.values())
-        text = '; '.join(filter(None, [f'{missing} messages not shown', self._scene.damage]))
+        missing, damage = sum(values.values()), self._scene.damage
+        text = f'{missing} messages not shown' + (damage and f'; {damage}')
         status = self._outgoing.status('display', text, values, warn=missing > 0)
         self._outgoing.report(VIEWER_TOPICS.diagnostics, [status])
 

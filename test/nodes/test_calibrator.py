@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections import deque
 import contextlib
 from dataclasses import replace
-import itertools
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -127,50 +126,29 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
     assert capfd.readouterr().err.count('; identifying') == 1
 
 
-@pytest.fixture
-def positions(ros) -> MeasuredPositions:
+def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_still(
+    ros, sensors_of
+) -> None:
     node = ros.node(RunnableNode, 'calibrator')
-    return MeasuredPositions(node, '/twin', ('plate', 'projectile'))
-
-
-def test_measurements_are_found_again_after_their_clock_was_set_back(
-    ros, positions, sensors_of
-) -> None:
+    positions = MeasuredPositions(node, '/twin', ('plate', 'projectile'))
+    positions._batches = deque(maxlen=9)
     sensors = sensors_of()
-    for first_ns in (10 * SECOND, 2 * SECOND):
-        stamps = range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND)
-        for stamp_ns in stamps:
-            sensors.send(Sample(stamp_ns, 1e-9 * stamp_ns, 0.0))
 
-        def is_received(last_ns: int = stamps[-1]) -> bool:
-            positions.read_messages()
-            return positions.newest_ns == last_ns
-
-        ros.spin_until(is_received, 'the measurements')
-        start_ns = stamps[10]
-        plate = positions.between(start_ns, stamps[30]).plate
-        assert plate.time.size == 21
-        assert plate.position == pytest.approx(1e-9 * start_ns + plate.time)
-    with pytest.raises(TrackError):
-        positions.between(SECOND, 2 * SECOND)
-
-
-def test_measurements_whose_stamps_stand_still_are_forgotten(
-    ros, positions, sensors_of
-) -> None:
-    positions._batches = deque(maxlen=3)
-    sensors, heights = sensors_of(), itertools.count()
-
-    def oldest_height() -> float:
-        height = float(next(heights))
-        for since_ns in range(0, 100 * MILLISECOND, MILLISECOND):
-            sensors.send(Sample(SECOND + since_ns, height, 0.0))
+    def heights(first_ns: int, height: float) -> list[float]:
+        """Measure a tenth of a second, and return the last heights of that time."""
+        for stamp_ns in range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND):
+            sensors.send(Sample(stamp_ns, height, 0.0))
         positions.read_messages()
         with contextlib.suppress(TrackError):  # few have arrived
-            return float(positions.between(SECOND, 2 * SECOND).plate.position[0])
-        return 0.0
+            return positions.between(first_ns, first_ns + SECOND).plate.position.tolist()
+        return []
 
-    ros.spin_until(lambda: oldest_height() > 0.0, 'room for later measurements')
+    for first_ns, height in ((10 * SECOND, 1.0), (2 * SECOND, 2.0), (2 * SECOND, 3.0)):
+        ros.spin_until(
+            lambda f=first_ns, h=height: set(heights(f, h)) == {h}, 'the measurements'
+        )
+    with pytest.raises(TrackError):
+        positions.between(SECOND, 2 * SECOND)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
-from soft_throw_ros.nodes import recording
+from soft_throw_ros.nodes import recorder as recorder_module
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.recording import writer_thread
@@ -132,8 +132,8 @@ def test_losses_are_in_diagnostics_and_bag(
 def test_process_that_is_present_and_sends_nothing_is_reported_once(
     ros, recorder, monkeypatch
 ) -> None:
-    monkeypatch.setattr(recording, 'SILENCE_LIMIT', 1)
-    monkeypatch.setattr(recording, 'PUBLISHER_TIMEOUT', 0.0)
+    monkeypatch.setattr(recorder_module, 'SILENCE_LIMIT', 1)
+    monkeypatch.setattr(recorder_module, 'PUBLISHER_TIMEOUT', 0.0)
     node = recorder(name='bag', topics=['/talk', '/silence'])
     listener = ros.listen_to(node)
     log = listener.log()
