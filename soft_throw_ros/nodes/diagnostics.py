@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from functools import partial
+from collections.abc import Callable
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
-from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.realtime import Ticker
 from soft_throw_ros.nodes.texts import comparison_text
@@ -26,12 +25,16 @@ class Diagnostics:
     """Summary of a session, its ticks, its measurements and `compared` throws, once a second."""
 
     def __init__(
-        self, session: Session, ticker: Ticker, measurement: Measurement, *, node_name: str
+        self,
+        session: Session,
+        ticker: Ticker,
+        measurement: Measurement,
+        make_status: Callable[..., DiagnosticStatus],
     ) -> None:
         self._session = session
         self._ticker = ticker
         self._measurement = measurement
-        self._status = partial(status_to_msg, node_name)
+        self._status = make_status
         self.compared: ThrowResult | None = None  # the last one
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()

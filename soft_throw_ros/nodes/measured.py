@@ -101,10 +101,8 @@ class Measurement:
         self._session = session
         self._now = now
         self._logger = node.get_logger()
-        self._is_warned = False
-        self._refused = session.sample_counts.refused
-        topic = TWIN_TOPICS.measured_joint_states
-        self._reader = HeightReader(node, topic, joints, self._refused)
+        topic, refused = TWIN_TOPICS.measured_joint_states, session.sample_counts.refused
+        self._reader = HeightReader(node, topic, joints, refused)
 
     def read_messages(self) -> None:
         """
@@ -112,24 +110,22 @@ class Measurement:
 
         If the session is not measured, drop the messages.
         """
-        batches = self._reader.read(MAX_DATA_RATE / self._session.rate)
-        if not self._session.is_measured:
-            return
-        for samples in batches:
-            self._correct_stamps(samples)
-            self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
-        if not self._is_warned and self._refused['out of range']:
-            self._is_warned = True
-            self._logger.warning(
-                f'heights of the samples are beyond {FARTHEST:g} m: if they are in millimetres, '
-                'divide them by 1000'
-            )
+        for samples in self._reader.read(MAX_DATA_RATE / self._session.rate):
+            if self._session.is_measured:
+                self._correct_stamps(samples)
+                self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
 
     def count(self) -> Counter[str]:
         """Return the numbers of messages and samples so far, by their treatment."""
         subscription, counts = self._reader.subscription, self._session.sample_counts
         subscription.poll_losses()
-        refused = dict(self._refused)  # a copy, because the tick thread modifies the counter
+        refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
+        if refused.get('out of range'):
+            self._logger.warning(
+                f'heights of the samples are beyond {FARTHEST:g} m: if they are in millimetres, '
+                'divide them by 1000',
+                once=True,
+            )
         return Counter({
             'samples': counts.taken,
             'samples_out_of_order': counts.out_of_order,

@@ -227,11 +227,9 @@ def is_wanted(topic: str, wanted: Collection[str]) -> bool:
 
     Examples
     --------
-    >>> is_wanted('/twin/layer/strain', ['/twin']), is_wanted('/twins', ['/twin'])
-    (True, False)
-    >>> is_wanted('/rosout', ['/']), is_wanted('/twin/_hidden', ['/'])
-    (True, False)
-    >>> is_wanted('/twin/phase', ['/twin/']), is_wanted('/_hidden', ['/_hidden'])
+    >>> [is_wanted(topic, ['/twin']) for topic in ('/twin/phase', '/twins', '/twin/_hidden')]
+    [True, False, False]
+    >>> is_wanted('/rosout', ['/']), is_wanted('/_hidden', ['/_hidden'])
     (True, True)
 
     """

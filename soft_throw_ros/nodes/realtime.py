@@ -259,7 +259,6 @@ class RealTimeNode(RunnableNode):
     ) -> None:
         super().__init__(name, **kwargs)
         self._system_clock = system_clock or SystemClock()
-        self._started = time.monotonic()
 
     def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
         """Return the rig of complete settings of a twin, after kernels are compiled at first."""
@@ -307,17 +306,7 @@ class RealTimeNode(RunnableNode):
         gc.collect()  # now, since it would delay ticks
         gc.freeze()
         self.ticker.start()
-        self._started = time.monotonic()
-        self.get_logger().info('ready' + self.describe_start())
-
-    def describe_start(self) -> str:
-        """Return the end of the log line at the start."""
-        return ''
-
-    @property
-    def duration(self) -> float:
-        """Time since the start of the ticks [s]."""
-        return time.monotonic() - self._started
+        self.get_logger().info('ready')
 
     def _set_switch_interval(self) -> None:
         sys.setswitchinterval(max(_SWITCH_INTERVAL, _SWITCH_FRACTION / self.session.rate))

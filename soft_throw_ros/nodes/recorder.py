@@ -186,11 +186,8 @@ def first_few(names: Sequence[str]) -> str:
 def bag_path(settings: Settings) -> Path:
     """Return the folder of a bag that is opened now."""
     folder = Path(settings['folder']).expanduser()
-    if settings['name']:
-        return folder / str(settings['name'])
-    name = f'{datetime.now().astimezone():soft_throw_%Y_%m_%d-%H_%M_%S}'
-    names = [name, *(f'{name}_{number}' for number in range(2, 100))]
-    return next((folder / name for name in names if not (folder / name).exists()), folder / name)
+    now = datetime.now().astimezone()
+    return folder / str(settings['name'] or f'{now:soft_throw_%Y_%m_%d-%H_%M_%S_%f}')
 
 
 class Recorder(RunnableNode):

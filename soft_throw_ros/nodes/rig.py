@@ -32,15 +32,11 @@ _LINE_INTERVAL = 5.0  # shortest time between two log lines about commanded thro
 
 class SimulatedRig(RealTimeNode):
     """
-    A simulated rig that publishes the measurements of its sensors.
+    A session of a twin with its own parameters, measured by faulty sensors.
 
-    The node runs a session of a twin with its own parameters, and publishes positions as faulty
-    sensors would measure them. Effects that no model of the core has, such as a plate that rings,
-    are computed before the throw as `Deviations` and added.
-
-    A trajectory of the plate replaces the motion of the engine, from the first step after its
-    stamp on. Periodic throws and the imperfections of the rig then stop; the faults of the sensors
-    continue.
+    Effects that no model of the core has, such as a plate that rings, are computed before the
+    throw as `Deviations` and added. A trajectory of the plate replaces the motion of the engine,
+    from the first step after its stamp on; periodic throws and `Deviations` then stop.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:

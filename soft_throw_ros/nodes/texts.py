@@ -18,11 +18,6 @@ _REQUIRED_SAMPLES = {
 }
 
 
-def count_of(number: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
-
-
 def throw_text(result: ThrowResult) -> str:
     """Return the release of a throw with warnings, or the reason why the throw is invalid."""
     if not result.is_valid:
@@ -41,8 +36,8 @@ def throw_text(result: ThrowResult) -> str:
     if result.accuracy is not None:
         text += f' +- {result.accuracy.energy_transfer_error:.3f}'
     if result.last is not None and result.recontacts:
-        recontacts = count_of(result.recontacts, 're-contact')
-        text += f' ({result.last.energy_transfer:.3f} after {recontacts})'
+        noun = 're-contact' if result.recontacts == 1 else 're-contacts'
+        text += f' ({result.last.energy_transfer:.3f} after {result.recontacts} {noun})'
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'

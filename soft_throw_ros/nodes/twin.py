@@ -33,13 +33,7 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.texts import (
-    comparison_text,
-    count_of,
-    lead_text,
-    sensor_text,
-    throw_text,
-)
+from soft_throw_ros.nodes.texts import comparison_text, lead_text, sensor_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
@@ -63,7 +57,6 @@ class Twin(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
-        self.add_cleanup(self._log_end)  # the first one is called last
         self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
@@ -86,7 +79,7 @@ class Twin(RealTimeNode):
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
         self._diagnostics = Diagnostics(
-            session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
+            session, self.ticker, self.measurement, self.outgoing.status
         )
         self._worker = LatestOnlyWorker(self._recommend, interval=_RECOMMENDATION_INTERVAL)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
@@ -221,29 +214,6 @@ class Twin(RealTimeNode):
             text += f'; {result.throw} throws, {skipped} ticks skipped since the start'
         self._last_line_ns = due
         self.get_logger().info(text)
-
-    def describe_start(self) -> str:
-        """Return the rig, rates and topics for the log line at the start."""
-        settings, rig = self.parameters.settings, self.parameters.checked.rig
-        name, period = self.get_fully_qualified_name(), settings['throw.period']
-        throws = f'a throw every {period:.4g} s' if period else 'throws on request'
-        if settings['engine.motion'] == 'measured':
-            throws = f'plate of {TWIN_TOPICS.measured_joint_states.at(name).name}'
-        return (
-            f": layer {settings['layer.name']}, {1e3 * rig.layer.thickness:.4g} mm, "
-            f'{rig.layer.wave_speed:.4g} m/s; projectile {1e3 * rig.projectile.mass:.4g} g; '
-            f"plate {settings['engine.motion']}, {throws}; {settings['rate.state']:.4g} Hz on "
-            f'{TWIN_TOPICS.joint_states.at(name).name}'
-        )
-
-    def _log_end(self) -> None:
-        """Log the number of throws and skipped ticks of a twin that has begun."""
-        if hasattr(self, 'ticker'):
-            skipped = self.ticker.counts['ticks_skipped']
-            self.get_logger().info(
-                f'stopped after {count_of(self.session.throws, "throw")} in '
-                f'{self.duration:.1f} s, {skipped} ticks skipped'
-            )
 
     def _publish_recommendation(self, recommended: RecommendationState) -> None:
         """Publish a recommendation, unless the rig has changed since its request."""

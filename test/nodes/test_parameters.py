@@ -160,10 +160,6 @@ def test_dump_with_results_starts_another_twin_and_is_loaded(ros, start, tmp_pat
     first = start('-p', 'engine.motion:=harmonic', '-p', 'measured.position_noise:=6.0e-06')
     first.parameters.set_results({'thickness': 0.04, 'density': 1})
     values = {name: first.get_parameter(name).value for name in TWIN.by_name}
-    values = {
-        name: value if isinstance(value, (str, float, int)) else list(value)
-        for name, value in values.items()
-    }
     assert (values['recommended.density'], values['recommended.layer']) == (1.0, '')
     assert math.isnan(values['recommended.wave_speed'])
     path = tmp_path / 'dump.yaml'
@@ -181,17 +177,3 @@ def test_dump_with_results_starts_another_twin_and_is_loaded(ros, start, tmp_pat
     assert refused.keys() == {'recommended.thickness', 'recommended.density'}
     assert 'read-only, set by the twin; got 0.04' in refused['recommended.thickness']
     assert third.parameters.settings == first.parameters.settings
-
-
-def test_file_for_several_nodes_starts_each_of_them(start, tmp_path: Path) -> None:
-    path = tmp_path / 'shared.yaml'
-    values = 'layer.thickness: 0.0123, folder: bags, start: False'
-    path.write_text(f'/**: {{ros__parameters: {{{values}}}}}')
-    twin = start('--params-file', str(path))
-    assert twin.parameters.settings['layer.thickness'] == 0.0123
-    recorder = start('--params-file', str(path), '-p', 'sync:=True', table=RECORDER)
-    expected = {'folder': 'bags', 'start': False, 'sync': True}
-    assert recorder.parameters.settings == {**RECORDER.defaults(), **expected}
-    path.write_text('/**/twin: {ros__parameters: {folder: bags}}')
-    with pytest.raises(ParameterError, match=r"shared\.yaml: .*'folder'"):
-        start('--params-file', str(path))

@@ -113,8 +113,8 @@ class Nothing:
 
 sys.meta_path.insert(0, Nothing())
 from soft_throw_ros.nodes.replay import main
-bag, of_ros = sys.argv[1], ['--ros-args', '-r', '__node:=other', '--']
-print([main([*of_ros, '--check', bag]), main([bag])])
+bag, of_ros = sys.argv[1], ['--ros-args', '-r', '__node:=other']
+print([main(['--check', bag, *of_ros]), main([bag])])
 """
 
 

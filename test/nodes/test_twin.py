@@ -347,7 +347,7 @@ def test_two_twins_of_one_name_are_reported_by_both(ros, capfd) -> None:
     log: list[str] = []
     ros.spin_until(
         lambda: log.append(capfd.readouterr().err)
-        or ''.join(log).count('another node is named /twin') == 2,
+        or ''.join(log).count('another node is named /twin') >= 2,
         'the errors of both twins',
     )
 
@@ -381,40 +381,27 @@ def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
 
 def test_participant_that_is_lost_and_comes_back_is_heard_again(ros) -> None:
     twin = ros.start_twin('-p', 'engine.motion:=measured')
-
-    def measure(others: Any) -> None:
-        sensors = others.node(Node, 'sensors')
-        sender = sensors.create_publisher(JointState, '/twin/measured_joint_states', 10)
-        others.spin_until(lambda: sender.get_subscription_count() > 0, 'the twin')
-        before = twin.session.sample_counts.taken
+    for number in (1, 2):
+        others = type(ros)(ros.domain_id)  # a participant of its own
+        sender = others.node(Node, 'sensors').create_publisher(
+            JointState, '/twin/measured_joint_states', 10
+        )
+        others.spin_until(lambda s=sender: s.get_subscription_count() > 0, 'the twin')
         twin.go(10)
         message = JointState(name=['plate'], position=[0.0], velocity=[math.inf])
         message.header.stamp = time_to_msg(twin.clock.time)
 
-        def is_taken() -> bool:
+        def is_taken(sender: Any = sender, message: Any = message, number: int = number) -> bool:
             sender.publish(message)  # the twin may not know of the sender yet
             twin.measurement.read_messages()
-            return bool(twin.session.sample_counts.taken > before)
+            return bool(twin.session.sample_counts.taken == number)
 
         ros.spin_until(is_taken, 'the sample')
-
-    for _ in range(2):
-        others = type(ros)(ros.domain_id)  # a participant of its own
-        measure(others)
         others.close()
-    assert twin.session.sample_counts.taken == 2
-
-
-class AnyNode(RunnableNode):
-    """A node with a defective service."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__('any', **kwargs)
-        create_service(self, TWIN_SERVICES.throw, lambda: str(1 // 0))
 
 
 def test_service_with_a_defect_answers_and_a_value_without_type_is_refused(ros, capfd) -> None:
-    ros.node(AnyNode)
+    create_service(ros.node(RunnableNode, 'any'), TWIN_SERVICES.throw, lambda: str(1 // 0))
     node = ros.node(Node, 'asking')
 
     def call(kind: Any, name: str, *parameters: Parameter) -> Any:
