@@ -57,7 +57,6 @@ class TwinMessages(Run):
         }
         self.channels['rosout'] = self._channel('/rosout', 'rcl_interfaces/msg/Log')
         self.outgoing = Publishers(self, (*TWIN_TOPICS, *RIG_TOPICS))
-        self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         super().__init__(**request)
         self._wanted = self.settings
         self._advise()

@@ -24,8 +24,6 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.client import Client
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
@@ -50,7 +48,7 @@ from soft_throw_ros.nodes.conversions import (
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
-from soft_throw_ros.nodes.service_calls import call, get_parameters, set_parameters
+from soft_throw_ros.nodes.service_calls import call, RemoteParameters
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.results import ThrowResult
@@ -92,9 +90,8 @@ class Calibrator(RunnableNode):
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
         self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
         create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
-        self._get_of_twin = self.create_client(GetParameters, f'{twin}/get_parameters')
-        self._set_of_twin = self._make_setter(twin)
-        self._set_of_rig = self._make_setter(full_name(self, rig)) if rig else None
+        self._twin = RemoteParameters(self, twin)
+        self._rig = RemoteParameters(self, full_name(self, rig)) if rig else None
         apply = resolve(TWIN_SERVICES.apply_recommendation.name, twin)
         self._apply = self.create_client(Trigger, apply)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
@@ -111,10 +108,6 @@ class Calibrator(RunnableNode):
         self.add_cleanup(self._closing.set)
         self.create_steady_timer(READ_PERIOD, self._read_measurements)
         self.create_steady_timer(1.0, self._publish_status)
-
-    def _make_setter(self, name: str) -> Client:
-        """Return a client that sets parameters of a node."""
-        return self.create_client(SetParametersAtomically, f'{name}/set_parameters_atomically')
 
     def _publish_status(self) -> None:
         self._outgoing.report(CALIBRATOR_TOPICS.diagnostics, [self._status])
@@ -247,20 +240,20 @@ class Calibrator(RunnableNode):
 
     def _command_motion(self) -> None:
         """Make the twin command the best motion of the plate, or leave its parameters."""
-        before = get_parameters(self._get_of_twin, _OF_COMMAND)
+        before = self._twin.get(_OF_COMMAND)
         try:
-            set_parameters(self._set_of_twin, {'recommendation.vary': 'motion'})
+            self._twin.set({'recommendation.vary': 'motion'})
             applied = self._apply_recommendation()
-            set_parameters(self._set_of_twin, {'engine.command': True})
+            self._twin.set({'engine.command': True})
         except RequestRejected:
-            set_parameters(self._set_of_twin, before)
+            self._twin.set(before)
             raise
         self.get_logger().info(f'commanded: {applied}')
         self._commanded = []
 
     def _identify(self, tracks: list[ThrowTracks], rig: Rig) -> None:
         """Identify the rig and apply the result."""
-        stamp_error = float(get_parameters(self._get_of_twin, [_STAMP_ERROR])[_STAMP_ERROR])
+        stamp_error = float(self._twin.get([_STAMP_ERROR])[_STAMP_ERROR])
         throws = [item.apply(partial(replace, stamp_error=stamp_error)) for item in tracks]
         self._apply_fit(fit_rig(throws, rig, _DESCRIPTION))
 
@@ -274,19 +267,17 @@ class Calibrator(RunnableNode):
         if not fit.is_converged:
             raise ValueError('the fit stopped at its limit before it converged')
         values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
-        set_parameters(self._set_of_twin, {name: each.value for name, each in values.items()})
+        self._twin.set({name: each.value for name, each in values.items()})
         words = (f'{name} {each.value:.5g} +- {each.error:.1g}' for name, each in values.items())
         outliers = sum(len(residual.outliers) for residual in fit.residuals)
         texts = {f'warning {number}': text for number, text in enumerate(warnings, 1)}
         rows = {**rig_fit.estimates(), 'outliers': outliers, **texts}
         self._report(f'identified: {", ".join(words)}', rows, warn=bool(warnings))
-        if self._set_of_rig is not None:
-            before = get_parameters(self._get_of_twin, _LAYER)
+        if self._rig is not None:
+            before = self._twin.get(_LAYER)
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
-            after = get_parameters(self._get_of_twin, _LAYER)
-            changes = {name: after[name] for name in after if after[name] != before[name]}
-            if changes:
-                set_parameters(self._set_of_rig, changes)
+            if changes := dict(self._twin.get(_LAYER).items() - before.items()):
+                self._rig.set(changes)
 
     def _apply_recommendation(self) -> str:
         """Request that the twin applies its recommendation; return the answer of the service."""

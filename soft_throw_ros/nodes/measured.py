@@ -44,7 +44,6 @@ class HeightReader:
         self._joints = joints
         self._refused = refused
         self._logger = node.get_logger()
-        self._names: tuple[str, ...] = ()  # of a message without the plate
         self._reader = JointStateReader()
 
     def read(self, max_size: float) -> list[Samples]:
@@ -68,12 +67,11 @@ class HeightReader:
         if samples is not None:
             return [samples]
         self._refused['names'] += len(datas)
-        if values.names != self._names:  # log the joints of refused messages once
-            self._names = values.names
-            self._logger.warning(
-                f'measured messages have the joints {list(values.names)!r:.200}, and the '
-                f'heights of joint_names.plate {self._joints[0]!r} are missing'
-            )
+        self._logger.warning(
+            f'measured messages have the joints {list(values.names)!r:.200}, and the heights of '
+            f'joint_names.plate {self._joints[0]!r} are missing',
+            once=True,
+        )
         return []
 
 

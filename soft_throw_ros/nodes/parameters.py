@@ -98,9 +98,6 @@ class NodeParameters:
                     setter = 'set by the twin' if entry.is_result else 'set at the start'
                     raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}')
                 passed.append(parameter)
-            elif name in request:
-                both = f'{quote(request[name])} and {quote(value)}'
-                raise ParameterError(f'{name} is given twice, {both}')
             else:
                 request[name] = value
         changes = self._table.change(self.settings, request)

@@ -67,7 +67,6 @@ class Player(RunnableNode):
             is_looping=loop,
         )
         self._lock = threading.Lock()  # guards the schedule and publishing
-        self._woken = threading.Event()
         self._is_stopping = False
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
         self.add_cleanup(self._stop)
@@ -95,7 +94,6 @@ class Player(RunnableNode):
 
     def _stop(self) -> None:
         self._is_stopping = True
-        self._woken.set()
         if self._thread.is_alive():
             self._thread.join(STOP_TIMEOUT)
 
@@ -135,9 +133,7 @@ class Player(RunnableNode):
                 self._play_due(time.monotonic_ns())
                 deadline = self._schedule.deadline()
             pause = math.inf if deadline is None else (deadline - time.monotonic_ns()) / SECOND
-            if pause > 0.0:
-                self._woken.wait(min(pause, POLL))
-                self._woken.clear()
+            time.sleep(max(min(pause, POLL), 0.0))
         end = time.monotonic() + _DRAIN_TIMEOUT
         for publisher in self._outlets.values():
             if not self._is_stopping:
@@ -164,7 +160,6 @@ class Player(RunnableNode):
             now = time.monotonic_ns()
             act(now)
             passed = self._schedule.time(now) - self._reader.start_time
-        self._woken.set()
         length = self._reader.end_time - self._reader.start_time
         return f'{state} at {passed / SECOND:.3f} s of {length / SECOND:.3f} s'
 

@@ -42,8 +42,6 @@ STOP_TIMEOUT = 0.3
 
 _REFUSAL_LOG_PERIOD = 1.0  # shortest time between two log lines about exceptions [s]
 
-_MORE = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
-
 
 class RunnableNode(Node):
     """
@@ -139,7 +137,8 @@ def run(
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
         title = (sys.modules[make.__module__].__doc__ or '').strip().partition('\n')[0]
-        argparse.ArgumentParser(usage=usage, description=title, epilog=_MORE).print_help()
+        more = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
+        argparse.ArgumentParser(usage=usage, description=title, epilog=more).print_help()
         return 0
     is_stopping = threading.Event()
 

@@ -56,8 +56,8 @@ class SimulatedRig(RealTimeNode):
         )
         settings = self.parameters.settings
         self._joints = joint_names(settings)
-        outgoing = Publishers(self, RIG_TOPICS, self._joints)
-        self.send = outgoing.sender(RIG_TOPICS.measured_joint_states)
+        publishers = Publishers(self, RIG_TOPICS, self._joints)
+        self.send = partial(publishers.send, RIG_TOPICS.measured_joint_states)
         self._played = self.parameters.checked.config.settings
         self._faults = _faults_of(SensorFaults, settings)
         self._deviations = self._next_deviations = self._find_deviations()
@@ -130,37 +130,30 @@ class SimulatedRig(RealTimeNode):
     def _on_trajectory(self, message: JointTrajectory) -> None:
         """Prepare a commanded motion, and start it at its stamp."""
         start_ns, now_ns = msg_to_time(message.header.stamp), self._current_clock().now()
+        refusal = ''
         try:
             motion = msg_to_motion(message, self._joints[0])
         except ValueError as error:
-            self.get_logger().warning(f'a commanded motion is refused: {error}')
-            return
+            refusal = str(error)
         if start_ns < now_ns:
-            self.get_logger().warning(
-                f'a commanded motion is refused: it started {1e-6 * (now_ns - start_ns):.0f} ms '
-                'ago; increase engine.command_lead of the twin'
-            )
+            late = f'{1e-6 * (now_ns - start_ns):.0f} ms'
+            refusal = f'it started {late} ago; increase engine.command_lead of the twin'
+        if refusal:
+            self.get_logger().warning(f'a commanded motion is refused: {refusal}')
             return
         if message.points != self._commanded:
             self._commanded, self._next_deviations = message.points, None
             self._motions += 1
-            self.session.change(
-                {
-                    'engine.motion': 'file',
-                    MOTION_FILE: f'commanded motion {self._motions}',
-                    'throw.period': 0.0,
-                },
-                motion_of=lambda _path: motion,
-            )
+            name = f'commanded motion {self._motions}'
+            changes = {'engine.motion': 'file', MOTION_FILE: name, 'throw.period': 0.0}
+            self.session.change(changes, motion_of=lambda _path: motion)
             self.session.reset()  # otherwise the first throw would return to rest before it starts
         self._start_ns = start_ns
 
     def _find_deviations(self) -> Deviations | None:
         """Return the effect of the imperfections, computed in about 0.3 s; None without any."""
-        imperfections = _faults_of(Imperfections, self.parameters.settings)
-        if not imperfections.are_present:
-            return None
-        return Deviations(self.parameters.checked.rig, imperfections)
+        faults = _faults_of(Imperfections, self.parameters.settings)
+        return Deviations(self.parameters.checked.rig, faults) if faults.are_present else None
 
 
 def _faults_of(kind: Any, settings: Settings) -> Any:

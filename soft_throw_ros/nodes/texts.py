@@ -36,8 +36,8 @@ def throw_text(result: ThrowResult) -> str:
     if result.accuracy is not None:
         text += f' +- {result.accuracy.energy_transfer_error:.3f}'
     if result.last is not None and result.recontacts:
-        noun = 're-contact' if result.recontacts == 1 else 're-contacts'
-        text += f' ({result.last.energy_transfer:.3f} after {result.recontacts} {noun})'
+        recontacts = f'{result.recontacts} re-contact{"s" * (result.recontacts > 1)}'
+        text += f' ({result.last.energy_transfer:.3f} after {recontacts})'
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
@@ -61,13 +61,6 @@ def comparison_text(result: ThrowResult) -> str:
         f'measured.residual_threshold {threshold:.3g} um: '
         + (causes or 'the layer has aged or slipped, or the parameters are wrong')
     )
-
-
-def lead_text(result: ThrowResult) -> str:
-    """Return how long before or after the release the first prediction was available."""
-    lead = 1e3 * (result.lead or 0.0)
-    side = 'before' if result.is_ahead else 'after'
-    return f'prediction available {abs(lead):.2f} ms {side} release'
 
 
 def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:

@@ -33,7 +33,7 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.texts import comparison_text, lead_text, sensor_text, throw_text
+from soft_throw_ros.nodes.texts import comparison_text, sensor_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
@@ -69,7 +69,6 @@ class Twin(RealTimeNode):
         )
         self._joints = joint_names(self.parameters.settings)
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
-        self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         session = Session(
             self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
         )
@@ -97,8 +96,8 @@ class Twin(RealTimeNode):
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the messages of every tick, and hand the others over to the executor."""
-        self._send_state(due, outputs.state)
         send = self.outgoing.send
+        send(TWIN_TOPICS.joint_states, due, outputs.state)
         if outputs.layer is not None:
             send(TWIN_TOPICS.layer_joint_states, due, outputs.layer)
         prediction, residual = outputs.prediction, outputs.residual
@@ -189,7 +188,8 @@ class Twin(RealTimeNode):
         if result.stage == 'predicted' and is_first and not result.is_ahead:
             age = self.measurement.age_ns / SECOND
             is_late = age > self.parameters.settings['measured.smoothing_window'] / 4.0
-            return f'throw {result.throw}: {lead_text(result)}; ' + (
+            late = f'predicted {-1e3 * (result.lead or 0.0):.2f} ms after the release'
+            return f'throw {result.throw} is {late}; ' + (
                 f'samples arrive {1e3 * age:.1f} ms after their stamps'
                 if is_late
                 else 'for an earlier prediction decrease measured.smoothing_window or '

@@ -130,9 +130,10 @@ class Ros:
         """Start a twin on a clock set by the test."""
         return self.node(DrivenTwin, ros_args=ros_args)
 
-    def listen_to(self, twin: Node | None = None) -> Listener:
-        """Make a listener of a node, or of `/twin` in another process."""
-        return self.node(Listener, self, twin.get_fully_qualified_name() if twin else '/twin')
+    def listen_to(self, node: Node | str) -> Listener:
+        """Make a listener of a node, which is named if it is in another process."""
+        name = node if isinstance(node, str) else node.get_fully_qualified_name()
+        return self.node(Listener, self, name)
 
     def remove(self, node: Node) -> None:
         """Destroy a node."""

@@ -7,15 +7,12 @@ from __future__ import annotations
 from collections import deque
 import contextlib
 from dataclasses import replace
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
-from rclpy.node import Node
 from rigs import measured_throw
 from soft_throw_ros.configuration import motions
-from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
+from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.least_squares import Estimate
@@ -23,23 +20,13 @@ from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
 from soft_throw_ros.nodes.calibrator import Calibrator, describe_gain, MeasuredThrow
+from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions
 from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.service_calls import set_parameters
-from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
 
 MILLISECOND = SECOND // 1000
-
-
-def listen(ros: Any, topic: Topic) -> list[DiagnosticStatus]:
-    """Return a list that receives all statuses on a topic."""
-    received: list[DiagnosticStatus] = []
-    node = ros.node(Node, f'listener_{len(ros.nodes)}')
-    kept = replace(topic, depth=1000)  # until this process spins
-    create_subscription(node, kept, lambda message: received.extend(message.status))
-    return received
 
 
 def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) -> None:
@@ -52,7 +39,7 @@ def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) 
     modes = []
 
     def apply() -> None:
-        set_parameters(calibrator._set_of_twin, file)
+        calibrator._twin.set(file)
         modes.append(twin.parameters.settings['engine.motion'])
 
     monkeypatch.setattr(calibrator, '_apply_recommendation', apply)
@@ -78,10 +65,10 @@ def test_calibrator_rejects_a_fit_that_is_wrong(ros, second_mode, is_converged, 
 
 
 def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> None:
-    ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
-    statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
-    ros.spin_until(lambda: len(statuses) > 0, 'the status')
-    assert statuses[0].name == '/calibrator: identification'
+    calibrator = ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
+    listener = ros.listen_to(calibrator)
+    listener.listen(CALIBRATOR_TOPICS.diagnostics)
+    listener.status(CALIBRATOR_TOPICS.diagnostics, 'identification')
 
 
 @pytest.mark.parametrize(
@@ -94,8 +81,8 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
         '-p', 'engine.motion:=measured', '-p', f'measured.stamp_error:={stamp_error}'
     )
     sensors = sensors_of(twin)
-    ros.node(Calibrator, ros_args=('-p', 'throws:=1'))
-    statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    listener = ros.listen_to(ros.node(Calibrator, ros_args=('-p', 'throws:=1')))
+    listener.listen(CALIBRATOR_TOPICS.diagnostics)
     ros.spin_until(lambda: sensors.publisher.get_subscription_count() == 2, 'the calibrator')
     rig = Rig(engine=Engine(frequency=55.0), layer=Layer(wave_speed=7.3))
     for gap in (10 * MILLISECOND, 0):  # the first throw has no whole track
@@ -116,13 +103,12 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
     finals = [result for result in twin.results if result.stage == 'final']
     assert [final.ended_by for final in finals] == ['gap', 'reset']
 
-    def identified() -> list[DiagnosticStatus]:
-        return [item for item in statuses if item.message.startswith('identified')]
-
-    ros.spin_until(identified, 'the identification')
-    values = {item.key: item.value for item in identified()[0].values}
+    status = listener.status(
+        CALIBRATOR_TOPICS.diagnostics, 'identification', lambda s: s.message.startswith('identi')
+    )
+    values = msg_to_values(status)
     for name, value in (('engine.frequency', 55.0), ('layer.wave_speed', 7.3)):
-        assert float(values[name].split()[0]) == pytest.approx(value, rel=0.05)
+        assert float(str(values[name]).split()[0]) == pytest.approx(value, rel=0.05)
     assert capfd.readouterr().err.count('; identifying') == 1
 
 

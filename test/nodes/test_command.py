@@ -70,7 +70,10 @@ def stroke() -> SampledMotion:
     [
         (stroke, STROKE),
         (lambda: find_best_motion(Rig(), SMOOTH).motion, SMOOTH),
-        (lambda: find_best_motion(Rig(layer=Layer(thickness=5.6e-3)), ENGINE).motion, ENGINE),
+        pytest.param(
+            lambda: find_best_motion(Rig(layer=Layer(thickness=5.6e-3)), ENGINE).motion, ENGINE,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_commands_are_played_as_in_the_twin_and_within_the_limits(

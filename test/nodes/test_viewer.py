@@ -14,11 +14,9 @@ from typing import Any
 
 import pytest
 from rclpy.duration import Duration
-from rclpy.node import Node
 from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import TWIN_TOPICS, VIEWER_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.topics import load_type
 from soft_throw_ros.nodes.viewer import Viewer
 from soft_throw_ros.recording.rerun_viewer import free_port, url_of
 
@@ -109,20 +107,12 @@ def test_node_without_a_viewer_ends_well(show) -> None:
 def test_file_has_every_message_that_came_before_the_end(ros, show, throw, tmp_path) -> None:
     path = tmp_path / 'live.rrd'
     node = show(sink='file', file=path)
-    heard: list[Any] = []
-    topic = VIEWER_TOPICS.diagnostics
-    listener = ros.node(Node, 'listener')
-    listener.create_subscription(load_type(topic.type), topic.name, heard.append, 100)
+    listener = ros.listen_to('/viewer')
+    listener.listen(VIEWER_TOPICS.diagnostics)
     throw()
-    heard.clear()  # reports from before the messages
-
-    def has_reported() -> bool:
-        statuses = [item for each in heard for item in each.status if item.name[:7] == '/viewer']
-        return bool(statuses) and msg_to_values(statuses[-1]) == {
-            'lost': 0, 'damaged': 0
-        }
-
-    ros.spin_until(has_reported, 'the diagnostics')
+    listener.heard['/diagnostics'].clear()  # reports from before the messages
+    status = listener.status(VIEWER_TOPICS.diagnostics, 'display')
+    assert msg_to_values(status) == {'lost': 0, 'damaged': 0}
     assert node.end(signal.SIGINT) == 0
     assert RrdFile(path).rows['/twin/position'] == 250
 
