@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import first_release
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.design.maximise import Box, maximise
 from soft_throw_ros.design.score import peak, Score
@@ -55,7 +55,7 @@ def best_ratios(damping_ratio: float) -> BestRatios:
     best = maximise(Score(rig, peak), layers, step=0.06, tolerance=1e-7)
     assert best is not None  # without gravity every layer throws
     mass_ratio, speed_ratio = 1.0 / best.thickness, best.wave_speed / best.thickness
-    phase = first_release(
+    phase = first_releases(
         mass_ratio=mass_ratio, speed_ratio=speed_ratio, damping_ratio=damping_ratio
     ).ejection_phase
     return BestRatios(damping_ratio, mass_ratio, speed_ratio, float(phase), best.score)

@@ -61,15 +61,16 @@ def shown_throw() -> Throw:
 
 def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats, Floats]:
     """Return heights and strains of material points of the layer, shape (time, points)."""
-    fields = throw.fields(time, points=points)
-    rest = fields.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
-    return rest + cumulative_trapezoid(fields.velocity, time, axis=0, initial=0.0), fields.strain
+    path = throw.trajectory(time, points=points)
+    rest = path.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
+    rise = cumulative_trapezoid(path.layer_velocity, time, axis=0, initial=0.0)
+    return rest + rise, path.strain
 
 
 def _time_of_peak_strain(throw: Throw) -> float:
     """Return the time of the largest strain before the release, to 0.01 ms."""
     time = np.arange(0.0, throw.ejection_time, 1e-5)
-    strain = np.abs(throw.fields(time, points=97).strain)
+    strain = np.abs(throw.trajectory(time, points=97).strain)
     return float(time[strain.max(axis=1).argmax()])
 
 

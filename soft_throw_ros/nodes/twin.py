@@ -33,7 +33,7 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.texts import comparison_text, sensor_text, throw_text
+from soft_throw_ros.nodes.texts import comparison_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
@@ -255,7 +255,7 @@ class Twin(RealTimeNode):
         super().on_second()
         self._run_jobs()  # in case a wake-up was lost
         for fault in self.session.diagnose_sensors():
-            self.get_logger().warning(sensor_text(fault))
+            self.get_logger().warning(fault)
         name = self.get_fully_qualified_name()
         if self.count_publishers(TWIN_TOPICS.journal.at(name).name) > 1:
             self.get_logger().error(

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.batch import SearchCancelledError
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.motion import (
@@ -71,10 +70,8 @@ def test_best_motion_beats_the_present_one_within_its_limits(layer):
     throw = find_best_motion(rig, limits)
     assert throw.ejection_speed > simulate(rig).ejection_speed
     assert excess(throw.motion, limits) < 1.0 + 1e-9
-    assert throw.recontacts == 0
+    assert len(throw.ejections) == 1
     np.testing.assert_array_equal(throw.motion.states[-1, 1:], 0.0)
-    energies = throw.energies
-    assert energies.stored + energies.heat == pytest.approx(energies.plate_work, rel=2e-4)
 
 
 NEO_HOOKEAN = Layer(stress_strain_law='neo_hookean')
@@ -90,7 +87,7 @@ def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
     assert design.rig.layer == layer
     assert design.ejection_speed == pytest.approx(real.ejection_speed, rel=1e-4)
     assert design.ejection_speed > design.now.ejection_speed * 1.01
-    assert real.recontacts == 0
+    assert len(real.ejections) == 1
 
 
 def test_limits_of_jerk_and_loads_cost_speed():
@@ -111,7 +108,7 @@ def test_strain_is_limited_everywhere_at_the_least_cost_in_speed():
     assert throw.ejection_speed > 1.529
     assert throw.peak_strain <= 0.12 * (1.0 + 2e-6)
     assert excess(throw.motion, PlateLimits.of(rig.engine)) < 1.0 + 1e-9
-    assert throw.recontacts == 0
+    assert len(throw.ejections) == 1
 
 
 def test_best_motion_keeps_contact_within_the_uncertainties():

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import measured_throw
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
@@ -25,6 +24,7 @@ from soft_throw_ros.nodes.measured_positions import MeasuredPositions
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
+from twin_runs import measured_throw
 
 MILLISECOND = SECOND // 1000
 
