@@ -171,7 +171,7 @@ class RecorderTopics(NamedTuple):
         '~/status', ARRAY, 'State of the recorder and path of the bag, on change',
         depth=_SEVERAL, is_latched=True)
     diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Recorded and lost messages, and state of the viewer, at 1 Hz',
+        '/diagnostics', ARRAY, 'Recorded and lost messages, at 1 Hz',
         depth=_SEVERAL)
 
 
