@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from bench.race import Case, measure, Result
+from bench.tables import Case, measure, Result
 import numpy as np
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.closed_form import first_releases
@@ -26,11 +26,8 @@ from reference.method_of_lines import first_release as release_by_lines  # noqa:
 TRUE_PHASE = 0.4815082783157032
 """Ejection phase t_e f of the default rig without gravity, from two methods with 40 digits. [-]"""
 
-MANY = 16_384
-"""Number of throws in one call. [-]"""
-
-TICKS = 1000
-"""Number of ticks in one simulated second. [-]"""
+MANY = 16_384  # number of throws in one call [-]
+TICKS = 1000  # number of ticks in one simulated second [-]
 
 GEL = Layer(stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.05)
 """The most expensive layer."""
