@@ -104,8 +104,8 @@ class Loads(NamedTuple):
     """
     Largest magnitudes from the start to the first release, or up to now before the release.
 
-    Strain of the layer [-], upward acceleration of the projectile [m/s2], and force of the layer on
-    the plate [N].
+    Strain of the layer [-], upward acceleration of the projectile [m/s2], and force of the layer
+    on the plate [N].
     """
 
     strain: float
