@@ -13,21 +13,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-FRAME = 'rig'
-"""Frame of all messages with a header, below the namespace of the node: z points up from the
-plate's rest position."""
-
-JOINTS = ('plate', 'projectile')
-"""Joints of the rig, by their default names; `joint_names.*` of a node replaces them."""
-
-FIELD_POINTS = 64
-"""Number of published points of the layer, evenly spaced from plate to top."""
-
-ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')
-"""Columns of `~/throw_energies`."""
-
+FRAME = 'rig'  # of all messages with a header, below the namespace of the node
+JOINTS = ('plate', 'projectile')  # default names, which `joint_names.*` of a node replaces
+FIELD_POINTS = 64  # published points of the layer, evenly spaced from plate to top
 LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
-"""Joints of the layer, from plate to top."""
+ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')  # axes of `~/throw_energies`
 
 ARRAY = 'diagnostic_msgs/msg/DiagnosticArray'
 JOINT_STATE = 'sensor_msgs/msg/JointState'
@@ -98,13 +88,13 @@ class TwinTopics(NamedTuple):
         depth=_ONE_SECOND, joints=JOINTS)
     layer_joint_states: Topic = Topic(
         '~/layer/joint_states', JOINT_STATE,
-        'Height and velocity of 64 points of the layer from plate to top, and the force through '
-        'them, positive in compression, at `rate.field`',
+        'Height and velocity of the layer from plate to top, and the force through it, positive '
+        'in compression, at `rate.field`',
         depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
         '~/throw_field', CLOUD,
-        'Strain of the layer over time t since the stamp (the start) [s] in rows and height y in '
-        'the layer at rest [m] in columns, until after the release, once per throw',
+        'Strain of the layer over time t since the stamp (the start) [s] in rows and height y at '
+        'rest [m] in columns, until after the release, once per throw',
         is_latched=True, axes=('t', 'y', 'strain'))
     throw_energies: Topic = Topic(
         '~/throw_energies', CLOUD,
@@ -121,9 +111,8 @@ class TwinTopics(NamedTuple):
         depth=_SEVERAL, is_latched=True, joints=('phase',), quantities=('position',))
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
-        'Result of a throw, at its first release and at its end, with the time of the event as '
-        'stamp; with a measured plate also the prediction with its errors, first within 3 % and '
-        'again when it is certain',
+        'Result of a throw at its first release and at its end, the stamp; with a measured plate '
+        'also its prediction, first within 3 % and again when it is certain',
         depth=2, is_latched=True)
     ejection_time: Topic = Topic(
         '~/throw/ejection_time', NUMBER,
@@ -135,31 +124,30 @@ class TwinTopics(NamedTuple):
         '~/throw/energy_transfer', NUMBER, 'Energy transfer factor alpha of this release',
         is_latched=True)
     recommendation: Topic = Topic(
-        '~/recommendation', ARRAY, 'Best layer for the rig, after every change',
-        is_latched=True)
+        '~/recommendation', ARRAY, 'Best layer for the rig, after every change', is_latched=True)
     journal: Topic = Topic(
         '~/journal', TEXT, 'All data needed to repeat the run, as lines of JSON',
         depth=_OF_A_JOURNAL, is_latched=True)
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
-        'Prediction of the projectile with a measured plate, as far ahead as possible, with the '
-        'predicted time as stamp, one message per tick of a throw',
+        'Prediction of the projectile with a measured plate, as far ahead as possible, at the '
+        'stamp, one message per tick of a throw',
         depth=_ONE_SECOND, joints=('projectile',))
     residual: Topic = Topic(
         '~/residual', JOINT_STATE,
-        'Model positions minus measured positions, if both bodies are measured, with the stamps '
-        'of the samples, until a period of the plate after the release',
+        'Model minus measured positions, if both bodies are measured, with the stamps of the '
+        'samples, until a period of the plate after the release',
         depth=_ONE_SECOND, joints=JOINTS, quantities=('position',))
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
-        'Measured positions of the plate and optionally of the projectile, stamped with the time '
-        'of the measurement, at 2 to 10 kHz',
+        'Measured positions of the plate, and perhaps of the projectile, at the stamp, at 2 to '
+        '10 kHz',
         depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS, quantities=('position',),
         is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
-        'Motion of the plate for a controller, `engine.command_lead` before each throw, with the '
-        'start of the throw as stamp, if `engine.command` is true')
+        'Motion of the plate for a controller, `engine.command_lead` before each throw, whose '
+        'start is the stamp, if `engine.command` is true')
     diagnostics: Topic = Topic(
         '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
         depth=_SEVERAL)
@@ -219,8 +207,7 @@ class TwinServices(NamedTuple):
     reset: Service = Service(
         '~/reset', TRIGGER, 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
-        '~/apply_recommendation', TRIGGER,
-        'Apply the recommended layer, amplitude or motion')
+        '~/apply_recommendation', TRIGGER, 'Apply the recommended layer, amplitude or motion')
 
 
 class RecorderServices(NamedTuple):
