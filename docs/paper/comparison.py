@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 import scheme
 from scipy.optimize import bisect, minimize_scalar
-from soft_throw_ros.core.closed_form import first_release, spring_release
+from soft_throw_ros.core.closed_form import first_releases, spring_release
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Rig, STANDARD_GRAVITY, values_of
+from soft_throw_ros.core.rig import Engine, Layer, Rig, scales_of, STANDARD_GRAVITY, values_of
 from soft_throw_ros.core.wave_stepper import throw_batch
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,7 @@ def _optimum() -> tuple[Row, ...]:
     x = 1.0 / (1.0 + best.mass_ratio)
     x_rig = 1.3 / (1.3 + best.mass_ratio)
     mu, kappa = 0.32, 8.4
-    quoted = first_release(mass_ratio=mu, speed_ratio=kappa)
+    quoted = first_releases(mass_ratio=mu, speed_ratio=kappa)
     mixed = '8.4 is of equal densities, 0.32 of a ratio of 1.3'
     crossings = best.ejection_phase * best.speed_ratio
     return (
@@ -99,7 +99,7 @@ def _optimum() -> tuple[Row, ...]:
 
 def _thin_and_thick() -> tuple[Row, ...]:
     """Return the rows of Sec. III: the edges of the maps."""
-    plateau = first_release(mass_ratio=_LIGHT, speed_ratio=4.0).energy_transfer
+    plateau = first_releases(mass_ratio=_LIGHT, speed_ratio=4.0).energy_transfer
     edge = _end_of_plateau(_LIGHT)
     near = 0.99 * _end_of_plateau(1.0 / 0.99 - 1.0)
     factor, ridge = _ridge(1e-4)
@@ -237,7 +237,7 @@ def _end_of_plateau(mass_ratio: float) -> float:
 
     def excess(speed_ratio: float) -> float:
         """Return the crossings until the release beyond 3."""
-        release = first_release(mass_ratio=mass_ratio, speed_ratio=speed_ratio)
+        release = first_releases(mass_ratio=mass_ratio, speed_ratio=speed_ratio)
         return float(release.ejection_phase) * speed_ratio - 3.0
 
     return float(bisect(excess, 7.0, 9.0, xtol=1e-12))
@@ -262,7 +262,7 @@ def _alpha_at_axes() -> float:
     values = {key: np.full(x.size, value) for key, value in values_of(rig).items()}
     values['thickness'] = x / c * rig.layer.wave_speed / rig.engine.frequency
     values['mass'] = (1.0 - x) / c * rig.layer.impedance / rig.engine.frequency
-    speed = throw_batch(values)[1]
+    speed = throw_batch(values, until=scales_of(values).longest_wait)[1]
     return float(np.max(speed / rig.engine.speed_scale)) ** 2
 
 

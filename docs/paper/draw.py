@@ -38,10 +38,12 @@ DRAWINGS: Mapping[str, Callable[[], Figure]] = {
 
 def main() -> None:
     """Draw the selected figures, by default all, or the tables of the page."""
-    for name in sys.argv[1:] or [*DRAWINGS, 'page']:
+    for name in sys.argv[1:] or [*DRAWINGS, 'animation', 'page']:
         if name == 'page':
             page = DOCS / 'paper.md'
             page.write_text(update_page(page.read_text('utf-8')), 'utf-8')
+        elif name == 'animation':
+            throws.save_animation(DOCS / 'throw.gif')
         else:
             folder = DOCS if name == 'throw' else DOCS / 'paper'
             with style.settings():

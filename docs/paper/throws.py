@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Figs. 1 and 2, and the pictures of the README: one throw as a strip and over time."""
+"""Figs. 1 and 2, and the pictures of the README: one throw as a strip, over time, in motion."""
 
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import matplotlib as mpl
+from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
@@ -36,7 +38,16 @@ _GAP = 1.5
 """Distance of a projectile from the middle of a panel of Fig. 1. [mm]"""
 
 _README_TIME = 0.022
-"""End of the picture of the README. [s]"""
+"""End of the pictures of the README. [s]"""
+
+STEP = 2e-4
+"""Time between two frames. [s]"""
+
+_RATE = 15
+"""Frames per second; with `STEP`, the picture is slower than the throw by a factor of 333. [Hz]"""
+
+_PAUSE = 15
+"""Number of frames for which the last picture stays. [-]"""
 
 
 @functools.lru_cache(maxsize=1)
@@ -47,15 +58,16 @@ def shown_throw() -> Throw:
 
 def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats, Floats]:
     """Return heights and strains of material points of the layer, shape (time, points)."""
-    fields = throw.fields(time, points=points)
-    rest = fields.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
-    return rest + cumulative_trapezoid(fields.velocity, time, axis=0, initial=0.0), fields.strain
+    path = throw.trajectory(time, points=points)
+    rest = path.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
+    rise = cumulative_trapezoid(path.layer_velocity, time, axis=0, initial=0.0)
+    return rest + rise, path.strain
 
 
 def _time_of_peak_strain(throw: Throw) -> float:
     """Return the time of the largest strain before the release, to 0.01 ms."""
     time = np.arange(0.0, throw.ejection_time, 1e-5)
-    strain = np.abs(throw.fields(time, points=97).strain)
+    strain = np.abs(throw.trajectory(time, points=97).strain)
     return float(time[strain.max(axis=1).argmax()])
 
 
@@ -233,3 +245,38 @@ def draw_throw() -> Figure:
         axes.text(x, y, text, color=color, rotation=angle, rotation_mode='anchor')
     axes.set(xlabel='time $t$ (ms)', ylabel='height $z$ (mm)', xlim=(0.0, 22.0), ylim=(-1.0, 47.0))
     return figure
+
+
+def save_animation(path: Path) -> None:
+    """Write a throw of the default rig as an animated GIF, which repeats without end."""
+    throw = simulate(Rig(), until=_README_TIME)
+    # Displacements are integrals of velocities, so heights need smaller steps than frames.
+    time = np.linspace(0.0, _README_TIME, 1 + 10 * round(_README_TIME / STEP))
+    heights, strain = heights_of_layer(throw, time, points=61)
+    limit = 100.0 * np.abs(strain[time < throw.ejection_time]).max()  # colours of Fig. 1
+    bare_release = Underdamped.of(throw.rig.engine).peak_velocity_time
+    frames = [*range(0, time.size, 10), *[time.size - 1] * _PAUSE]
+    with style.settings():
+        figure = Figure(figsize=(4.6, 4.6), layout='constrained')
+        axes = figure.subplots()
+        image = draw_state(axes, throw, 0.0, heights[0], strain[0], limit)
+        figure.colorbar(image, ax=axes, label='strain of the layer (%)', shrink=0.7,
+                        extend='both')
+
+        def draw(row: int) -> tuple[()]:
+            axes.clear()
+            draw_state(axes, throw, time[row], heights[row], strain[row], limit)
+            axes.set(xlim=(-15.5, 15.5), ylim=(-8.0, 48.0), xticks=[], aspect='equal')
+            axes.spines['bottom'].set_visible(False)
+            axes.set_ylabel('height $z$ (mm)')
+            axes.set_title(f'$t$ = {MILLI * time[row]:4.1f} ms', loc='left')
+            for x, name, color, release, speed in (
+                (-7.5, 'bare plate', BARE, bare_release, throw.peak_plate_speed),
+                (7.5, 'on the layer', PROJECTILE, throw.ejection_time, throw.ejection_speed),
+            ):
+                text = f'{name}\n{speed:.2f} m/s' if time[row] >= release else name
+                axes.text(x, -2.0, text, color=color, ha='center', va='top')
+            return ()
+
+        animation = FuncAnimation(figure, draw, frames=frames)
+        animation.save(path, writer=PillowWriter(fps=_RATE), dpi=90)

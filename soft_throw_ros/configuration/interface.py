@@ -88,18 +88,18 @@ class TwinTopics(NamedTuple):
         depth=_ONE_SECOND, joints=JOINTS)
     layer_joint_states: Topic = Topic(
         '~/layer/joint_states', JOINT_STATE,
-        'Height and velocity of the layer from plate to top, and the force through it, positive '
-        'in compression, at `rate.field`',
+        'Height, velocity and compressive force of 64 points of the layer from plate to top, at '
+        '`rate.field`',
         depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
         '~/throw_field', CLOUD,
-        'Strain of the layer over time t since the stamp (the start) [s] in rows and height y at '
-        'rest [m] in columns, until after the release, once per throw',
+        'Strain of the layer over time t since the stamp (the start) [s] in rows and height y in '
+        'the layer at rest [m] in columns, once per throw',
         is_latched=True, axes=('t', 'y', 'strain'))
     throw_energies: Topic = Topic(
         '~/throw_energies', CLOUD,
-        'Time t since the stamp (the start) [s], work of the plate, and energy of projectile, '
-        'layer and both relative to rest [J], up to the first release, once per throw',
+        'Time t [s] as above, work of the plate, and energy of projectile, layer and both [J], up '
+        'to the first release',
         is_latched=True, axes=ENERGIES)
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
@@ -111,8 +111,8 @@ class TwinTopics(NamedTuple):
         depth=_SEVERAL, is_latched=True, joints=('phase',), quantities=('position',))
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
-        'Result of a throw at its first release and at its end, the stamp; with a measured plate '
-        'also its prediction, first within 3 % and again when it is certain',
+        'Result of a throw, at its first release and at its end, with that time as stamp; with a '
+        'measured plate also its prediction, within 3 % and again when it is certain',
         depth=2, is_latched=True)
     ejection_time: Topic = Topic(
         '~/throw/ejection_time', NUMBER,
@@ -130,8 +130,8 @@ class TwinTopics(NamedTuple):
         depth=_OF_A_JOURNAL, is_latched=True)
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
-        'Prediction of the projectile with a measured plate, as far ahead as possible, at the '
-        'stamp, one message per tick of a throw',
+        'With a measured plate, the projectile as far ahead as possible, with the predicted time '
+        'as stamp, one message per tick of a throw',
         depth=_ONE_SECOND, joints=('projectile',))
     residual: Topic = Topic(
         '~/residual', JOINT_STATE,
@@ -140,14 +140,14 @@ class TwinTopics(NamedTuple):
         depth=_ONE_SECOND, joints=JOINTS, quantities=('position',))
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
-        'Measured positions of the plate, and perhaps of the projectile, at the stamp, at 2 to '
-        '10 kHz',
+        'Positions of the plate and optionally of the projectile, with the time of measurement as '
+        'stamp, at 2 to 10 kHz',
         depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS, quantities=('position',),
         is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
-        'Motion of the plate for a controller, `engine.command_lead` before each throw, whose '
-        'start is the stamp, if `engine.command` is true')
+        'Motion of the plate for a controller, with the start of the throw as stamp, if '
+        '`engine.command` is true')
     diagnostics: Topic = Topic(
         '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
         depth=_SEVERAL)
@@ -160,7 +160,7 @@ class RecorderTopics(NamedTuple):
         '~/status', ARRAY, 'State of the recorder and path of the bag, on change',
         depth=_SEVERAL, is_latched=True)
     diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Recorded and lost messages, and state of the viewer, at 1 Hz',
+        '/diagnostics', ARRAY, 'Recorded and lost messages, at 1 Hz',
         depth=_SEVERAL)
 
 

@@ -13,7 +13,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throw import last_release, rig_with
+from soft_throw_ros.core.throw import rig_with, simulate
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
 
@@ -83,15 +83,15 @@ def aim(
     def excess(logarithm: float) -> float:
         """Compute the logarithm of reached over target."""
         try:
-            last = last_release(
+            throw = simulate(
                 rig_with(rig, {'amplitude': math.exp(logarithm)}), cancelled=cancelled
             )
         except ThrowUnresolvedError:
             return _UNRELEASED
-        reached = last.speed if height is None else last.height
+        reached = throw.last_release.velocity if height is None else throw.flight_height
         return math.log(reached / target) if reached > 0.0 else _UNRELEASED
 
-    free = last_release(replace(rig, gravity=0.0), cancelled=cancelled).speed
+    free = simulate(replace(rig, gravity=0.0), cancelled=cancelled).last_release.velocity
     low = math.log(rig.engine.amplitude * needed / free)
     while excess(low) >= 0.0:
         low -= _BRACKET_STEP
@@ -105,7 +105,7 @@ def aim(
     if amplitude > _MAX_AMPLITUDE or abs(excess(logarithm)) > 1e-5:
         raise ThrowUnresolvedError(f'no amplitude up to {_MAX_AMPLITUDE:g} m reaches {goal}')
     aimed = rig_with(rig, {'amplitude': amplitude})
-    throw, last, limits = predict(aimed), last_release(aimed), limits or Limits()
+    throw, last, limits = predict(aimed), simulate(aimed), limits or Limits()
     for name, value, limit in (
         ('strain', throw.peak_strain, min(limits.max_strain, LARGEST_STRAIN)),
         ('acceleration', throw.peak_acceleration, limits.max_acceleration),
@@ -115,5 +115,7 @@ def aim(
                 f'{goal} takes an amplitude of {1e3 * amplitude:.4g} mm and a peak {name} of '
                 f'{value:.4g}, which must be at most {limit:g}'
             )
-    flight = {'amplitude': amplitude, 'height': last.height, 'speed': last.speed}
-    return Aim(**vars(throw), **flight, rig=aimed, present=rig)
+    return Aim(
+        **vars(throw), amplitude=amplitude, height=last.flight_height,
+        speed=last.last_release.velocity, rig=aimed, present=rig,
+    )

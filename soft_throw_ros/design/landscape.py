@@ -38,10 +38,9 @@ from scipy.io import netcdf_file
 import soft_throw_ros
 from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
-from soft_throw_ros.core.plate import motion_of
+from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throw import last_release, rig_with, throw_many
+from soft_throw_ros.core.throw import rig_with, simulate, throw_many
 from soft_throw_ros.storage.atomic_file import atomic_file
 
 Floats = NDArray[np.float64]
@@ -278,8 +277,7 @@ def _compute(rig: Rig, release: Release, names: Sequence[str], cases: Floats) ->
 def _last(rig: Rig) -> tuple[float, float]:
     """Follow one throw until the projectile is gone or falls back."""
     try:
-        last = last_release(rig)
+        throw = simulate(rig)
     except ThrowUnresolvedError:  # held, too light, or chattering for ever
         return math.nan, math.nan
-    peak = motion_of(rig.engine).peak_velocity
-    return last.time * rig.engine.frequency, (last.speed / peak) ** 2
+    return throw.last_release.time * rig.engine.frequency, throw.last_energy_transfer

@@ -58,7 +58,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, SampledMotion
 from soft_throw_ros.core.rig import Engine, Rig
-from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_FORCE, PROJECTILE_VELOCITY
+from soft_throw_ros.core.stepper import PROJECTILE_FORCE, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import (
     make_stepper,
     rig_with,
@@ -66,7 +66,6 @@ from soft_throw_ros.core.throw import (
     simulate,
     Throw,
     throw_many,
-    ThrowUnfinishedError,
 )
 from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
@@ -322,14 +321,14 @@ def _follow(
         try:
             engine = replace(rig.engine, motion=pulses.motion_and_back())
             throw = simulate(replace(rig, engine=engine), cancelled=cancelled)
-        except (ValueError, EventLimitError, ThrowUnfinishedError):
+        except ValueError:
             return None
         excess = max(
             throw.peak_strain / loads.max_strain,
             throw.loads.acceleration / loads.max_acceleration,
         )
         if excess <= 1.0 + _LOAD_TOLERANCE:
-            return throw if not throw.recontacts and throw.ejection_speed > 0.0 else None
+            return throw if len(throw.ejections) == 1 and throw.ejection_speed > 0.0 else None
         pulses = pulses._replace(heights=pulses.heights / excess)
     return None
 

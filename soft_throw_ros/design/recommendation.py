@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.throw import SEARCH_CELLS, STRONG_GRAVITY
+from soft_throw_ros.core.throw import SEARCH_CELLS
 from soft_throw_ros.design.maximise import Box, maximise, NEAR, Optimum
 from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
 from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score
@@ -39,6 +39,7 @@ MAX_STUCK_FRACTION = 0.05
 _LARGEST_CHANGE = 0.5  # largest relative tolerance of a layer [-]
 _EQUAL = 1e-9  # relative difference of equal scores; then the present layer is kept [-]
 _COARSE_ERROR = 2e-3  # relative error of scores with `SEARCH_CELLS` [-]
+_STRONG_GRAVITY = 0.2  # over the largest acceleration of the plate; beyond, maxima are narrow [-]
 _NEARBY = 0.03  # relative half width of a search with all cells [-]
 _MAX_CANDIDATES = 5  # layers of the library that are compared with all cells
 
@@ -322,7 +323,7 @@ class _Search(NamedTuple):
         are too narrow for its coarse grid, with limits of loads or not.
         """
         step, gravity = 0.06, space.rig.gravity_ratio
-        if STRONG_GRAVITY < gravity < 1.0:
+        if _STRONG_GRAVITY < gravity < 1.0:
             step = 0.09
         elif gravity < 1.0 and (space.rig.layer.needs_cells or self.limits.of_loads):
             step = 0.12

@@ -4,7 +4,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from damage import accepted, few, texts
+from bags import accepted, few, texts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest

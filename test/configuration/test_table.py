@@ -4,7 +4,7 @@ import math
 import re
 from typing import Any
 
-from damage import accepted, WORDS
+from bags import accepted, WORDS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest

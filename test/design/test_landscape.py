@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 from reference.cases import exact_release
-from soft_throw_ros.core.closed_form import first_release
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import rig_with
@@ -40,7 +40,7 @@ def test_axes_of_the_paper_are_equivalent_to_the_ratios():
         ({'kappa': [9.0], 'x': [x]}, (9.0, x)),
     ):
         landscape = compute_landscape(rig, axes)
-        release = first_release(mass_ratio=mu, speed_ratio=9.0, damping_ratio=0.064)
+        release = first_releases(mass_ratio=mu, speed_ratio=9.0, damping_ratio=0.064)
         assert landscape.energy_transfer[0, 0] == pytest.approx(release.energy_transfer, rel=1e-12)
         like = replace(
             rig,

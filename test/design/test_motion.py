@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.batch import SearchCancelledError
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.motion import design_motion, PlateLimits
@@ -45,7 +44,7 @@ def best_throw(rig, plate, **options):
     """Return the throw of the best motion, whose every limit it checks."""
     throw = simulate(design_motion(rig, plate, **options).rig)
     assert excess(throw.motion, plate) < 1.0 + 1e-9
-    assert throw.recontacts == 0
+    assert len(throw.ejections) == 1
     return throw
 
 
@@ -71,8 +70,6 @@ def test_best_motion_beats_the_present_one_within_its_limits(layer):
     throw = best_throw(rig, ENGINE)
     assert throw.ejection_speed > simulate(rig).ejection_speed
     np.testing.assert_array_equal(throw.motion.states[-1, 1:], 0.0)
-    energies = throw.energies
-    assert energies.stored + energies.heat == pytest.approx(energies.plate_work, rel=2e-4)
 
 
 NEO_HOOKEAN = Layer(stress_strain_law='neo_hookean')
@@ -88,7 +85,7 @@ def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
     assert design.rig.layer == layer
     assert design.ejection_speed == pytest.approx(real.ejection_speed, rel=1e-4)
     assert design.ejection_speed > design.now.ejection_speed * 1.01
-    assert real.recontacts == 0
+    assert len(real.ejections) == 1
 
 
 def test_limit_of_a_load_costs_speed():
