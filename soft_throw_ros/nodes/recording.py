@@ -113,7 +113,6 @@ class Recording:
         """Take the last messages, and finish the bag; see `writer.error` and `has_failed`."""
         self._is_stopping.set()
         self._thread.join()
-        self.writer.flush()  # first, since the process may be killed soon
         self.subscriptions.close()
         losses, refused = self.losses(), self.subscriptions.refused
         counts = {'total': sum(losses.values()), **losses}
