@@ -394,10 +394,11 @@ def test_measurement_can_be_switched_on_and_off() -> None:
 # once more
 
 
-INVALID = {
+CHANGES = st.fixed_dictionaries({}, optional={
     'plate': st.sampled_from([0.0, 0.3004, -50.0, 99.0, 1e300, math.nan, -math.inf]),
     'projectile': st.sampled_from([math.nan, 5.0, -99.0, math.inf]),
-}
+    'shift': st.integers(-(10**8), 10**8),
+})
 
 
 @settings(max_examples=15)
@@ -405,34 +406,28 @@ INVALID = {
     loss=st.sampled_from([0.0, 0.02]),
     rate=st.sampled_from([2000.0, 5000.0, 20_000.0]),
     wait=st.sampled_from([0.0, 1e-3]),
-    invalid=st.lists(
-        st.tuples(st.floats(0.0, 1.0), st.fixed_dictionaries({}, optional=INVALID)), max_size=20
-    ),
-    moved=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(-(10**8), 10**8)), max_size=20),
+    changes=st.lists(st.tuples(st.floats(0.0, 1.0), CHANGES), max_size=40),
     gap=st.tuples(st.floats(0.0, 1.0), st.integers(0, 100)),
     throw=st.integers(0, 2),
 )
 def test_arbitrary_samples_are_followed_or_refused_and_replayed(
-    loss, rate, wait, invalid, moved, gap, throw
+    loss, rate, wait, changes, gap, throw
 ) -> None:
     request = {'layer__loss_tangent': loss, 'measured__latency': wait}
     run = Run(**MEASURED, **request, rate__field=10.0 + 900e3 * wait)
     samples = rigs.measured_throw(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
-    last = len(samples) - 1
-    for share, values in invalid:
-        index = int(share * last)
-        samples[index] = samples[index]._replace(**values)
     delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
-    for share, shift in moved:
+    last = len(samples) - 1
+    for share, values in changes:
         index = int(share * last)
-        samples[index] = samples[index]._replace(stamp_ns=samples[index].stamp_ns + shift)
+        shift, heights = values.get('shift', 0), {k: v for k, v in values.items() if k != 'shift'}
+        stamp_ns = samples[index].stamp_ns + shift
+        samples[index] = samples[index]._replace(stamp_ns=stamp_ns, **heights)
         delays[index] -= shift
-    first = int(gap[0] * last)
-    last = first + gap[1]
-    del samples[first:last]
-    del delays[first:last]
+    lost = slice(int(gap[0] * last), int(gap[0] * last) + gap[1])
+    del samples[lost], delays[lost]
     run.send(samples, delays)
     run.receive()
     run.go(10)

@@ -12,8 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import motions
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
@@ -384,25 +382,12 @@ def test_any_run_is_replayed_bit_by_bit_from_any_throw(inputs, data) -> None:
 # motions from files
 
 
-@pytest.fixture
-def write_motion(write):
-    """Return a function that writes a motion of the plate into a file."""
-
-    def write_motion(name='plate.csv', amplitude=1e-3):
-        plate = Underdamped(frequency=50.0, amplitude=amplitude, damping_ratio=0.1)
-        times = np.arange(0.0, 0.2, 2e-4)
-        motion = SampledMotion.from_positions(times, plate.position(times))
-        return write(motions.to_csv(motion), name)
-
-    return write_motion
-
-
-def test_motions_are_read_when_their_files_are_set_and_replayed_without_them(write_motion) -> None:
-    path, other = write_motion(), write_motion('other.csv')
+def test_motions_are_read_when_their_files_are_set_and_replayed_without_them(write) -> None:
+    path, other = (write(stroke(), name) for name in ('plate.csv', 'other.csv'))
     run = Run(engine__motion_file=str(path))
     first = simulate(run.rig).ejection_time
     run.go(1200)
-    write_motion(amplitude=1.5e-3)
+    write(stroke(1, z=2.5e-3), 'plate.csv')
     os.utime(path, ns=(0, 0))  # at another time
     for values in (
         {'layer.thickness': 0.02},
