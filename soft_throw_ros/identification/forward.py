@@ -15,7 +15,6 @@ from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
-    EventLimitError,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
     Stepper,
@@ -98,7 +97,7 @@ def _follow(rig: Rig, time: Floats, *, by_cells: bool) -> ProjectilePath:
             states[1, index] = stepper.state[PROJECTILE_VELOCITY]
     except FitError:
         raise
-    except (ValueError, EventLimitError) as error:
+    except ValueError as error:
         raise FitError(f'the throw cannot be followed: {error}') from None
     position, velocity = states[:, indices]
     return ProjectilePath(position, velocity, tuple(events))
@@ -156,12 +155,12 @@ class FirstReleases(NamedTuple):
 
 
 def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
-    """Compute the first releases of rigs that differ in numbers only."""
-    throws = throw_many(rigs)
-    crossings = throws.ejection_time / [rig.crossing_time for rig in rigs]
+    """Compute the first releases of rigs."""
+    time, speed, energy_transfer = np.transpose([throw_many(rig)[:3] for rig in rigs])
+    crossings = time / [rig.crossing_time for rig in rigs]
     return FirstReleases(
-        time=throws.ejection_time,
-        speed=throws.ejection_speed,
-        peak_plate_speed=throws.ejection_speed / np.sqrt(throws.energy_transfer),
+        time=time,
+        speed=speed,
+        peak_plate_speed=speed / np.sqrt(energy_transfer),
         echoes=((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64),
     )

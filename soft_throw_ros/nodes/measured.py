@@ -17,8 +17,7 @@ from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
-from soft_throw_ros.twin.plate_estimator import FARTHEST
-from soft_throw_ros.twin.sample_buffer import Samples
+from soft_throw_ros.twin.sample_buffer import FARTHEST, Samples
 from soft_throw_ros.twin.session import Session
 
 MAX_MESSAGE_SIZE = 2**14

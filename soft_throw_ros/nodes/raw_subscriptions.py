@@ -258,5 +258,5 @@ def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> dict[str, o
     profile = profile_to_dict(publisher.qos_profile)
     known = find_topic(topic, kind)
     if profile['history'] == 'unknown' and known is not None:
-        profile.update(history='keep_last', depth=known.topic.depth)
+        profile.update(history='keep_last', depth=known[1].depth)
     return profile

@@ -10,7 +10,7 @@ import sys
 import time
 from typing import Any
 
-from soft_throw_ros.commands import kernels
+from soft_throw_ros.commands.warm_up import load_kernels, missing_parts
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.nodes.process import RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import Clock, NodeClock, SystemClock, Ticker
@@ -43,7 +43,7 @@ class RealTimeNode(RunnableNode):
 
     def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
         """Return the rig of complete settings of a twin, after kernels are compiled at first."""
-        if before is None and kernels.missing_parts():
+        if before is None and missing_parts():
             self._compile_kernels()
         return prepare(settings, before)
 
@@ -85,7 +85,7 @@ class RealTimeNode(RunnableNode):
 
     def start(self) -> None:
         """Load all kernels, freeze the garbage collector, and start the ticks."""
-        kernels.load_kernels(say=self.get_logger().info)
+        load_kernels(say=self.get_logger().info)
         self._set_switch_interval()
         gc.collect()  # now, since it would delay ticks
         gc.freeze()

@@ -37,7 +37,6 @@ from soft_throw_ros.nodes.texts import (
     comparison_text,
     count_of,
     lead_text,
-    sensor_text,
     throw_text,
 )
 from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
@@ -305,7 +304,7 @@ class Twin(RealTimeNode):
         super().on_second()
         self._run_jobs()  # in case a wake-up was lost
         for fault in self.session.diagnose_sensors():
-            self.get_logger().warning(sensor_text(fault))
+            self.get_logger().warning(fault)
         name = self.get_fully_qualified_name()
         before = self._duplicate_nodes
         publishers = self.count_publishers(TWIN_TOPICS.journal.at(name).name)

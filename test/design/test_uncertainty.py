@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.closed_form import ThrowUnresolvedError
+from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import rig_with, throw_many
 from soft_throw_ros.design.prediction import predict

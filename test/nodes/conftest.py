@@ -37,7 +37,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from soft_throw_ros.commands.kernels import load_kernels
+from soft_throw_ros.commands.warm_up import load_kernels
 from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Topic, TWIN_TOPICS
 from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.realtime import SystemClock

@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
 from rclpy.node import Node
-from rigs import measured_throw
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
@@ -30,6 +29,7 @@ from soft_throw_ros.nodes.service_calls import set_parameters
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
+from twin_runs import measured_throw
 
 MILLISECOND = SECOND // 1000
 

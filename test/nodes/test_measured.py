@@ -8,12 +8,11 @@ from functools import partial
 import math
 from typing import Any
 
-from damage import accepted, datas, few
+from bags import accepted, datas, few
 from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from rigs import measured_throw
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
@@ -22,7 +21,7 @@ from soft_throw_ros.nodes.measured import _to_samples
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
-from twin_runs import BEGIN, Run
+from twin_runs import BEGIN, measured_throw, Run
 
 MILLISECOND = SECOND // 1000
 BATCH_NS = 10 * MILLISECOND

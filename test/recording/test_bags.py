@@ -14,8 +14,20 @@ import subprocess
 import sys
 import tracemalloc
 
-from bags import channel, notes, PLAIN, plain, profiles, read, saved, text, write
-from damage import accepted, datas, few
+from bags import (
+    accepted,
+    channel,
+    datas,
+    few,
+    notes,
+    PLAIN,
+    plain,
+    profiles,
+    read,
+    saved,
+    text,
+    write,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader

@@ -14,7 +14,6 @@ from typing import Any
 from bags import BEGIN, text, write
 import numpy as np
 import pytest
-from rigs import measured_throw
 from soft_throw_ros import configuration
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.configuration.interface import JOINTS
@@ -27,6 +26,7 @@ from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 from twin_messages import TwinMessages
+from twin_runs import measured_throw
 
 
 class Twin(TwinMessages):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from damage import datas
+from bags import datas
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -183,7 +183,7 @@ class WaveHistory:
 
 def follow(rig: Rig, *, until: float | None = None, max_events: int | None = None) -> WaveHistory:
     """Follow a throw from rest to `until` [s], or so many events, or else to the first landing."""
-    rig.check_for_waves()
+    assert not rig.layer.needs_cells
     return _Follower(rig, until, max_events).run()
 
 
