@@ -57,7 +57,8 @@ def main(args: list[str] | None = None) -> int:
     """Run the command; the exit code is 0."""
     parser = CommandParser(description='Compile all kernels, once for this installation.')
     parser.add_argument(
-        'parts', metavar='PART', nargs='*', choices=PARTS,
+        'parts', metavar='PART', nargs='*',
+        choices=(*PARTS, []),  # before Python 3.12 argparse looks for the empty default, too
         help=f'parts to compile, from {", ".join(PARTS)} (default: all)',
     )
     return run_command(parser, _run, args)
