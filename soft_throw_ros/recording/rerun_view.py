@@ -214,7 +214,7 @@ class Scene:
                     self._attempt(draw, [message])
             else:
                 self.damaged += 1
-                self.damage = self.damage or f'{messages[0].channel.topic}: {error}'
+                self.damage = self.damage or f'{messages[0].channel.topic}: {error!r:.200}'
 
     def _draw_line(self, message: Message) -> None:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
@@ -245,6 +245,7 @@ class _TwinView:
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
         self._offset = 0  # from the time of publishing to the stamp [ns]
         self._largest_strain = 0.2  # where the colours end; until the first throw a usual one [-]
+        self._track: dict[str, str] = {}  # texts by the task of a node
         self._present: set[str] = set()  # optional panels that are there
         self._diameter, self._height = 12.0, 60.0  # of the side view, before the first rig [mm]
         phases = rr.StateConfiguration(
@@ -453,10 +454,11 @@ class _TwinView:
             self._write('throw_result', stamp, words.throw_text(values))
 
     def draw_track(self, stamp: int, task: str, status: Any, values: words.Values) -> None:
-        """Write the diagnostics of the measured track, a text for each task."""
+        """Write the diagnostics of the measured track, one line for each task."""
         if task in _TRACK_TASKS:
             self._present.add('track')
-            self._write(f'track/{task}', stamp, words.track_text(task, status.message, values))
+            self._track[task] = words.track_text(task, status.message, values)
+            self._write('track', stamp, '  \n'.join(self._track.values()))
 
     def draw_recommendation(self, message: Message) -> None:
         """Write the table of a recommendation, and draw the map of its rig."""

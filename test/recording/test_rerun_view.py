@@ -13,6 +13,7 @@ from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.twin_journal import find_throws
@@ -154,8 +155,7 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
     twin = TwinMessages(engine__motion='measured')
     twin.measure(duration=0.1)
     onset = twin.schedule.time_ns + 50_000_000
-    outlier = twin.encode_positions(onset + 5_000_000, (0.0, 0.1))
-    twin.messages.append(Message(twin.channels['residual'], outlier, twin.now, twin.now, 0))
+    twin.outgoing.send(TWIN_TOPICS.residual, onset + 5_000_000, (0.0, 0.1))  # an outlier
     recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
     stamps, values = recording.scalars('/twin/position/predicted')
@@ -190,14 +190,11 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
     alpha, error = map(float, cell.split(' ± '))
     assert error == pytest.approx(accuracy.energy_transfer_error, rel=0.06)
     assert alpha == pytest.approx(simulate(Rig()).energy_transfer, abs=5.0 * error)
-    text = ''.join(
-        recording.last(f'/twin/track/{task}', 'TextDocument:text')[0]
-        for task in ('measurement', 'identification')
-    )
+    text = recording.last('/twin/track', 'TextDocument:text')[0]
     for words in ('7 samples left out', '9 samples left out', '7.30 ± 0.02', 'a doubt'):
         assert words in text
     assert 'another' not in text
-    assert '/twin/track/timing' not in recording.entities
+    assert 'timing' not in text
 
 
 @pytest.mark.slow
