@@ -123,8 +123,8 @@ def draw_better(rig: Rig, report: dict[str, Any], path: Path) -> None:
         'Energy transfer over the thickness of a layer of the fitted and of the true material.',
         height=3.6, grid=(1, 1),
     )
-    error = report['found']['layer.wave_speed']['error']
-    speeds = rig.layer.wave_speed + error * np.array([-1.0, 0.0, 1.0])
+    errors = {row['name']: row['error'] for row in report['rows']}
+    speeds = rig.layer.wave_speed + errors['layer.wave_speed'] * np.array([-1.0, 0.0, 1.0])
     curves = [_energy_transfer(rig, thicknesses, speed) for speed in speeds.tolist()]
     axes.fill_between(
         1e3 * thicknesses, np.min(curves, axis=0), np.max(curves, axis=0), color=style.SKY,

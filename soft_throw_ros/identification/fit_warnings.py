@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
-import math
 
 import numpy as np
 from soft_throw_ros.identification.least_squares import Fit
@@ -47,13 +46,10 @@ def _inseparable_pairs(fit: Fit) -> Iterator[str]:
         if not name.endswith(']') and index not in fit.known
     ]
     for i, j in combinations(free, 2):
-        correlation = float(fit.correlation[i, j])
-        if abs(correlation) > _INSEPARABLE:
-            ratio = 1.0 / math.sqrt(max(1.0 - correlation**2, 1e-12))
+        if abs(fit.correlation[i, j]) > _INSEPARABLE:
             yield (
                 f'{fit.names[i]} and {fit.names[j]} are hardly separated by these tracks '
-                f'(correlation {correlation:.4f}): the error of each is {ratio:.0f} times larger '
-                'than with the other known; hold one'
+                f'(correlation {fit.correlation[i, j]:.4f}): hold one'
             )
 
 
@@ -71,11 +67,9 @@ def _mismatches(fit: Fit) -> Iterator[str]:
     if fit.is_mismatch:
         ratios = [float(np.sqrt(np.mean(residual.usual**2))) for residual in fit.residuals]
         worst = fit.residuals[int(np.argmax(ratios))]
-        start, end = worst.worst_part
         yield (
-            f'the residuals of {worst.name} are {max(ratios):.2g} times the '
-            f'noise: the model leaves out something that is seen most from {start:.4g} s to '
-            f'{end:.4g} s; the errors of all results include it'
+            f'the residuals of {worst.name} are {max(ratios):.2g} times the noise: the model '
+            'leaves out something (see --figure); the errors of all results include it'
         )
     if not fit.is_converged:
         yield 'the solver stopped at its limit before it converged: the values may be wrong'
