@@ -30,7 +30,6 @@ from soft_throw_ros.identification.tracks import (
     FEWEST,
     find_throws,
     split_at_breaks,
-    split_into_throws,
     ThrowTracks,
     Track,
     TrackError,
@@ -131,8 +130,10 @@ def _throws_of(record: ThrowTracks, notes: list[str]) -> list[ThrowTracks]:
     """Cut a record into throws; leave out the parts in which the plate does not jump."""
     parts: list[ThrowTracks] = []
     for part in split_at_breaks(record):
-        is_short = len(find_throws(part.plate)) < _MAX_FALSE_THROWS
-        parts += [part] if is_short and _is_one_motion(part) else split_into_throws(part)
+        spans = find_throws(part.plate)
+        if len(spans) < _MAX_FALSE_THROWS and _is_one_motion(part):
+            spans = []
+        parts += part.split(spans, 'throw')
     throws = []
     for part in parts if len(parts) > 1 else ():
         try:

@@ -71,13 +71,8 @@ def find_layers(model: RigModel) -> list[Fit]:
     """
     Fit layers to the first heights, from a grid of layers, the most likely one first.
 
-    A free loss is 0 in the grid: it is small, and the model without it the fastest.
-
-    Raises
-    ------
-    FitError
-        If no layer can be simulated.
-
+    A free loss is 0 in the grid: it is small, and the model without it the fastest. Raise FitError
+    if no layer can be simulated.
     """
     used = [series.throw for series in model.projectiles[:_MAX_THROWS]]
     throws = tuple(

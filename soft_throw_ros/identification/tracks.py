@@ -270,9 +270,9 @@ def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
     return record.split(spans if len(pieces) > 1 else [], 'part')
 
 
-def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
+def find_throws(plate: Track) -> list[tuple[float, float]]:
     """
-    Cut a long record into its throws.
+    Find begin and end [s] of the throws in a record.
 
     Notes
     -----
@@ -280,14 +280,9 @@ def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
     rest, a throw lasts from a quarter of a plate period before its start to at most six periods
     after, so the plate must not be put back earlier. Of several throws, the last one is dropped if
     the record ends within two periods after its start. A record in which the plate rests there
-    only once, or never, is one throw and remains complete.
+    only once, or never, is one throw; the result is empty.
 
     """
-    return record.split(find_throws(record.plate), 'throw')
-
-
-def find_throws(plate: Track) -> list[tuple[float, float]]:
-    """Find begin and end [s] of throws in a record in which the plate returns to rest."""
     plate = plate.without_spikes()
     time = plate.time
     period = dominant_period(plate)
