@@ -162,16 +162,15 @@ def held_rows(values: Mapping[str, float], assumed: Sequence[str]) -> Iterator[R
 
 
 def fit_rows(result: RigFit) -> Iterator[Row]:
-    """Yield the fitted parameters, each with the main source of its error."""
+    """Yield the fitted parameters, and the wave speed at rest."""
+    amplitude = 1e3 * result.rig.engine.amplitude
     for name, estimate in result.estimates().items():
-        if name != 'layer.wave_speed':
-            source = result.main_source(name)
-            yield Row.of(name, estimate, f'limited by {source}' if source else '')
-            continue
-        amplitude = 1e3 * result.rig.engine.amplitude
-        yield Row.of(name, estimate, f'at the amplitude of {amplitude:.3g} mm')
-        note = 'softer if the layer stiffens; identify a throw of half the amplitude alone'
-        yield Row.of(REST_WAVE_SPEED, result.rest_wave_speed(), note)
+        if name == 'layer.wave_speed':
+            yield Row.of(name, estimate, f'at the amplitude of {amplitude:.3g} mm')
+            note = 'softer if the layer stiffens; identify a throw of half the amplitude alone'
+            yield Row.of(REST_WAVE_SPEED, result.rest_wave_speed(), note)
+        else:
+            yield Row.of(name, estimate)
 
 
 def ejection_rows(ejection: Ejection) -> Iterator[Row]:

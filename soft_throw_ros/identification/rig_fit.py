@@ -61,7 +61,6 @@ _INITIAL_LOSS = 0.05  # loss tangent that is tried if none is stated
 _MAX_TRIAL_EVALUATIONS = 8  # largest number of evaluations of the model with it
 _MAX_LOSS_EVALUATIONS = 120  # the same if they are promising
 _IN_FLIGHT = 0.97  # share of the time until the landing that a fit uses
-_MAIN_SHARE = 0.5  # share of a variance, above which its source is named
 
 _SECONDS_PER_THROW = 60.0
 """Processor time of a fit; it includes the compilation of kernels. [s]"""
@@ -123,19 +122,6 @@ class RigFit:
             growth_by(residual, self.rig.engine, self.start_time(series.throw).value)
             for series, residual in pairs if series.body == 'plate'
         )
-
-    def main_source(self, name: str) -> str:
-        """Return the prior that causes most of the variance of a parameter; empty if none."""
-        fit = self.fit
-        if name not in fit or fit.names.index(name) in fit.known:
-            return ''
-        row = fit.covariance[fit.names.index(name)]
-        parts = {
-            fit.names[index]: (float(row[index]) / prior.error) ** 2
-            for index, prior in fit.known.items()
-        }
-        least = _MAIN_SHARE * self.estimate(name).error ** 2
-        return next((part for part, square in parts.items() if square > least), '')
 
     def start_time(self, throw: int) -> Estimate:
         """Return the start of a throw on the clock of its tracks; throws count from 0 [s]."""
