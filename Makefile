@@ -37,7 +37,8 @@ VIEWER_TESTS := $(addprefix test/,recording/test_rerun_viewer.py commands/test_i
 
 BIN := .venv/$(ROS_DISTRO)/bin
 KERNELS := .venv/.kernels
-LINT := .venv/jazzy/bin/ruff check && .venv/jazzy/bin/flake8 && .venv/jazzy/bin/mypy
+LINT := .venv/jazzy/bin/ruff check && .venv/jazzy/bin/flake8 && .venv/jazzy/bin/mypy && \
+	.venv/jazzy/bin/lint-imports --no-logo
 WARM_UP := .venv/jazzy/bin/soft-throw warm_up
 # Install only packages with a checksum in the lock file, and fetch nothing else for builds.
 # Python compiles the modules that are used to bytecode; pip would compile all of them, in half of the time.

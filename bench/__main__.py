@@ -15,7 +15,7 @@ from pathlib import Path
 import platform
 import sys
 
-from bench import check, nodes, sums
+from bench import nodes, sums, tables
 import numba as nb
 import numpy as np
 import scipy
@@ -47,8 +47,8 @@ def main() -> int:
         print('', *result.lines(), sep='\n')
         print(f'Load before and after: {load:.1f}, {os.getloadavg()[0]:.1f}.', flush=True)
     if arguments.store:
-        check.store(ratios)
-    changed = check.deviations(ratios) if arguments.check else []
+        tables.store(ratios)
+    changed = tables.deviations(ratios) if arguments.check else []
     print(*changed, sep='\n', file=sys.stderr)
     return 1 if changed else 0
 

@@ -28,32 +28,24 @@ from bench.processes import (
     SECOND,
     SOFT_THROW,
     STATES,
-    subscriber,
+    Subscriber,
     TIMEOUT,
     usage,
 )
-from bench.race import Result
+from bench.tables import Result
 import numpy as np
 
-ROUNDS = 3
-"""Number of turns of twin and timer."""
+ROUNDS = 3  # number of turns of twin and timer
+SECONDS = 7.0  # duration of a measurement [s]
+SETTLING = 2.0  # time between the first message and the measurement [s]
 
-SECONDS = 7.0
-"""Duration of a measurement. [s]"""
-
-SETTLING = 2.0
-"""Time between the first message and the measurement. [s]"""
-
-LATENESS = ('lateness_p50', 'lateness_p99', 'lateness_max')
-"""Keys of the lateness of ticks in `/diagnostics`."""
-
+LATENESS = ('lateness_p50', 'lateness_p99', 'lateness_max')  # keys in `/diagnostics`
 ROWS = (
     'lateness p50 [us]', 'lateness p99 [us]', 'lateness max [us]', 'lost [%]', 'of one core [%]',
 )
 """Numbers of a publisher."""
 
-GOALS = (None, 100.0, None, 0.0, 12.0)
-"""Largest number of the twin in each of the rows."""
+GOALS = (None, 100.0, None, 0.0, 12.0)  # largest number of the twin in each of the rows
 
 
 def twin() -> Result:
@@ -65,13 +57,13 @@ def twin() -> Result:
     for title, goal, (ours, plain) in zip(ROWS, GOALS, np.median(rounds, axis=0).T, strict=True):
         result.rows.append([title, ours, plain, plain / ours if ours else None, goal])
         if title == ROWS[-1]:
-            result.ratios[title] = plain / ours
+            result.ratios['of one core'] = plain / ours
     return result
 
 
 def _measure(command: tuple[str, ...]) -> tuple[float, ...]:
     """Run a publisher, and return the numbers of `ROWS`."""
-    with subscriber() as heard, running(command) as (child,):
+    with contextlib.closing(Subscriber()) as heard, running(command) as (child,):
         heard.wait(TIMEOUT, lambda: bool(heard.stamps))
         heard.wait(SETTLING)
         heard.clear()
@@ -85,12 +77,12 @@ def _measure(command: tuple[str, ...]) -> tuple[float, ...]:
 
 def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
     """Return the fraction of one core that each process uses during a wait."""
-    before = [usage(process.pid).processor for process in processes]
+    before = [usage(process.pid)[0] for process in processes]
     begin = time.monotonic()
     wait()
     duration = time.monotonic() - begin
     return [
-        (usage(process.pid).processor - used) / duration
+        (usage(process.pid)[0] - used) / duration
         for process, used in zip(processes, before, strict=True)
     ]
 
@@ -117,7 +109,7 @@ def _record(rate: int) -> list[tuple[float, float]]:
             (sys.executable, __file__, 'plain', str(bags[1])),
             (*SOFT_THROW, 'twin', '--ros-args', '-p', f'rate.state:={rate}.0'),
         )
-        with subscriber() as heard, running(*commands) as processes:
+        with contextlib.closing(Subscriber()) as heard, running(*commands) as processes:
             heard.wait(TIMEOUT, lambda: bool(heard.stamps))
             heard.wait(SETTLING)
             shares = _shares(processes[:2], lambda: heard.wait(SECONDS))

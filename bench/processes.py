@@ -18,20 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-STATES = '/twin/joint_states'
-"""Topic of the twin's states."""
+STATES = '/twin/joint_states'  # topic of the twin's states
+RATE = 1000  # default rate of the twin's ticks [Hz]
+SECOND = 1_000_000_000  # one second [ns]
+TIMEOUT = 300.0  # longest wait for the first message, since kernels may have to be compiled [s]
 
-RATE = 1000
-"""Default rate of the twin's ticks. [Hz]"""
-
-SECOND = 1_000_000_000
-"""One second. [ns]"""
-
-TIMEOUT = 300.0
-"""Longest wait for the first message, since kernels may have to be compiled. [s]"""
-
-EXIT_TIMEOUT = 120.0
-"""Longest wait for the end of a process after SIGINT: on a busy machine a bag takes long. [s]"""
+EXIT_TIMEOUT = 120.0  # longest wait for a process after SIGINT: a bag may take long [s]
 
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 ROOT = Path(__file__).parents[1]
@@ -39,43 +31,13 @@ ROOT = Path(__file__).parents[1]
 Process = subprocess.Popen[bytes]
 
 
-class Usage(NamedTuple):
-    """Resources of a process: processor time [s], resident memory [bytes], open files."""
-
-    processor: float
-    memory: int
-    handles: int
-
-
-class Heard(NamedTuple):
-    """The messages that a subscriber has received."""
-
-    node: Any
-    wait: Callable[..., None]
-    """Receives messages for some seconds, or until a condition holds."""
-    stamps: list[int]
-    """Stamps of the received states. [ns]"""
-    statuses: list[dict[str, str]]
-    """Values of every received status in `/diagnostics`."""
-
-    def clear(self) -> None:
-        """Discard the received messages."""
-        self.stamps.clear()
-        self.statuses.clear()
-
-    def values(self, *names: str) -> NDArray[np.float64]:
-        """Return the named numbers, one row for every status that has all of them."""
-        complete = [values for values in self.statuses if values.keys() >= set(names)]
-        return np.array([[float(values[name]) for name in names] for values in complete])
-
-
-def usage(pid: int) -> Usage:
-    """Read the resources of a process from /proc."""
+def usage(pid: int) -> tuple[float, int, int]:
+    """Read processor time [s], resident memory [bytes] and number of open files from /proc."""
     folder = Path(f'/proc/{pid}')
     fields = (folder / 'stat').read_text('utf-8').rpartition(')')[2].split()
     processor = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
     memory = int(fields[21]) * os.sysconf('SC_PAGE_SIZE')
-    return Usage(processor, memory, sum(1 for _ in (folder / 'fd').iterdir()))
+    return processor, memory, sum(1 for _ in (folder / 'fd').iterdir())
 
 
 def stamp_of(data: bytes) -> int:
@@ -114,44 +76,57 @@ def running(*commands: tuple[str, ...]) -> Iterator[list[Process]]:
             process.wait()
 
 
-@contextlib.contextmanager
-def subscriber(states: str = STATES) -> Iterator[Heard]:
-    """Subscribe to states and diagnostics in this process."""
-    from diagnostic_msgs.msg import DiagnosticArray
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.qos import QoSProfile
-    from sensor_msgs.msg import JointState
+class Subscriber:
+    """A node in this process that receives states and diagnostics, until `close`."""
 
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    node = rclpy.create_node('bench', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
+    def __init__(self, states: str = STATES) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import QoSProfile
+        from sensor_msgs.msg import JointState
 
-    def wait(seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        self.stamps: list[int] = []  # of the received states [ns]
+        self.statuses: list[dict[str, str]] = []  # values of every status in `/diagnostics`
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context)
+        self.node = rclpy.create_node(f'bench_{os.getpid()}', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+        def on_diagnostics(message: DiagnosticArray) -> None:
+            self.statuses.extend({p.key: p.value for p in item.values} for item in message.status)
+
+        def on_states(data: bytes) -> None:
+            self.stamps.append(stamp_of(data))
+
+        subscribe = self.node.create_subscription
+        subscribe(JointState, states, on_states, QoSProfile(depth=5000), raw=True)
+        subscribe(DiagnosticArray, '/diagnostics', on_diagnostics, 100)
+
+    def wait(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Receive messages for some seconds, or until a condition holds."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not done():
-            executor.spin_once(timeout_sec=0.1)
+            self._executor.spin_once(timeout_sec=0.1)
         if seconds >= TIMEOUT and not done():
-            sys.exit(f'no message on {states} within {seconds:g} s')
+            sys.exit(f'no message within {seconds:g} s')
 
-    heard = Heard(node, wait, [], [])
+    def clear(self) -> None:
+        """Discard the received messages."""
+        self.stamps.clear()
+        self.statuses.clear()
 
-    def on_diagnostics(message: DiagnosticArray) -> None:
-        heard.statuses.extend({p.key: p.value for p in item.values} for item in message.status)
+    def values(self, *names: str) -> NDArray[np.float64]:
+        """Return the named numbers, one row for every status that has all of them."""
+        complete = [values for values in self.statuses if values.keys() >= set(names)]
+        return np.array([[float(values[name]) for name in names] for values in complete])
 
-    def on_states(data: bytes) -> None:
-        heard.stamps.append(stamp_of(data))
-
-    node.create_subscription(JointState, states, on_states, QoSProfile(depth=5000), raw=True)
-    node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 100)
-    try:
-        yield heard
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+    def close(self) -> None:
+        """Destroy the node."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.shutdown()
 
 
 class RecordedStates(NamedTuple):
@@ -168,32 +143,27 @@ class RecordedStates(NamedTuple):
         return int((steps[steps > 0] - 1).sum())
 
 
-def _readers(bag: Path, **options: Any) -> Iterator[Any]:
-    """Open the files of a bag one after the other with the reader of the mcap library."""
-    from mcap.reader import make_reader
-
-    for path in sorted(bag.glob('*.mcap')):
-        with path.open('rb') as stream:
-            yield make_reader(stream, **options)
-
-
 def recorded_states(bag: Path, topic: str = STATES) -> RecordedStates:
     """Read a topic of stamped messages."""
     rows = [
         (stamp_of(message.data), message.publish_time, message.sequence)
-        for reader in _readers(bag)
-        for _, _, message in reader.iter_messages(topics=[topic])
+        for _, _, message in _reader(bag).iter_messages(topics=[topic])
     ]
     return RecordedStates(*np.array(rows, dtype=np.int64).reshape(-1, 3).T)
 
 
-def recorded_statuses(bag: Path) -> list[tuple[int, str, dict[str, str]]]:
-    """Return publication time [ns], name and values of every status in `/diagnostics`."""
+def recorded_statuses(bag: Path) -> Iterator[tuple[int, str, dict[str, str]]]:
+    """Yield publication time [ns], name and values of every status in `/diagnostics`."""
+    for decoded in _reader(bag).iter_decoded_messages(topics=['/diagnostics']):
+        for status in decoded.decoded_message.status:
+            values = {p.key: p.value for p in status.values}
+            yield decoded.message.publish_time, status.name, values
+
+
+def _reader(bag: Path) -> Any:
+    """Open the only file of a bag with the reader of the mcap library."""
+    from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
-    return [
-        (decoded.message.publish_time, status.name, {p.key: p.value for p in status.values})
-        for reader in _readers(bag, decoder_factories=[DecoderFactory()])
-        for decoded in reader.iter_decoded_messages(topics=['/diagnostics'])
-        for status in decoded.decoded_message.status
-    ]
+    (path,) = bag.glob('*.mcap')
+    return make_reader(path.open('rb'), decoder_factories=[DecoderFactory()])

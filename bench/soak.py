@@ -3,11 +3,11 @@
 """
 Run twin, recorder and subscribers together for a long time, and check the promises.
 
-The system is a twin at 1 kHz, a recorder with a sink for viewers, four subscribers in separate
-processes, and a client that sets a parameter every ten seconds. The check is independent of the
-nodes: publication times come from the bag, read by the mcap library, and are compared with the
-stamps that the subscribers received and with the twin's reports; processor time, memory and open
-files come from the kernel. The output is Markdown; the exit code is 1 if a promise was broken.
+The system is a twin at 1 kHz, a recorder, a viewer, four subscribers in separate processes, and a
+client that sets a parameter every ten seconds. The check is independent of the nodes: it compares
+the publication times in the bag, read by the mcap library, with the stamps that the subscribers
+received and with the twin's reports; processor time, memory and open files come from the kernel.
+The exit code is 1 if a promise was broken.
 """
 
 from __future__ import annotations
@@ -23,47 +23,25 @@ import tempfile
 import time
 
 from bench import processes
-from bench.processes import RATE, SECOND, SOFT_THROW, stamp_of, STATES
-from bench.race import head
+from bench.processes import RATE, SECOND, SOFT_THROW, stamp_of, STATES, Subscriber
+from bench.tables import head
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.recording.child_process import bound_to_parent
 
-SUBSCRIBERS = 4
-"""Number of subscribers."""
+SUBSCRIBERS = 4  # number of subscribers
+CHANGE_PERIOD = 10.0  # time between changes of the parameter [s]
+SAMPLE_PERIOD = 1.0  # time between samples of memory and open files [s]
 
-CHANGE_PERIOD = 10.0
-"""Time between changes of the parameter. [s]"""
-
-SAMPLE_PERIOD = 1.0
-"""Time between samples of memory and open files. [s]"""
-
-MAX_UNREPORTED_LATENESS = 10_000_000
-"""A tick that is published later than this must be in the twin's report. [ns]"""
-
-MIN_REPORTED_LATENESS = 0.009
-"""Reported lateness of such a tick: lateness is measured shortly before publishing. [s]"""
-
-WARM_UP = 60.0
-"""Time in which buffers fill, at most a quarter of the run. [s]"""
-
-MAX_GROWTH = 4e6
-"""Largest growth of a process after warm-up, in runs of at least twice the warm-up. [bytes]"""
-
-INDEX_GROWTH = 2500.0
-"""Additional growth of the recorder: the index of two chunks per second, 14 topics. [bytes/s]"""
-
-DRAIN_PERIOD = 0.01
-"""Time between two reads of a subscriber. [s]"""
-
-QUIET_PERIOD = 0.3
-"""A subscriber that ends stops when it receives nothing for this time. [s]"""
-
-TOPICS = (STATES, '/twin/layer/joint_states')
-"""Topics whose losses are counted."""
-
-THICKNESSES = (0.0150, 0.0168)
-"""Alternating values of the parameter `layer.thickness`. [m]"""
+MAX_UNREPORTED_LATENESS = 10_000_000  # of a tick that the twin need not report [ns]
+MIN_REPORTED_LATENESS = 0.009  # of other ticks: it is measured shortly before publishing [s]
+WARM_UP = 60.0  # time in which buffers fill, at most a quarter of the run [s]
+MAX_GROWTH = 4e6  # of a process after warm-up, in runs of at least twice the warm-up [bytes]
+INDEX_GROWTH = 2500.0  # additional, by the recorder's index of two chunks per second [bytes/s]
+DRAIN_PERIOD = 0.01  # time between two reads of a subscriber [s]
+QUIET_PERIOD = 0.3  # a subscriber that ends stops when it receives nothing for this time [s]
+TOPICS = (STATES, '/twin/layer/joint_states')  # topics whose losses are counted
+THICKNESSES = (0.0150, 0.0168)  # alternating values of the parameter `layer.thickness` [m]
 
 COLUMNS = ('of one core [%]', 'memory [MB]', 'growth [MB]', 'handles', 'growth of handles')
 """Numbers of a process."""
@@ -73,15 +51,13 @@ def main(args: list[str] | None = None) -> int:
     """Run the system, print the results, and return 1 if a promise was broken."""
     parser = argparse.ArgumentParser(prog='python -m bench.soak', description=__doc__)
     parser.add_argument('--minutes', type=float, default=30.0, help='duration (default 30)')
-    parser.add_argument('--sink', default='serve', choices=('viewer', 'serve', 'file', 'none'),
-                        help='sink of the viewer (default serve, which needs no screen)')
     parser.add_argument('--subscribe', type=Path, metavar='FILE', help=argparse.SUPPRESS)
     arguments = parser.parse_args(args)
     if arguments.subscribe is not None:
         _subscribe(arguments.subscribe)
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        soak = _Soak(Path(folder), arguments.sink)
+        soak = _Soak(Path(folder))
         soak.run(60.0 * arguments.minutes)
         promises = list(soak.judge())
     print(*head(f'{arguments.minutes:g} min at 1 kHz', *COLUMNS), sep='\n')
@@ -96,7 +72,7 @@ def main(args: list[str] | None = None) -> int:
 class _Soak:
     """The processes of a run, their resource usage and exit codes."""
 
-    def __init__(self, folder: Path, sink: str) -> None:
+    def __init__(self, folder: Path) -> None:
         self.usages: dict[str, list[tuple[float, ...]]] = {}
         """Time [s], processor time [s], memory [bytes] and handles of each process."""
         self._folder = folder
@@ -104,11 +80,9 @@ class _Soak:
         self._changes: list[str] = []  # reason of each rejected change, empty if accepted
         self._codes: dict[str, int] = {}
         recorder = ('-p', f'folder:={folder}', '-p', 'name:=bag')
-        viewer = ('-p', f'sink:={sink}', '-p', f'file:={folder}/live.rrd')
         subscriber = (sys.executable, '-m', 'bench.soak', '--subscribe')
-        viewers = {'viewer': (*SOFT_THROW, 'viewer', '--ros-args', *viewer)}
         self._commands = {
-            **(viewers if sink != 'none' else {}),
+            'viewer': (*SOFT_THROW, 'viewer', '--ros-args', '-p', 'sink:=serve'),
             'recorder': (*SOFT_THROW, 'recorder', '--ros-args', *recorder),
             **{
                 f'subscriber {number}': (*subscriber, str(folder / str(number)))
@@ -126,14 +100,14 @@ class _Soak:
                 log = stack.enter_context((self._folder / f'{name}.log').open('wb'))
                 running[name] = processes.start(bound_to_parent(command), output=log)
                 stack.callback(running[name].kill)
-            heard = stack.enter_context(processes.subscriber('/nothing'))
+            heard = stack.enter_context(contextlib.closing(Subscriber('/nothing')))
             heard.wait(processes.TIMEOUT, lambda: bool(heard.values('lateness_max').size))
             self._watch({name: child.pid for name, child in running.items()}, heard, seconds)
             # The twin ends first, so that all others receive its last states.
             for name in reversed(running):
                 self._codes[name] = processes.end(running[name])
 
-    def _watch(self, pids: dict[str, int], heard: processes.Heard, seconds: float) -> None:
+    def _watch(self, pids: dict[str, int], heard: Subscriber, seconds: float) -> None:
         """Sample the usage of all processes, and change a parameter periodically."""
         from rclpy.parameter import Parameter
         from rclpy.parameter_client import AsyncParameterClient
@@ -143,8 +117,7 @@ class _Soak:
         while (now := time.monotonic()) < begin + seconds:
             for name, pid in pids.items():
                 with contextlib.suppress(OSError):  # has ended; judge() checks its exit code
-                    usage = processes.usage(pid)
-                    self.usages.setdefault(name, []).append((now, *usage))
+                    self.usages.setdefault(name, []).append((now, *processes.usage(pid)))
             if now >= begin + CHANGE_PERIOD * len(self._changes):
                 thickness = THICKNESSES[len(self._changes) % 2]
                 future = client.set_parameters([Parameter('layer.thickness', value=thickness)])
@@ -205,13 +178,10 @@ def _summary(usages: list[tuple[float, ...]]) -> tuple[float, ...]:
 
 def _late_ticks(bag: Path, states: processes.RecordedStates) -> tuple[int, int, int, int]:
     """Return the numbers of late and of unreported ticks, and of skipped ones twice."""
-    rows: dict[int, dict[str, str]] = {}
-    for published, name, values in processes.recorded_statuses(bag):
-        if name in ('/twin: timing', '/twin: load'):
-            rows[published] = rows.get(published, {}) | values
     reports: NDArray[np.float64] = np.array([
         (time, float(row['lateness_max']) + float(row['compute_max']), float(row['ticks_skipped']))
-        for time, row in rows.items()
+        for time, name, row in processes.recorded_statuses(bag)
+        if name == '/twin: timing'
     ])
     end = reports[-1, 0]  # no report covers later states
     late = states.published - states.stamps > MAX_UNREPORTED_LATENESS
@@ -233,22 +203,18 @@ def _subscribe(path: Path) -> None:
     from soft_throw_ros.configuration.interface import TWIN_TOPICS
     from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 
-    interrupts: list[int] = []  # times of SIGINT [ns]
-    signal.signal(signal.SIGINT, lambda *_: interrupts.append(time.time_ns()))
+    interrupts: list[int] = []  # signals
+    signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(f'subscriber_{path.name}')
-    states, layers = (
-        RawSubscription.of(node, topic.at('/twin'))
-        for topic in (TWIN_TOPICS.joint_states, TWIN_TOPICS.layer_joint_states)
-    )
+    states = RawSubscription.of(node, TWIN_TOPICS.joint_states.at('/twin'))
     is_done = False
     with path.open('wb', buffering=0) as stream:
         while not is_done:
             time.sleep(QUIET_PERIOD if interrupts else DRAIN_PERIOD)
             stamps = [stamp_of(message.data) for message in states.drain()]
-            layers.drain()
             stream.write(np.array(stamps, dtype='<i8').tobytes())
-            is_done = bool(interrupts) and (not stamps or stamps[-1] > interrupts[0])
+            is_done = bool(interrupts) and not stamps
 
 
 if __name__ == '__main__':

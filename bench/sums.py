@@ -9,10 +9,10 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from bench.race import Case, measure, Result
+from bench.tables import Case, measure, Result
 import numpy as np
 from soft_throw_ros.core.cell_stepper import CellStepper
-from soft_throw_ros.core.closed_form import first_release, first_releases
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.core.wave_stepper import WaveStepper
@@ -26,11 +26,8 @@ from reference.method_of_lines import first_release as release_by_lines  # noqa:
 TRUE_PHASE = 0.4815082783157032
 """Ejection phase t_e f of the default rig without gravity, from two methods with 40 digits. [-]"""
 
-MANY = 16_384
-"""Number of throws in one call. [-]"""
-
-TICKS = 1000
-"""Number of ticks in one simulated second. [-]"""
+MANY = 16_384  # number of throws in one call [-]
+TICKS = 1000  # number of ticks in one simulated second [-]
 
 GEL = Layer(stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.05)
 """The most expensive layer."""
@@ -58,10 +55,10 @@ def throws() -> Result:
         return float(stepper.events()[0].time * frequency)
 
     cases = [
-        Case('closed form', lambda: float(first_release(**ratios).ejection_phase), error=error),
+        Case('travelling waves', partial(by_waves, WaveStepper(rig)), error=error),
+        Case('closed form', lambda: float(first_releases(**ratios).ejection_phase), error=error),
         Case(f'closed form, {MANY} at once, 1 thread',
              lambda: float(first_releases(**many, threads=1).ejection_phase[0]), MANY, error),
-        Case('travelling waves', partial(by_waves, WaveStepper(rig)), error=error),
         Case('cells', partial(by_waves, CellStepper(rig)), error=error),
         Case('gel of large strain and constant loss, cells',
              lambda: float(throw_many(gel).ejection_time * frequency), error=error_of_gel),

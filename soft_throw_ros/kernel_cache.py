@@ -11,7 +11,6 @@ the sources if it cannot write there.
 from __future__ import annotations
 
 import atexit
-from collections.abc import Iterator
 import os
 from pathlib import Path
 import shutil
@@ -36,40 +35,29 @@ def use_kernel_cache() -> None:
     deleted, or not linked, so that numba compiles them again.
     """
     given = os.environ.get('NUMBA_CACHE_DIR')
+    kernels = list(_PACKAGE.glob(f'*/__pycache__/{KERNELS}'))
+    given_kernels = list(Path(given).glob(f'*/{KERNELS}')) if given else []
     if _is_usable(Path(given) if given else _PACKAGE / 'core/__pycache__'):
-        present = Path(given).glob(f'*/{KERNELS}') if given else _kernels_of_package()
-        _delete_damaged(present)
+        _delete_damaged(given_kernels if given else kernels)
         return
-    cache = _cache_of_user() or _temporary_cache()
+    user = Path(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'))  # noqa: PTH111
+    # Without a home directory the path stays relative.
+    cache = user / 'soft_throw_ros' if user.is_absolute() and _is_usable(user) else _temporary()
     os.environ['NUMBA_CACHE_DIR'] = str(cache)
-    _delete_damaged(cache.glob(f'*/{KERNELS}'))
-    if given:
-        _link(Path(given).glob(f'*/{KERNELS}'), cache)
-    _link(_kernels_of_package(), cache)
-
-
-def _kernels_of_package() -> Iterator[Path]:
-    return _PACKAGE.glob(f'*/__pycache__/{KERNELS}')
+    _delete_damaged(list(cache.glob(f'*/{KERNELS}')))
+    _link([*given_kernels, *kernels], cache)
 
 
 def _is_usable(folder: Path) -> bool:
     """Return whether files fit into a folder, or could after creating it."""
     existing = next(path for path in (folder, *folder.parents) if path.exists())
-    if not (existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)):
-        return False
     space = os.statvfs(existing)
-    return space.f_bavail * space.f_frsize >= _LEAST_SPACE
+    is_writable = existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
+    return is_writable and space.f_bavail * space.f_frsize >= _LEAST_SPACE
 
 
-def _cache_of_user() -> Path | None:
-    try:
-        base = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
-    except RuntimeError:  # there is no home directory
-        return None
-    return base / 'soft_throw_ros' if _is_usable(base) else None
-
-
-def _temporary_cache() -> Path:
+def _temporary() -> Path:
+    """Create a folder that lasts as long as the process, and print how to avoid it."""
     cache = Path(tempfile.mkdtemp(prefix='soft_throw_ros_'))
     atexit.register(shutil.rmtree, cache, ignore_errors=True)
     print(
@@ -81,23 +69,20 @@ def _temporary_cache() -> Path:
 
 
 def _is_damaged(path: Path) -> bool:
-    """Return whether a pickle is cut off: one that is complete ends with a stop."""
+    """Return whether a pickle is cut off (a complete one ends with a stop) or not readable."""
     try:
-        with path.open('rb') as file:
-            file.seek(-1, os.SEEK_END)
-            return file.read() != b'.'
-    except OSError:  # it is empty, or cannot be read
+        return not path.read_bytes().endswith(b'.')
+    except OSError:
         return True
 
 
-def _delete_damaged(paths: Iterator[Path]) -> None:
-    for path in paths:
-        if _is_damaged(path):
-            print(f'soft-throw: a damaged kernel is compiled again: {path}', file=sys.stderr)
-            path.unlink(missing_ok=True)
+def _delete_damaged(paths: list[Path]) -> None:
+    for path in filter(_is_damaged, paths):
+        print(f'soft-throw: a damaged kernel is compiled again: {path}', file=sys.stderr)
+        path.unlink(missing_ok=True)
 
 
-def _link(paths: Iterator[Path], cache: Path) -> None:
+def _link(paths: list[Path], cache: Path) -> None:
     """Link kernels to where numba looks for them in a cache, unless it has newer ones there."""
     from numba.core.caching import _CacheLocator  # there is no public function for the name
 

@@ -58,29 +58,20 @@ def stand_ins(monkeypatch):
     module(
         'ament_index_python.packages',
         get_package_share_directory=lambda _name: str(ROOT),
-        get_package_prefix=get_package_prefix,
+        get_package_prefix=lambda _name: str(ROOT),
         PackageNotFoundError=KeyError,
     )
-    return kinds
 
 
-def get_package_prefix(name):
-    """Raise for packages that are not installed."""
-    if name in not_installed:
-        raise KeyError(name)
-
-
-not_installed = set()
-
-
-def actions(name):
-    """Return the actions of a launch file, including those of groups."""
+def actions(name, kind):
+    """Return the actions of a kind in a launch file, including those of groups."""
     description = runpy.run_path(str(ROOT / 'launch' / name))['generate_launch_description']()
-    return [
+    entries = [
         action
         for entry in description.args[0]
-        for action in (entry.args[0] if kind_of(entry) == 'GroupAction' else [entry])
+        for action in (entry.args[0] if type(entry).__name__ == 'GroupAction' else [entry])
     ]
+    return [action for action in entries if type(action).__name__ == kind]
 
 
 def description_of(node):
@@ -89,39 +80,32 @@ def description_of(node):
     return URDF.from_xml_string(text.encode())
 
 
-def kind_of(action):
-    return type(action).__name__
-
-
 def nodes(**arguments):
     """Return the nodes of twin.launch.py by executable."""
     values = defaults('twin.launch.py')
     assert set(arguments) <= set(values)
-    started = actions('twin.launch.py')[-1].kwargs['function']({**values, **arguments})
+    (start,) = actions('twin.launch.py', 'OpaqueFunction')
+    started = start.kwargs['function']({**values, **arguments})
     return {node.kwargs['executable']: node.kwargs for node in started}
 
 
 def defaults(name):
     """Return the arguments of a launch file and their defaults."""
-    return {
-        action.name: action.kwargs['default_value']
-        for action in actions(name)
-        if kind_of(action) == 'DeclareLaunchArgument'
-    }
+    declared = actions(name, 'DeclareLaunchArgument')
+    return {action.name: action.kwargs['default_value'] for action in declared}
 
 
 @pytest.mark.parametrize('name', FILES)
 def test_named_files_arguments_and_executables_exist(name):
-    assert set(defaults(name)) - {'topic'} <= set(defaults('twin.launch.py'))
-    for action in actions(name):
-        if kind_of(action) == 'DeclareLaunchArgument' and action.name == 'params_file':
-            assert Path(action.kwargs['default_value']).is_file()
-        if kind_of(action) == 'IncludeLaunchDescription':
-            assert Path(action.name).is_file()
-            assert 'launch_arguments' not in action.kwargs  # would override the user's
-        if kind_of(action) == 'Node':
-            assert action.kwargs['package'] == 'soft_throw_ros'
-            assert action.kwargs['executable'] in EXECUTABLES
+    arguments = defaults(name)
+    assert set(arguments) - {'topic'} <= set(defaults('twin.launch.py'))
+    assert Path(arguments.get('params_file', __file__)).is_file()
+    for included in actions(name, 'IncludeLaunchDescription'):
+        assert Path(included.name).is_file()
+        assert 'launch_arguments' not in included.kwargs  # would override the user's
+    for node in actions(name, 'Node'):
+        assert node.kwargs['package'] == 'soft_throw_ros'
+        assert node.kwargs['executable'] in EXECUTABLES
 
 
 def test_twin_starts_alone_with_its_parameter_file():
@@ -213,24 +197,24 @@ def test_true_and_false_may_begin_with_a_capital_letter():
     started = nodes(**flags, rviz='False')
     assert set(started) == {'twin', 'recorder', 'robot_state_publisher'}
     assert started['twin']['parameters'][-1] == {'use_sim_time': True}
-    for action in actions('twin.launch.py'):
-        if kind_of(action) == 'DeclareLaunchArgument' and action.name in flags:
+    for action in actions('twin.launch.py', 'DeclareLaunchArgument'):
+        if action.name in flags:
             assert {'true', 'True', 'false', 'False'} <= set(action.kwargs['choices'])
 
 
 def test_rig_and_calibrator_follow_the_clock_of_the_twin():
-    started = [*actions('loop.launch.py'), *actions('measured.launch.py')]
-    declared = [action.kwargs for action in started if kind_of(action) == 'Node']
-    assert [node['executable'] for node in declared] == ['rig', 'calibrator', 'calibrator']
+    declared = actions('loop.launch.py', 'Node') + actions('measured.launch.py', 'Node')
+    assert [node.kwargs['executable'] for node in declared] == ['rig', *2 * ['calibrator']]
     for node in declared:
-        path, values = node['parameters']
+        path, values = node.kwargs['parameters']
         assert (path.name, values['use_sim_time'].name) == ('params_file', 'use_sim_time')
 
 
 @pytest.mark.parametrize('argument', ['description', 'use_rviz'])
 def test_missing_package_is_refused_with_its_name(monkeypatch, argument):
     monkeypatch.setenv('ROS_DISTRO', 'jazzy')
-    monkeypatch.setattr(sys.modules[__name__], 'not_installed', {'robot_state_publisher'})
-    message = rf'{argument}:=true .* apt install ros-jazzy-robot-state-publisher$'
+    installed = sys.modules['ament_index_python.packages']
+    monkeypatch.setattr(installed, 'get_package_prefix', {}.__getitem__)  # there is none
+    message = f'{argument}:=true .* apt install ros-jazzy-robot-state-publisher'
     with pytest.raises(RuntimeError, match=message):
         nodes(**{argument: 'true'})

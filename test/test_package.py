@@ -173,13 +173,6 @@ def test_wheel_installs_config_and_one_command_that_runs(wheel, environment, tmp
     assert all(name in listed for name in EXECUTABLES)
 
 
-@pytest.mark.once
-def test_checkout_finds_config_without_being_installed(environment, tmp_path):
-    python = environment / 'bin/python'
-    printed = run(python, '-c', PRINT_PATH_AND_CONFIG, cwd=tmp_path, PYTHONPATH=str(ROOT))
-    assert_finds_config(printed, ROOT)
-
-
 def test_colcon_installs_to_the_paths_of_ros_and_finds_config(colcon_prefix, tmp_path):
     share, programs = colcon_prefix / 'share/soft_throw_ros', colcon_prefix / 'lib/soft_throw_ros'
     assert {path.name for path in programs.iterdir()} == set(EXECUTABLES)

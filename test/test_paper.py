@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.closed_form import first_release, first_releases
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import WaveStepper
@@ -23,11 +23,9 @@ pytest.importorskip('matplotlib', reason='the extra [plot]')
 
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
-from best import best_ratios  # noqa: E402, I100
-import comparison  # noqa: E402
-import fits  # noqa: E402
+import comparison  # noqa: E402, I100
 import limits  # noqa: E402
-from models import SERIES  # noqa: E402
+from models import best_ratios, SERIES  # noqa: E402
 
 
 def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
@@ -71,18 +69,15 @@ def test_slow_waves_release_after_a_period_of_the_plate(x, c):
 def test_limit_of_a_light_projectile_is_that_of_appendix_c_corrected(omega_tau):
     exact = limits.exact(omega_tau)
     corrected = limits.light_projectile(omega_tau)
-    as_printed = limits.light_projectile_as_printed(omega_tau)
     assert exact.angle == pytest.approx(corrected.angle, abs=1e-9)
     assert exact.energy_transfer == pytest.approx(corrected.energy_transfer, abs=1e-9)
     assert exact.energy_transfer == pytest.approx(4.0 / (1.0 + omega_tau**2), abs=1e-7)
-    error = as_printed.energy_transfer - exact.energy_transfer
-    assert error == pytest.approx(2.0 * omega_tau**2, rel=0.05)
 
 
 def test_ejection_time_jumps_where_it_passes_an_odd_crossing():
     # Fig. 5: a jump from 3 t_s at x = 1, between C = 7.919 and 7.921
     below, above = (
-        first_release(mass_ratio=0.02, speed_ratio=kappa) for kappa in (7.919214712, 7.920798713)
+        first_releases(mass_ratio=0.02, speed_ratio=kappa) for kappa in (7.919214712, 7.920798713)
     )
     assert below.ejection_phase * 7.919214712 == pytest.approx(3.0, abs=1e-3)
     assert above.ejection_phase * 7.920798713 > 3.02
@@ -106,67 +101,38 @@ def test_without_a_layer_the_plate_throws_alone():
 
 def test_contact_strain_rises_through_zero_at_the_release():
     # A sentence of the paper states the opposite
-    throw = simulate(SERIES[1].rig(16.8e-3, damping_ratio=0.064), max_events=1)
+    throw = simulate(SERIES[1].rig(16.8e-3, damping_ratio=0.064))
     before = throw.ejection_time - 1e-3 * throw.rig.crossing_time * np.arange(50.0, -1.0, -1.0)
-    strain = throw.fields(before).strain[:, -1]
+    strain = throw.trajectory(before).strain[:, -1]
     assert (np.diff(strain) > 0.0).all()
     assert strain[-1] == pytest.approx(0.0, abs=1e-5)
 
 
-# The table in docs/paper.md: printed text, expected value and tolerance. The expected values are
-# from computations with 40 digits, or from formulas of the paper with its own numbers.
+# Numbers of the table in docs/paper.md, from computations with 40 digits, and their tolerances
 TABLE = {
-    'best x = L_s/(L_s + L_r)': ('0.8', 0.81022, 1e-4),
-    'best C = c_s/(L_s + L_r)f': ('6.7', 6.6780, 2e-4),
-    'largest alpha': ('4.12', 4.123214640552163, 1e-9),
-    'its t_e/t_s': ('between 3 and 5', 0.3994399384513 * 8.2422098072, 1e-4),
-    'its m/(rho_s S L_s)': ('0.32', 0.23423068535205, 1e-5),
-    'its c_s/(L_s f)': ('8.4', 8.2422098072057, 1e-4),
-    'alpha at these two, (0.32, 8.4)': ('4.12', 4.1101, 5e-5),
-    'alpha of a thick soft layer, x = 1': ('4', 4.0, 1e-6),
-    'largest C for that': ('7.9', 8.0, 1e-4),
-    'ridge for small x: C/sqrt(x)': ('10.2', 2.0 * math.pi * 1.619874, 2e-3),
-    'alpha on it': ('3.13', 3.127442, 1e-4),
-    'alpha on the axes, C = 0 or x = 0': ('0', 0.0, 2e-3),
-    't_e f without a layer': ('0.25', 0.25, 1e-12),
-    'alpha without a layer': ('1', 1.0, 1e-12),
-    'best f0/f of a massless spring': ('1.62', 1.619874, 1e-6),
-    'its alpha': ('3.13', 3.127442, 1e-6),
-    'period of a free layer, T_0 c_s/L_s': ('2', 2.0, 1e-5),
-    'a = T_0/L_s (s/m)': ('0.256', 2.0 / 7.8, 1e-9),
-    '(4 - alpha)/(omega tau)^2 for small omega tau': ('2', 4.0, 1e-3),
-    'factor of e^(-pi/(2 omega tau)) in omega (t_e - t_s)': ('1', -math.exp(-1.0), 1e-3),
-    'alpha (omega tau)^2 for large omega tau': ('16', 16.0, 1e-3),
-    'omega (t_e - t_s) for omega tau = 100': (
-        'pi - 2/(omega tau) + pi/(omega tau)^2', math.pi - 0.02 + math.pi * 1e-4, 1e-5
-    ),
-    'largest strain at 63.2 Hz (%)': ('below 10', (11.819685, 20.455695), 5e-3),
-    'largest strain at 31.1 Hz (%)': ('below 10', (3.050406, 5.814709), 3e-3),
-    'acceleration of the plate, A omega^2 (g)': ('3 to 16', (7.7846, 32.148), 1e-2),
-    'wave speed in the projectile, c_r (m/s)': ('1700', math.sqrt(3.6e9 / 1300.0), 1e-9),
-    'largest speed of the plate, V_p* (m/s)': ('0.8', 4e-3 * math.pi * 63.2, 1e-9),
-    'c_s/(L_r f) of the first series': ('7.57', 7.8 / (16.3e-3 * 63.2), 1e-9),
-    'c_s/(L_r f) of the second series': ('15.1', 7.8 / (8.2e-3 * 63.2), 1e-9),
-    'c_s/(L_r f) of the third series': ('34.5', 7.8 / (8.2e-3 * 31.1), 1e-9),
-    'lower frequency of the plate (Hz)': ('31.2 +- 0.1', 31.1, 0.0),
-    'change of alpha by the damping of 0.064 (%)': ('a few', (-0.753070, 12.777207), 1e-5),
+    'best x = L_s/(L_s + L_r)': (0.81022, 1e-4),
+    'best C = c_s/(L_s + L_r)f': (6.6780, 2e-4),
+    'largest alpha': (4.123214640552163, 1e-9),
+    'its t_e/t_s': (0.3994399384513 * 8.2422098072, 1e-4),
+    'its m/(rho_s S L_s)': (0.23423068535205, 1e-5),
+    'its c_s/(L_s f)': (8.2422098072057, 1e-4),
+    'alpha at these two, (0.32, 8.4)': (4.1101, 5e-5),
+    'ridge for small x: C/sqrt(x)': (2.0 * math.pi * 1.619874, 2e-3),
+    'alpha on it': (3.127442, 1e-4),
+    'best f0/f of a massless spring': (1.619874, 1e-6),
+    'its alpha': (3.127442, 1e-6),
+    'period of a free layer, T_0 c_s/L_s': (2.0, 1e-5),
+    '(4 - alpha)/(omega tau)^2 for small omega tau': (4.0, 1e-3),
+    'factor of e^(-pi/(2 omega tau)) in omega (t_e - t_s)': (-math.exp(-1.0), 1e-3),
+    'alpha (omega tau)^2 for large omega tau': (16.0, 1e-3),
+    'omega (t_e - t_s) for omega tau = 100': (math.pi - 0.02 + math.pi * 1e-4, 1e-5),
+    'largest strain at 63.2 Hz (%)': ((11.819685, 20.455695), 5e-3),
+    'largest strain at 31.1 Hz (%)': ((3.050406, 5.814709), 3e-3),
+    'change of alpha by the damping of 0.064 (%)': ((-0.753070, 12.777207), 1e-5),
 }
 
 
-def test_table_has_the_numbers_of_the_paper_and_ours():
+def test_table_has_our_numbers():
     rows = {row.quantity: row for row in comparison.published()}
-    assert {name: row.paper for name, row in rows.items()} == {
-        name: paper for name, (paper, _, _) in TABLE.items()
-    }
-    for name, (_, ours, tolerance) in TABLE.items():
+    for name, (ours, tolerance) in TABLE.items():
         assert rows[name].ours == pytest.approx(ours, abs=tolerance), name
-
-
-def test_table_explains_every_difference():
-    assert all(row.why for row in comparison.published() if not row.agrees)
-
-
-def test_plate_fit_recovers_the_true_parameters():
-    fit = fits.fit_plate(fits.plate_track())
-    assert (np.abs(fit.values - (63.2, 0.064, 2e-3, 0.0, 0.0)) < 4.0 * fit.errors).all()
-    assert fit['engine.frequency'].error < 0.05

@@ -5,17 +5,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 import itertools
 import math
 from typing import Any
 
 import numpy as np
-import rigs
+from numpy.typing import NDArray
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.stepper import Event
-from soft_throw_ros.nodes.texts import sensor_text
+from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample, Samples
@@ -24,6 +25,9 @@ from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
 
 BEGIN = 1_700_000_000 * SECOND
 TRANSPORT = 150_000  # of a sample [ns]
+
+PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
+"""Readings of the sensors at height 0. [m]"""
 
 
 def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outputs]:
@@ -74,7 +78,7 @@ class Run:
             del self._waiting[:count]
             self.on_step(self.session.advance())
             if self.session.step % round(self.session.rate) == 0:
-                self._notices += map(sensor_text, self.session.diagnose_sensors())
+                self._notices += self.session.diagnose_sensors()
         return self.outputs[first:]
 
     def on_entry(self, line: str) -> None:
@@ -113,7 +117,7 @@ class Run:
     ) -> None:
         """Measure a throw of a rig of its own by changed samples, and go on to their end."""
         kwargs.setdefault('begin_ns', self.schedule.deadline(self.session.step))
-        self.send(change(rigs.measured_throw(rig or self.rig, **kwargs)))
+        self.send(change(measured_throw(rig or self.rig, **kwargs)))
         self.receive()
 
     def results(self, stage: str) -> list[ThrowResult]:
@@ -130,7 +134,7 @@ class Run:
         return [change for outputs in self.outputs for change in outputs.phases]
 
     def notices(self) -> list[str]:
-        self._notices += map(sensor_text, self.session.diagnose_sensors())
+        self._notices += self.session.diagnose_sensors()
         return self._notices
 
     def entries(self, kind: str) -> list[dict[str, Any]]:
@@ -148,6 +152,20 @@ class Run:
         again = list(replay(self.journal, until=self.session.step, throw=throw))
         assert len(again) == len(self.outputs) - begin
         assert all(map(same, again, self.outputs[begin:]))
+
+
+STROKE = [
+    (0.0, 0.0, 0.0, 0.0), (0.015, 2e-3, 0.0, 0.0),
+    (0.03, 1e-3, -0.125, 0.0), (0.045, 0.0, 0.0, 0.0),
+]
+
+
+def stroke(row: int = 0, **changes: float) -> str:
+    """Return the CSV of a stroke from rest to rest, with changes of one of its states."""
+    names = ['t', 'z', 'velocity', 'acceleration']
+    rows = [dict(zip(names, state, strict=True)) for state in STROKE]
+    rows[row] |= changes
+    return '\n'.join([','.join(names), *(','.join(map(str, row.values())) for row in rows)])
 
 
 MEASUREMENT = TwinConfig.from_settings(TWIN.defaults()).measurement
@@ -190,3 +208,43 @@ def _content(value: Any) -> Any:
     if callable(value):
         return _content(value())
     return value.tobytes() if hasattr(value, 'tobytes') else repr(value)
+
+
+def states_at(rig: Rig, times: Iterable[float]) -> NDArray[np.float64]:
+    """Return the states of a throw at increasing times since its start, before which it rests."""
+    model, states = make_stepper(rig), []
+    for time in times:
+        model.advance_to(max(time, 0.0))
+        states.append(model.state.copy())
+    return np.array(states)
+
+
+def measured_throw(
+    rig: Rig,
+    *,
+    begin_ns: int,
+    onset: float = 0.05,
+    duration: float = 0.12,
+    rate: float = 5000.0,
+    noise: float = 0.0,
+    jitter: float = 0.0,
+    seed: int = 0,
+) -> list[Sample]:
+    """Return the samples of a throw that starts at `onset` [s]; `jitter` is in intervals."""
+    random = np.random.default_rng(seed)
+    count = round(duration * rate)
+    since = (np.arange(count) + jitter * random.uniform(-1.0, 1.0, count)) / rate
+    stamps = begin_ns + np.round(since * SECOND).astype(np.int64)
+    states = states_at(rig, ((stamps - begin_ns) / SECOND - onset).tolist())
+    rows = states[:, [PLATE_POSITION, PROJECTILE_POSITION]]
+    rows += [PLATE_ZERO, PROJECTILE_ZERO]
+    rows += noise * random.standard_normal(rows.shape)
+    return [
+        Sample(stamp, plate, projectile)
+        for stamp, (plate, projectile) in zip(stamps.tolist(), rows.tolist(), strict=True)
+    ]
+
+
+def aged(rig: Rig, factor: float) -> Rig:
+    """Return a rig with the wave speed of its layer multiplied by a factor."""
+    return replace(rig, layer=replace(rig.layer, wave_speed=factor * rig.layer.wave_speed))

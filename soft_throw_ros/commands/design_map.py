@@ -7,38 +7,20 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+import re
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.commands.options import (
-    add_dask_option,
-    add_rig_options,
-    new_file,
-    open_map,
-    read_settings,
-)
-from soft_throw_ros.commands.output import (
-    CommandParser,
-    print_lines,
-    slow_notice,
-    written_file,
-)
+from soft_throw_ros.commands import options, output
+from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import rig_of
-from soft_throw_ros.design.landscape import (
-    AXES,
-    compute_landscape,
-    Landscape,
-    Release,
-    RESULTS,
-)
+from soft_throw_ros.design.landscape import AXES, compute_landscape, Landscape, Release, RESULTS
 
 Floats = NDArray[np.float64]
 
-_POINTS = 256  # default number of points of an axis [-]
-_DPI = 150  # resolution of the picture [pixel/inch]
-
-_RANGES = {'x': '0.005:0.995', 'C': '0.05:14', 'mu': '0.01:10:log', 'kappa': '0.5:50:log'}
+_RANGE = re.compile(r'([^:-][^:]*):([^:]+)(?::([2-9]|[1-9]\d+))?(:log)?')
+_RATIOS = {'x': '0.005:0.995', 'C': '0.05:14', 'mu': '0.01:10:log', 'kappa': '0.5:50:log'}
 """Ranges of ratios that are given by name alone."""
 
 
@@ -56,52 +38,44 @@ def add_arguments(parser: CommandParser) -> None:
         help='first or last release of a throw (default first)',
     )
     add(
-        '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
+        '--output', metavar='FILE', nargs='+', type=options.new_file(*_WRITERS), default=[],
         help='.nc (NetCDF) or .png (picture)',
     )
-    add_dask_option(parser)
-    add_rig_options(parser)
+    options.add_dask_option(parser)
+    options.add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute, save and summarise the map; return 0."""
-    rig = rig_of(read_settings(arguments))
+    rig = rig_of(options.read_settings(arguments))
     axes = dict(map(_read_axis, arguments.axes or ['x', 'C']))
-    with slow_notice('design map'), open_map(arguments.dask) as run_blocks:
+    with output.slow_notice('design map'), options.open_map(arguments.dask) as run_blocks:
         landscape = compute_landscape(rig, axes, release=arguments.release, run=run_blocks)
     for path in arguments.output:
-        with written_file(path) as unfinished:
+        with output.written_file(path) as unfinished:
             _WRITERS[path.suffix](landscape, unfinished)
-    print_lines(_summary(landscape))
+    output.print_lines(_summary(landscape))
     return 0
 
 
 def _read_axis(text: str) -> tuple[str, Floats]:
     """Parse NAME=LOW:HIGH, optionally followed by :COUNT and :log, or the name of a ratio."""
     name, _, value_range = text.partition('=')
-    fields = (value_range or _RANGES.get(name, '')).split(':')
-    is_log = fields[-1] == 'log'
+    match = _RANGE.fullmatch(value_range or _RATIOS.get(name, ''))
+    low, high, count, log = match.groups() if match else ('',) * 4
     try:
-        low, high, *count = fields[: len(fields) - is_log]
-        bounds = float(low), float(high)
-        (points,) = map(int, count) if count else (_POINTS,)
+        space = np.geomspace if log else np.linspace
+        return name, space(float(low), float(high), int(count or 256))
     except ValueError:
         raise ValueError(
-            f'AXIS must be NAME=LOW:HIGH, optionally followed by :COUNT and :log, got {text!r}'
+            'AXIS must be NAME=LOW:HIGH, optionally followed by :COUNT and :log, with LOW above 0 '
+            f'for :log and COUNT of 2 or more, got {text!r}'
         ) from None
-    if points < 2 or (is_log and bounds[0] <= 0.0):
-        raise ValueError(
-            f'AXIS must have 2 points or more, and begin above 0 with :log, got {text!r}'
-        )
-    return name, (np.geomspace if is_log else np.linspace)(*bounds, points)
 
 
 def _summary(landscape: Landscape) -> Iterator[str]:
     """Describe the largest energy transfer and its position in a few lines."""
-    optimum = landscape.optimum
-    if optimum is None:
-        yield 'the projectile is released nowhere on the map'
-    else:
+    if optimum := landscape.optimum:
         position = ', '.join(
             f'{name} {value:.5g} {AXES[name].unit}'.rstrip()
             for name, value in zip(landscape.axes, optimum.coordinates, strict=True)
@@ -110,6 +84,8 @@ def _summary(landscape: Landscape) -> Iterator[str]:
             f'largest alpha {optimum.energy_transfer:.4f} at {position}; '
             f't_e f {optimum.ejection_phase:.4f}'
         )
+    else:
+        yield 'the projectile is released nowhere on the map'
     size = ' x '.join(str(values.size) for values in landscape.axes.values())
     lost = int(np.isnan(landscape.energy_transfer).sum())
     yield f'{size} throws, {landscape.release} release; {lost} have none that can be resolved'
@@ -142,7 +118,7 @@ def _draw(landscape: Landscape, path: Path) -> None:
         *panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=2,
         facecolor='0.5', labelcolor='white',
     )
-    path.write_bytes(to_png(figure, dpi=_DPI))
+    path.write_bytes(to_png(figure, dpi=150))
 
 
 def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:

@@ -10,20 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from soft_throw_ros.commands.options import (
-    add_options,
-    add_rig_options,
-    new_file,
-    read_settings,
-)
-from soft_throw_ros.commands.output import (
-    CommandParser,
-    print_result,
-    slow_notice,
-    strain_warnings,
-    table,
-    written_file,
-)
+from soft_throw_ros.commands import options, output
+from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.plate import motion_of
@@ -31,37 +19,34 @@ from soft_throw_ros.design.motion import MotionDesign, PlateLimits
 from soft_throw_ros.design.requests import solve_request
 import yaml
 
-_LIMITS = ('plate_speed', 'plate_acceleration', 'plate_travel')
-"""Limits that are options."""
-
 
 def add_arguments(parser: CommandParser) -> None:
     """Add the arguments of the task."""
     parser.add_json_option()
     parser.add_argument(
-        '--output', metavar='FILE', nargs='+', type=new_file(*_WRITERS), default=[],
+        '--output', metavar='FILE', nargs='+', type=options.new_file(*_WRITERS), default=[],
         help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory) or .png (picture)',
     )
-    names = [f'recommendation.{name}' for name in _LIMITS]
-    add_options(parser, names, title='limits of the actuator')
-    add_rig_options(parser)
+    names = [f'recommendation.plate_{name}' for name in ('speed', 'acceleration', 'travel')]
+    options.add_options(parser, names, title='limits of the actuator')
+    options.add_rig_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Design a motion, print its predictions, and write it to files; return 0."""
-    settings = read_settings(arguments)
+    settings = options.read_settings(arguments)
     settings |= {'recommendation.objective': 'peak', 'recommendation.vary': 'motion'}
-    with slow_notice('design'):
+    with output.slow_notice('design'):
         design = solve_request(settings)
         assert isinstance(design, MotionDesign)  # by the settings above
         for path in arguments.output:
-            with written_file(path) as unfinished:
+            with output.written_file(path) as unfinished:
                 _WRITERS[path.suffix](design, unfinished)
     data = {
         'parameters': {name: settings[name] for name in RIG_PARAMETERS},
         'motion': {**vars(design), 'summary': design.summary},
     }
-    print_result(data, _lines(design), as_json=arguments.json)
+    output.print_result(data, _lines(design), as_json=arguments.json)
     return 0
 
 
@@ -76,10 +61,10 @@ def _lines(design: MotionDesign) -> Iterator[str]:
     ):
         if throw is not None:
             peaks = vars(PlateLimits.of(rig.engine)).items()
-            plate = {f'plate_{key}': value for key, value in peaks if key != 'jerk'}
+            plate = {f'plate_{key}': value for key, value in peaks}
             columns[name] = {**vars(throw), **plate}
-    yield from table(columns)
-    yield from strain_warnings(design.rig.layer.linear_range, columns)
+    yield from output.table(columns)
+    yield from output.strain_warnings(design.rig.layer.linear_range, columns)
     if design.limits == PlateLimits.of(design.present.engine):
         yield (
             'The limits of the plate are those of the present motion; set others by '

@@ -6,17 +6,10 @@ from __future__ import annotations
 
 import argparse
 
+from soft_throw_ros.commands import options, output
 from soft_throw_ros.commands.identify_input import add_track_options, read_layer
 from soft_throw_ros.commands.identify_report import held_rows, IdentificationReport, Row
-from soft_throw_ros.commands.options import (
-    add_rig_options,
-    MEASURED_PARAMETERS,
-    new_file,
-    not_negative,
-    read_settings,
-    stated_parameters,
-)
-from soft_throw_ros.commands.output import CommandParser, report_io_errors, run_command
+from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG, values_of
 from soft_throw_ros.identification.ringing import fit_period, fit_wave_speed
@@ -26,7 +19,7 @@ _SIGNIFICANCE = 1e-4  # probability of a disagreement by chance, below which a w
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Warnings go to standard error."""
-    return run_command(_parser(), _run, args)
+    return output.run_command(_parser(), _run, args)
 
 
 def _parser() -> CommandParser:
@@ -37,18 +30,20 @@ def _parser() -> CommandParser:
         help='thickness of a layer, and a CSV file with a time [s] and heights of bottom and top',
     )
     add(
-        '--thickness-error', metavar='M', type=not_negative, default=1e-4,
+        '--thickness-error', metavar='M', type=options.not_negative, default=1e-4,
         help='standard error of the thicknesses (default %(default)g)',
     )
-    add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
+    add(
+        '--output', metavar='FILE', type=options.new_file(), help='parameter file of the twin'
+    )
     parser.add_json_option()
     add_track_options(parser)
-    add_rig_options(parser, MEASURED_PARAMETERS[1:])  # not the thickness
+    options.add_rig_options(parser, options.MEASURED_PARAMETERS[1:])  # not the thickness
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    settings = read_settings(arguments)
+    settings = options.read_settings(arguments)
     words = arguments.layers
     if len(words) % 2:
         raise ValueError(f'argument M FILE: must be pairs, got {words[-1]!r} alone')
@@ -56,7 +51,7 @@ def _run(arguments: argparse.Namespace) -> int:
     periods = []
     for path in paths:
         ends = read_layer(path, arguments)
-        with report_io_errors(path, ValueError):
+        with output.report_io_errors(path, ValueError):
             periods.append(fit_period(*ends))
     speed = fit_wave_speed(thicknesses, periods, thickness_error=arguments.thickness_error)
     layers = list(zip(thicknesses, periods, strict=True))
@@ -66,7 +61,7 @@ def _run(arguments: argparse.Namespace) -> int:
     ]
     warning = 'the periods are not proportional to the thicknesses (probability '
     warning += f'{speed.probability:.1g}): is it one material?'
-    known = stated_parameters(arguments) | {'layer.wave_speed'}
+    known = options.stated_parameters(arguments) | {'layer.wave_speed'}
     assumed = [name for name in DEFAULT_IS_ANOTHER_RIG if name not in known]
     values = values_of(rig_of(settings), assumed)
     IdentificationReport(

@@ -44,7 +44,7 @@ _MOTION = replace(
     choices=(),
     kind="'underdamped', 'harmonic' or the path of a file",
 )
-"""The option `--motion`; the value `measured` is missing, since commands have no sensors."""
+"""The option `--motion`, whose value may be a file."""
 
 _NAMED = 'named'
 """Attribute of the arguments with the names of the parameters that `-p` sets."""
@@ -117,17 +117,10 @@ def add_options(
 
 
 def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
-    """
-    Return complete settings: the defaults, overridden by the file, overridden by the options.
-
-    If the plate of the file is measured, use the motion of `engine.*` instead.
-
-    """
+    """Return complete settings: the defaults, overridden by the file and then by the options."""
     values = vars(arguments)
     request = {name: values[name] for name in TWIN.by_name if name in values}
     motion = request.get('engine.motion', 'harmonic')
-    if motion in TWIN.by_name['engine.motion'].choices[2:]:
-        raise ParameterError(f'argument --motion: must be {_MOTION.kind}, got {motion!r}')
     if motion not in TWIN.by_name['engine.motion'].choices:
         request |= {'engine.motion': 'file', 'engine.motion_file': motion}
     settings = files.read(values['config']) if 'config' in values else TWIN.defaults()

@@ -12,26 +12,13 @@ import importlib.util
 import json
 import math
 from pathlib import Path
-import re
 import sys
 import threading
 from typing import Any, NoReturn
 
 import numpy as np
+from soft_throw_ros.recording.rerun_text import UNITS
 from soft_throw_ros.storage.atomic_file import atomic_file
-
-_UNITS = {
-    **dict.fromkeys(('amplitude', 'thickness', 'travel', 'height'), ('mm', 1e3)),
-    **dict.fromkeys(('work', 'energy', 'heat'), ('mJ', 1e3)),
-    'time': ('ms', 1e3),
-    'speed': ('m/s', 1.0),
-    'acceleration': ('m/s2', 1.0),
-    'strain': ('%', 1e2),
-    'force': ('N', 1.0),
-    'modulus': ('kPa', 1e-3),
-    'density': ('kg/m3', 1.0),
-}
-"""Units of quantities in tables, and factors from SI, by the last word of their names."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -47,14 +34,9 @@ class CommandParser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """Print an error of usage and exit with 2."""
-        self.refuse(message, is_usage=True)
-
-    def refuse(self, message: str, *, is_usage: bool) -> NoReturn:
-        """Print an error in one line, after an error of usage a hint to --help; exit with 2."""
+        """Print an error in one line and exit with 2."""
         text = ' '.join(message.splitlines())  # a quoted argument may contain line ends
-        hint = f'{self.prog}: see --help for all options\n' if is_usage else ''
-        self.exit(2, f'{self.prog}: error: {text}\n{hint}')
+        self.exit(2, f'{self.prog}: error: {text}\n')
 
 
 def run_command(
@@ -62,12 +44,12 @@ def run_command(
     run: Callable[[argparse.Namespace], int],
     args: list[str] | None = None,
 ) -> int:
-    """Parse the arguments of a command and run it; a ValueError is reported as one of usage."""
+    """Parse the arguments of a command and run it; report a ValueError as the parser's own."""
     arguments = parser.parse_args(args)
     try:
         return run(arguments)
     except ValueError as error:
-        parser.refuse(str(error), is_usage=str(error).startswith('argument '))
+        parser.error(str(error))
 
 
 @contextlib.contextmanager
@@ -102,33 +84,16 @@ def require(feature: str, extra: str, *modules: str) -> None:
 
 
 @contextlib.contextmanager
-def slow_notice(command: str, *, after: float = 2.0) -> Iterator[None]:
-    """Print a notice to standard error if a command computes for longer than `after` [s]."""
+def slow_notice(command: str) -> Iterator[None]:
+    """Print a notice to standard error if a command computes for longer than two seconds."""
     text = 'computing; the first run compiles kernels, which takes half a minute'
-    timer = threading.Timer(after, print_note, (command, text))
+    timer = threading.Timer(2.0, print_note, (command, text))
     timer.daemon = True
     timer.start()
     try:
         yield
     finally:
         timer.cancel()
-
-
-_CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]')
-"""Control characters of a terminal, except line ends and tabs."""
-
-
-def printable(text: str) -> str:
-    r"""
-    Escape control characters, which names in an untrusted bag may contain.
-
-    Examples
-    --------
-    >>> print(printable('/a\x1b[2J'))
-    /a\x1b[2J
-
-    """
-    return _CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
 
 
 def print_note(command: str, text: str) -> None:
@@ -142,9 +107,12 @@ def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print lines without control characters."""
-    sys.stdout.write(printable('\n'.join(lines) + '\n'))
-    sys.stdout.flush()
+    """Print lines; escape control characters, which names in an untrusted bag may contain."""
+    text = ''.join(
+        letter if letter.isprintable() or letter in '\n\t' else repr(letter)[1:-1]
+        for letter in '\n'.join(lines)
+    )
+    print(text, flush=True)
 
 
 def to_json(data: object) -> str:
@@ -172,7 +140,7 @@ def table(columns: Mapping[str, Mapping[str, Any] | None]) -> Iterator[str]:
     yield table_line('', '', columns)
     names = dict.fromkeys(name for column in columns.values() for name in column or ())
     for name in names:
-        unit, scale = _UNITS.get(name.rpartition('_')[2], ('', 1.0))
+        unit, scale = UNITS.get(name.rpartition('_')[2], ('', 1.0))
         cells = [_cell((column or {}).get(name), scale) for column in columns.values()]
         if any(cell != '-' for cell in cells):
             yield table_line(name, unit, cells)

@@ -12,15 +12,8 @@ import argparse
 from collections.abc import Iterator
 from typing import Any
 
-from soft_throw_ros.commands.options import add_rig_options, read_settings
-from soft_throw_ros.commands.output import (
-    CommandParser,
-    print_result,
-    run_command,
-    slow_notice,
-    strain_warnings,
-    table,
-)
+from soft_throw_ros.commands import options, output
+from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import spring_release
@@ -41,39 +34,26 @@ def main(args: list[str] | None = None) -> int:
     parser = CommandParser(description='Predict one throw.', usage='%(prog)s [OPTION ...]')
     parser.add_json_option()
     parser.add_argument('--verbose', action='store_true', help='print all predictions')
-    add_rig_options(parser)
-    return run_command(parser, _run, args)
+    options.add_rig_options(parser)
+    return output.run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    settings = read_settings(arguments)
-    with slow_notice('throw'):
+    settings = options.read_settings(arguments)
+    with output.slow_notice('throw'):
         prediction = predict(settings)
     lines = _lines(prediction, rig_of(settings), arguments.verbose)
     uncertainty = prediction['uncertainty']
     data = {**prediction, 'uncertainty': uncertainty and uncertainty.values()}
-    print_result(data, lines, as_json=arguments.json)
+    output.print_result(data, lines, as_json=arguments.json)
     return 0 if prediction['throw'] else 1
 
 
 def predict(settings: Settings) -> dict[str, Any]:
     """
-    Predict a throw.
+    Predict a throw from the complete settings of the twin, in SI units.
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin; only rig and uncertainties matter.
-
-    Returns
-    -------
-    dict
-        All values are in SI units. `parameters` are the settings, `rig` has the ratios and times
-        that govern a throw, `throw` the whole throw, `spring` the release from a layer without
-        mass (App. A), and `uncertainty` the 95 % intervals of the first release. A part that does
-        not support this throw is None, and its note in `notes` contains the reason.
-        `leaves_linear_range` is true if the strain is too large for a linear layer.
-
+    A part of the prediction that is impossible for this throw is None; its note has the reason.
     """
     rig, uncertainties = rig_of(settings), Uncertainties.from_settings(settings)
     parts: dict[str, Any] = {}
@@ -112,9 +92,10 @@ def _spring(rig: Rig) -> dict[str, float]:
     if engine.motion:
         raise ValueError('this formula is for a harmonic plate, got a file')
     release = spring_release(frequency_ratio=rig.natural_frequency / engine.frequency)
+    phase = float(release.ejection_phase)
     return {
-        'ejection_time': float(release.ejection_phase) / engine.frequency,
-        'ejection_phase': float(release.ejection_phase),
+        'ejection_time': phase / engine.frequency,
+        'ejection_phase': phase,
         'ejection_speed': float(release.speed) * engine.speed_scale,
         'peak_plate_speed': engine.speed_scale,
         'energy_transfer': float(release.energy_transfer),
@@ -124,9 +105,7 @@ def _spring(rig: Rig) -> dict[str, float]:
 def _simulated(rig: Rig) -> dict[str, float]:
     """Simulate a throw to its end."""
     throw = simulate(rig)
-    mass, release, loads, energies = (
-        rig.projectile.mass, throw.first_release, throw.loads, throw.energies
-    )
+    mass, release, loads = rig.projectile.mass, throw.first_release, throw.loads
     rise = release.position - throw.rest_height
     projectile_energy = mass * (0.5 * release.velocity**2 + rig.gravity * rise)
     result: dict[str, float] = {
@@ -135,23 +114,19 @@ def _simulated(rig: Rig) -> dict[str, float]:
         'ejection_speed': throw.ejection_speed,
         'peak_plate_speed': throw.peak_plate_speed,
         'energy_transfer': throw.energy_transfer,
-        'recontacts': throw.recontacts,
+        'recontacts': len(throw.ejections) - 1,
         'last_ejection_time': throw.last_release.time,
         'last_ejection_speed': throw.last_release.velocity,
         'last_energy_transfer': throw.last_energy_transfer,
-        'peak_strain': throw.peak_strain,
-        'peak_plate_strain': loads.plate_strain,
-        'peak_contact_strain': loads.contact_strain,
-        'peak_acceleration': loads.acceleration,
-        'peak_plate_force': loads.plate_force,
-        'plate_work': energies.plate_work,
-        'layer_energy': energies.stored - projectile_energy,
+        **{f'peak_{name}': value for name, value in loads._asdict().items()},
+        'plate_work': throw.plate_work,
+        'layer_energy': throw.plate_work - throw.heat - projectile_energy,
         'projectile_energy': projectile_energy,
     }
     if rig.gravity:
         result['apex_height'] = throw.apex_height
-    if energies.heat:
-        result['heat'] = energies.heat
+    if throw.heat:
+        result['heat'] = throw.heat
     return result
 
 
@@ -167,9 +142,9 @@ def _lines(prediction: dict[str, Any], rig: Rig, is_verbose: bool) -> Iterator[s
         yield f'no throw: {notes["throw"].removeprefix("none, ")}'
     if uncertainty:
         yield f'With the uncertainties (uncertainty.*): {uncertainty}'
-    yield from strain_warnings(rig.layer.linear_range, {'throw': throw})
+    yield from output.strain_warnings(rig.layer.linear_range, {'throw': throw})
     if is_verbose:
         yield ''
-        yield from table({'rig': prediction['rig']})
-        yield from table({'throw': throw, 'spring': prediction['spring']})
+        for columns in (('rig',), ('throw', 'spring')):
+            yield from output.table({name: prediction[name] for name in columns})
         yield from (f'{name}: {note}' for name, note in notes.items())

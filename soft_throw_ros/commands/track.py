@@ -11,16 +11,8 @@ import math
 from pathlib import Path
 
 import numpy as np
-from soft_throw_ros.commands.options import new_file, positive
-from soft_throw_ros.commands.output import (
-    CommandParser,
-    print_lines,
-    print_note,
-    report_io_errors,
-    require,
-    run_command,
-    written_file,
-)
+from soft_throw_ros.commands import options, output
+from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.identification.spots import BODIES, follow_spots, Spot, tracks_of
 from soft_throw_ros.identification.track_csv import csv_lines
@@ -41,19 +33,19 @@ _MAX_RATE_ERROR = 0.01  # deviation from the rate in the file, beyond which a no
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Notes on missing samples go to standard error."""
-    return run_command(_parser(), _run, args)
+    return output.run_command(_parser(), _run, args)
 
 
 def _parser() -> CommandParser:
     parser = CommandParser(description=__doc__)
     add = parser.add_argument
     add('video', metavar='VIDEO', help='file that FFmpeg reads, or folder of numbered pictures')
-    add('--rate', metavar='HZ', type=positive, required=True, help='that of the camera')
+    add('--rate', metavar='HZ', type=options.positive, required=True, help='that of the camera')
     add(
-        '--scale', metavar=('M', 'PIXELS'), type=positive, nargs=2, required=True,
+        '--scale', metavar=('M', 'PIXELS'), type=options.positive, nargs=2, required=True,
         help='a known length, and its size in the pictures',
     )
-    add('--output', metavar='FILE', type=new_file(), help='CSV file (default: standard output)')
+    add('--output', metavar='FILE', type=options.new_file(), help='CSV (default: standard output)')
     add(
         '--spots', metavar='BODY,...',
         help=f'bodies of the spots from below: {", ".join(BODIES)} (default: the lowest is on the '
@@ -61,17 +53,17 @@ def _parser() -> CommandParser:
     )
     add('--light-spots', action='store_true', help='spots are lighter than their background')
     add(
-        '--overlay', metavar='FILE.png', type=new_file('.png'),
+        '--overlay', metavar='FILE.png', type=options.new_file('.png'),
         help='picture of the paths of the spots',
     )
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    require('a video', 'video', 'imageio', 'av', 'trackpy')
+    output.require('a video', 'video', 'imageio', 'av', 'trackpy')
     (length, pixels), rate = arguments.scale, arguments.rate
     bodies = arguments.spots and [body.strip() for body in arguments.spots.split(',')]
-    with report_io_errors(arguments.video, ValueError):
+    with output.report_io_errors(arguments.video, ValueError):
         spots, count = follow_spots(read_pictures(arguments.video), light=arguments.light_spots)
         if arguments.overlay:
             _draw_overlay(arguments.video, spots, arguments.overlay)
@@ -91,12 +83,12 @@ def _run(arguments: argparse.Namespace) -> int:
         *csv_lines(tracks),
     ]
     if arguments.output:
-        with written_file(arguments.output) as unfinished:
+        with output.written_file(arguments.output) as unfinished:
             unfinished.write_text('\n'.join(lines) + '\n', encoding='utf-8')
     else:
-        print_lines(lines)
+        output.print_lines(lines)
     for note in notes:
-        print_note('track', f'{arguments.video}: {note}')
+        output.print_note('track', f'{arguments.video}: {note}')
     return 0
 
 
@@ -157,5 +149,5 @@ def _draw_overlay(video: str, spots: Sequence[Spot], path: Path) -> None:
         (line,) = shown.plot(centres[:, 1], centres[:, 0])
         over_time.plot(numbers, centres[:, 0], color=line.get_color())
         shown.plot(spot.first[1], spot.first[0], 'o', mfc='none', ms=10, color=line.get_color())
-    with written_file(path) as unfinished:
+    with output.written_file(path) as unfinished:
         figure.savefig(unfinished, dpi=120, format='png')

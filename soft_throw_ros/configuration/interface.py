@@ -4,8 +4,7 @@
 Table of all topics and services; nodes, recording and docs/topics.md read it.
 
 A new topic of the twin is one row of `TwinTopics` and the line in the node that fills the message.
-The publisher, the decoding of recorded messages and docs/topics.md follow from the row. The module
-does not need ROS; `nodes.topics` creates publishers and subscriptions from the rows.
+Publishers, the decoding of recorded messages and docs/topics.md follow from the row.
 """
 
 from __future__ import annotations
@@ -14,21 +13,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-FRAME = 'rig'
-"""Frame of all messages with a header, below the namespace of the node: z points up from the
-plate's rest position."""
-
-JOINTS = ('plate', 'projectile')
-"""Joints of the rig, by their default names; `joint_names.*` of a node replaces them."""
-
-FIELD_POINTS = 64
-"""Number of published points of the layer, evenly spaced from plate to top."""
-
-ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')
-"""Columns of `~/throw_energies`."""
-
+FRAME = 'rig'  # of all messages with a header, below the namespace of the node
+JOINTS = ('plate', 'projectile')  # default names, which `joint_names.*` of a node replaces
+FIELD_POINTS = 64  # published points of the layer, evenly spaced from plate to top
 LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
-"""Joints of the layer, from plate to top."""
+ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')  # axes of `~/throw_energies`
 
 ARRAY = 'diagnostic_msgs/msg/DiagnosticArray'
 JOINT_STATE = 'sensor_msgs/msg/JointState'
@@ -99,18 +88,18 @@ class TwinTopics(NamedTuple):
         depth=_ONE_SECOND, joints=JOINTS)
     layer_joint_states: Topic = Topic(
         '~/layer/joint_states', JOINT_STATE,
-        'Height and velocity of 64 points of the layer from plate to top, and the force through '
-        'them, positive in compression, at `rate.field`',
+        'Height, velocity and compressive force of 64 points of the layer from plate to top, at '
+        '`rate.field`',
         depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
         '~/throw_field', CLOUD,
         'Strain of the layer over time t since the stamp (the start) [s] in rows and height y in '
-        'the layer at rest [m] in columns, until after the release, once per throw',
+        'the layer at rest [m] in columns, once per throw',
         is_latched=True, axes=('t', 'y', 'strain'))
     throw_energies: Topic = Topic(
         '~/throw_energies', CLOUD,
-        'Time t since the stamp (the start) [s], work of the plate, and energy of projectile, '
-        'layer and both relative to rest [J], up to the first release, once per throw',
+        'Time t [s] as above, work of the plate, and energy of projectile, layer and both [J], up '
+        'to the first release',
         is_latched=True, axes=ENERGIES)
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
@@ -122,9 +111,8 @@ class TwinTopics(NamedTuple):
         depth=_SEVERAL, is_latched=True, joints=('phase',), quantities=('position',))
     throw_result: Topic = Topic(
         '~/throw_result', ARRAY,
-        'Result of a throw, at its first release and at its end, with the time of the event as '
-        'stamp; with a measured plate also the prediction with its errors, first within 3 % and '
-        'again when it is certain',
+        'Result of a throw, at its first release and at its end, with that time as stamp; with a '
+        'measured plate also its prediction, within 3 % and again when it is certain',
         depth=2, is_latched=True)
     ejection_time: Topic = Topic(
         '~/throw/ejection_time', NUMBER,
@@ -136,31 +124,30 @@ class TwinTopics(NamedTuple):
         '~/throw/energy_transfer', NUMBER, 'Energy transfer factor alpha of this release',
         is_latched=True)
     recommendation: Topic = Topic(
-        '~/recommendation', ARRAY, 'Best layer for the rig, after every change',
-        is_latched=True)
+        '~/recommendation', ARRAY, 'Best layer for the rig, after every change', is_latched=True)
     journal: Topic = Topic(
         '~/journal', TEXT, 'All data needed to repeat the run, as lines of JSON',
         depth=_OF_A_JOURNAL, is_latched=True)
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
-        'Prediction of the projectile with a measured plate, as far ahead as possible, with the '
-        'predicted time as stamp, one message per tick of a throw',
+        'With a measured plate, the projectile as far ahead as possible, with the predicted time '
+        'as stamp, one message per tick of a throw',
         depth=_ONE_SECOND, joints=('projectile',))
     residual: Topic = Topic(
         '~/residual', JOINT_STATE,
-        'Model positions minus measured positions, if both bodies are measured, with the stamps '
-        'of the samples, until a period of the plate after the release',
+        'Model minus measured positions, if both bodies are measured, with the stamps of the '
+        'samples, until a period of the plate after the release',
         depth=_ONE_SECOND, joints=JOINTS, quantities=('position',))
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
-        'Measured positions of the plate and optionally of the projectile, stamped with the time '
-        'of the measurement, at 2 to 10 kHz',
+        'Positions of the plate and optionally of the projectile, with the time of measurement as '
+        'stamp, at 2 to 10 kHz',
         depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS, quantities=('position',),
         is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
-        'Motion of the plate for a controller, `engine.command_lead` before each throw, with the '
-        'start of the throw as stamp, if `engine.command` is true')
+        'Motion of the plate for a controller, with the start of the throw as stamp, if '
+        '`engine.command` is true')
     diagnostics: Topic = Topic(
         '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
         depth=_SEVERAL)
@@ -173,7 +160,7 @@ class RecorderTopics(NamedTuple):
         '~/status', ARRAY, 'State of the recorder and path of the bag, on change',
         depth=_SEVERAL, is_latched=True)
     diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Recorded and lost messages, and state of the viewer, at 1 Hz',
+        '/diagnostics', ARRAY, 'Recorded and lost messages, at 1 Hz',
         depth=_SEVERAL)
 
 
@@ -220,8 +207,7 @@ class TwinServices(NamedTuple):
     reset: Service = Service(
         '~/reset', TRIGGER, 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
-        '~/apply_recommendation', TRIGGER,
-        'Apply the recommended layer, amplitude or motion')
+        '~/apply_recommendation', TRIGGER, 'Apply the recommended layer, amplitude or motion')
 
 
 class RecorderServices(NamedTuple):
@@ -261,30 +247,22 @@ INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
 _FINDABLE = sorted((*TWIN_TOPICS, *RECORDER_TOPICS), key=lambda topic: -len(topic.name))
 
 
-class NodeTopic(NamedTuple):
-    """A topic with the full name of its node, empty for a topic that several nodes share."""
-
-    node: str
-    topic: Topic
-
-
-def find_topic(name: str, type_name: str) -> NodeTopic | None:
+def find_topic(name: str, type_name: str) -> tuple[str, Topic] | None:
     """
-    Return the topic and node of a full name, or None for a topic of other packages.
+    Return the node and the topic of a full name, or None for a topic of other packages.
 
-    The longest matching name has precedence, so that the layer's joint states do not match the
-    topic of a node named `layer`.
+    The node is empty for a topic that several nodes share. The longest matching name has
+    precedence, so that the layer's joint states do not match the topic of a node named `layer`.
 
     Examples
     --------
-    >>> match = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
-    >>> match.node, match.topic.name
+    >>> node, topic = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
+    >>> node, topic.name
     ('/rig1/twin', '~/layer/joint_states')
-    >>> find_topic('/camera/image', 'sensor_msgs/msg/Image')
 
     """
     for topic in _FINDABLE:
         node = name.removesuffix(resolve(topic.name, ''))
         if topic.type == type_name and node != name and bool(node) is topic.name.startswith('~'):
-            return NodeTopic(node, topic)
+            return node, topic
     return None

@@ -35,11 +35,8 @@ BOUNDS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
 })
 """Unit, smallest and largest value of each property of a layer, as fields of `Entry`."""
 
-_THINNEST_SHEET = 1e-4
-"""Smallest thickness of a sheet. [m]"""
-
-MAX_SHEETS = 200
-"""Number of sheets of a stack [-]: the thickest layer has as many of half a millimetre."""
+_THINNEST_SHEET = 1e-4  # smallest thickness of a sheet [m]
+_MAX_SHEETS = 200  # sheets of a stack: the thickest layer has as many of half a millimetre [-]
 
 STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_tangent')
 """Parameters that each sheet of a stack and the whole stack have."""
@@ -90,8 +87,8 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
     A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
     tangent, in SI units; `write_stack` writes the numbers.
     """
-    if (count := text.count(',') + 1) > MAX_SHEETS:
-        rule = f'must have at most {MAX_SHEETS} sheets, got {count}'
+    if (count := text.count(',') + 1) > _MAX_SHEETS:
+        rule = f'must have at most {_MAX_SHEETS} sheets, got {count}'
         raise ParameterError(f'layer.stack {rule}', 'layer.stack')
     try:
         return [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]

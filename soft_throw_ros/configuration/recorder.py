@@ -10,13 +10,13 @@ RECORDER = Table(
     node='recorder',
     entries=(
         row('topics', ('twin', '/diagnostics', '/parameter_events', '/rosout'),
-            'Topics to record, or namespaces of which all topics are recorded, relative to the '
-            'namespace of the recorder unless they begin with /; `/` records everything',
+            'Topics to record, and namespaces with all their topics, relative to the namespace of '
+            'the recorder unless they begin with /; `/` records everything',
             kind='the name of a topic or namespace', pattern=f'/|{NAME}'),
         row('folder', '.', 'Folder of the bags'),
         row('name', '',
-            'Name of the new bag, which must not exist; empty for a name from the current time'),
-        row('start', True, 'Start recording at once; otherwise when `~/start` is called'),
+            'Name of the new bag, which must not exist; empty for the current time'),
+        row('start', True, 'Start recording at once, without `~/start`'),
         row('compression', 'zstd', 'Compression of the chunks of the bag',
             choices=('none', 'lz4', 'zstd')),
         row('split.size', 0, 'Size after which the bag continues in a new file; 0 for never',
@@ -25,7 +25,7 @@ RECORDER = Table(
             'Time after which the bag continues in a new file; 0 for never',
             unit='s', low=1.0, high=1e6, or_zero=True),
         row('sync', False,
-            'Wait every second until the disk has stored all data, against power failures'),
+            'Store all data on the disk every second, against power failures'),
         row('buffer', 256_000_000, 'Data that may wait for the disk before messages are dropped',
             unit='byte', low=1_000_000, high=16_000_000_000),
         row('rerun.sink', 'none',
@@ -40,11 +40,10 @@ VIEWER = Table(
     node='viewer',
     entries=(
         row('topics', ('twin', '/diagnostics', '/rosout'),
-            'Topics to show, or namespaces of which all topics are shown, relative to the '
-            'namespace of the viewer unless they begin with /; `/` shows every twin',
+            'Topics to show, as of the recorder; `/` shows every twin',
             kind='the name of a topic or namespace', pattern=f'/|{NAME}'),
         row('sink', 'viewer',
-            'Display: `viewer` opens Rerun, `serve` waits for viewers, `file` writes a recording',
+            '`viewer` opens Rerun, `serve` waits for viewers, `file` writes a recording',
             choices=('viewer', 'serve', 'file')),
         row('port', 9876, 'Port of the viewer, or for viewers, on 127.0.0.1',
             low=1024, high=65535),

@@ -14,9 +14,6 @@ _LIKE_THE_TWIN = (
     'projectile.mass', 'gravity', 'throw.period', 'joint_names.plate', 'joint_names.projectile',
 )
 
-_CAUGHT = 1
-"""Landings until a throw of the simulated rig ends, as the projectile is caught. [-]"""
-
 RIG = Table(
     node='rig',
     entries=(
@@ -39,19 +36,19 @@ RIG = Table(
         row('faults.drift', 0.0, 'Drift of both heights, which changes direction every second',
             unit='m/s', low=-0.1, high=0.1),
         row('faults.projectile_scale', 1.0,
-            'Measured height of the projectile relative to the true one', low=0.5, high=2.0),
+            'Measured over true height of the projectile', low=0.5, high=2.0),
         row('faults.projectile_delay', 0.0,
-            "Delay of the projectile's heights relative to their stamps",
+            "Delay of the projectile's heights",
             unit='s', low=-2e-3, high=2e-3),
         row('faults.ringing', 0.0,
-            'Amplitude of the ringing of the plate before a periodic throw, relative to that of '
-            'the engine', low=0.0, high=0.5),
+            'Amplitude of the ringing of the plate before a periodic throw, over that of the '
+            'engine', low=0.0, high=0.5),
         row('faults.second_mode', 0.0,
-            'Amplitude of a second mode of the plate, relative to that of the engine',
+            'Amplitude of a second mode of the plate, over that of the engine',
             low=0.0, high=0.5),
         row('faults.second_mode_frequency', 310.0, 'Frequency of the second mode',
             unit='Hz', low=10.0, high=2000.0),
-        row('wear.throws', 0, 'Number of throws after which the layer ages; 0 for never',
+        row('wear.throws', 0, 'Throws after which the layer ages; 0 for never',
             low=1, high=1_000_000, or_zero=True),
         row('wear.wave_speed', 0.95, 'Wave speed of the aged layer relative to the new one',
             low=0.1, high=2.0),
@@ -64,18 +61,17 @@ CALIBRATOR = Table(
     node='calibrator',
     entries=(
         row('twin', 'twin',
-            'Name of the twin to calibrate, relative to the namespace of the calibrator unless '
-            'it begins with /', kind='the name of a node', pattern=NAME),
+            'Twin to calibrate, relative to the namespace of the calibrator unless it begins with '
+            '/', kind='the name of a node', pattern=NAME),
         row('rig', '',
-            'Name of the node `rig` that receives the recommended layer; empty to keep the '
-            'layer',
+            'Node `rig` that receives the recommended layer; empty to keep the layer',
             kind='the name of a node, or empty', pattern=f'|{NAME}'),
         row('throws', 3,
-            'Number of throws in a row that are beyond `measured.residual_threshold` of the twin, '
-            'or too noisy for it, after which the rig is identified from them', low=1, high=100),
+            'Throws in a row beyond `measured.residual_threshold` of the twin, or too noisy for '
+            'it, after which the rig is identified from them', low=1, high=100),
         row('motion_after', 0,
-            'Number of throws in a row within `measured.residual_threshold` after which the twin '
-            'commands the best motion of the plate, and the gain is measured; 0 for never',
+            'Throws in a row within that threshold after which the twin commands the best motion '
+            'of the plate, and the gain is measured; 0 for never',
             low=1, high=10_000, or_zero=True),
         *JOINT_ROWS,
     ),
@@ -88,7 +84,7 @@ def to_twin(settings: Settings) -> Settings:
     return {
         **TWIN.defaults(),
         'layer.name': 'custom',
-        'throw.max_events': _CAUGHT,
+        'throw.max_events': 1,  # the projectile is caught
         'rate.state': settings['rate'],
         **{name: settings[name] for name in _LIKE_THE_TWIN},
     }

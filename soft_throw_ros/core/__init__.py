@@ -12,9 +12,10 @@ they are imported at their first use, because numba takes half a second.
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from soft_throw_ros.core.batch import ThrowUnresolvedError
     from soft_throw_ros.core.plate import SampledMotion
     from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-    from soft_throw_ros.core.throw import simulate, Throw, throw_many, Throws, ThrowUnfinishedError
+    from soft_throw_ros.core.throw import simulate, Throw, throw_many, Throws
 
 __all__ = [
     'Engine',
@@ -23,7 +24,7 @@ __all__ = [
     'Rig',
     'SampledMotion',
     'Throw',
-    'ThrowUnfinishedError',
+    'ThrowUnresolvedError',
     'Throws',
     'simulate',
     'throw_many',

@@ -24,7 +24,7 @@ class SearchCancelledError(RuntimeError):
 
 
 class ThrowUnresolvedError(ValueError):
-    """No release within the simulated time, or none with the promised accuracy."""
+    """A throw without a release, or one that cannot be followed in time or accurately enough."""
 
 
 def check_cancelled(cancelled: Cancelled | None) -> None:

@@ -1,43 +1,73 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
+r"""
 Throws by cells of finite size: layers with loss, large strain or several sheets.
 
 Each sheet is cut into cells that its fastest wave crosses in one time step, or a little more,
 which is the longest step that is stable. At one step exactly, as in a linear layer of one
 material, the scheme has no dispersion. Sheets begin and end with a node; a sheet that is too thin
-or too stiff for one cell and an explicit step gets one that is implicit. `cell_kernels` has the
-scheme and its order.
+or too stiff for one cell and an explicit step gets one that is implicit.
+
+Notes
+-----
+Eqs. (2)-(3) of [1]_, :math:`\rho u_{tt} = \sigma_y`, with the Kelvin-Voigt stress
+:math:`\sigma = E u_y + \eta u_{ty}`. Nodes are numbered from the plate up, and link j is between
+nodes j and j + 1. A link is a cell (a spring beside a dashpot and Maxwell elements, with half of
+its mass on each of its nodes) or, as the last one, the contact, whose two nodes move as one while
+it lasts. The last node is the projectile.
+Displacements u belong to whole steps, velocities v to half steps, so that semi-implicit Euler is
+of second order,
+
+.. math::
+
+    M a^n = -K (u^n + \beta h^2 a^n) - C \frac{v^{n+1/2} + v^{n-1/2}}{2}, \qquad
+    v^{n+1/2} = v^{n-1/2} + h a^n, \qquad u^{n+1} = u^n + h v^{n+1/2}.
+
+:math:`\beta` is 0 but in cells that a wave crosses in less than a step h, where 1/4 (average
+acceleration) keeps the scheme stable. The implicit part is one tridiagonal system with constant
+coefficients, whose factors are computed once. All counts from the static equilibrium; the weight
+of the layer is left out as in [1]_.
+
+The contact force is the inertia of the projectile, which leaves when the force falls below zero,
+at the root of the cubic through four steps. After that the nodes are free of each other, and of
+the weight. In the top cell a dashpot takes away the velocity that alternates from step to step
+after the release; in one cell it is a change of second order.
+
+The nodes meet again when the gap is closed at the end of a step; from there on they are where
+momentum puts them, at the common velocity. That is how two waves meet half a cell later, so that
+events after a landing are of second order, too, though a landing is a jump.
+
+The grid is up to one step ahead of the requested time, and the state is interpolated
+between its last two steps (third order). So with a measured plate it can go as far as the last
+whole step before the horizon.
+
+References
+----------
+.. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 import math
+from typing import Any, NamedTuple
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
-from soft_throw_ros.core.cell_kernels import (
-    advance_compiled,
-    BODY,
-    POINT,
-    prepare,
-    read_layer_compiled,
-    RECORD,
-    ROUNDING,
-    ROWS,
-    stored_energy,
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, reduction, subroutine
+from soft_throw_ros.core.material import (
+    LARGEST_STRAIN,
+    relaxation,
+    RELAXATION_RATES,
+    static_stretch,
 )
-from soft_throw_ros.core.material import LARGEST_STRAIN, relaxation
-from soft_throw_ros.core.rig import Layer, Rig, Scales, scales_of, section_of, values_of
-from soft_throw_ros.core.stepper import (
-    follow_batch,
-    load_kernels,
-    require_count,
-    require_feasible,
-    Stepper,
-)
+from soft_throw_ros.core.plate_kernels import motion_at
+from soft_throw_ros.core.rig import Layer, Rig, scales_of, section_of, values_of
+from soft_throw_ros.core.stepper import Stepper
 
 Floats = NDArray[np.float64]
 
@@ -75,9 +105,686 @@ _MAX_BATCH_CELLS = 2048
 _SHOCK_SPEED = 1.055
 """Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
 
+_BODY = np.dtype(
+    [
+        ('count', 'i8'),  # number of cells
+        ('thickness', 'f8'),  # [m]
+        ('mass', 'f8'),  # [kg]
+        ('stiffness', 'f8'),  # at the plate's frequency [N/m]
+        ('lag', 'f8'),  # viscosity over stiffness [s]
+        ('max_compression', 'f8'),  # of a neo-Hookean body, 0 for a linear one [-]
+        ('relaxed', 'f8'),  # share of the spring in the stiffness [-]
+        ('tangent', 'f8'),  # largest stiffness of any state over the stiffness [-]
+        ('maxwell', 'f8', (3,)),  # shares of the Maxwell elements in the stiffness [-]
+    ]
+)
+"""A sheet, to be cut into cells of one kind."""
+
+_POINT = np.dtype(
+    [
+        ('cell', 'i8'),  # at the height
+        ('neighbour', 'i8'),  # of this cell in its sheet, or the cell itself if it has none
+        ('weight', 'f8'),  # of the neighbour for quantities in the middle of cells [-]
+        ('fraction', 'f8'),  # of the cell below the height [-]
+    ]
+)
+"""A height at which the layer is read."""
+
+_ROUNDING = 1e-9
+"""Relative rounding error of a crossing time. [-]"""
+
+_FORCE_NOISE = 1e-11
+"""Rounding of the contact force, over impedance times the plate's peak speed [-]."""
+
+_AVERAGE_ACCELERATION = 0.25
+"""Newmark's parameter beta of cells that a wave crosses in less than a step. [-]"""
+
+_FASTEST = 0.05
+"""Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
+
+_static_stretch = subroutine(static_stretch)
+
+
+class Row(NamedTuple):
+    """
+    Rows of the table of nodes and links, a column for each; the last link does not exist.
+
+    Of two rows, one is for even and one for odd steps, or one for flight and one for contact; of
+    three, each is for a Maxwell element.
+    """
+
+    displacement: int = 0  # of a node, from rest [m]
+    velocity: int = 1  # of a node, half a step earlier [m/s]
+    mean_velocity: int = 2  # at the whole step, at even and odd steps [m/s]
+    tension: int = 4  # elastic tension of a link, from rest, at even and odd steps [N]
+    previous_stretch: int = 6  # of a link, a step ago [m]
+    maxwell_stretch: int = 7  # of the springs of the Maxwell elements [m]
+    mass: int = 10  # of a node [kg]
+    stiffness: int = 11  # of a linear link [N/m]
+    third_modulus: int = 12  # third of E S, of a neo-Hookean link [N]
+    min_stretch: int = 13  # smallest stretch ratio with the neo-Hookean law [-]
+    constant_tension: int = 14  # of a neo-Hookean link [N]
+    shock_viscosity: int = 15  # artificial, over a square of a velocity [N s2/m2]
+    maxwell_stiffness: int = 16  # of the Maxwell elements [N/m]
+    viscosity: int = 19  # of a link, in flight and in contact [N s/m]
+    coupling: int = 21  # share of a link in the matrix of masses, in flight and in contact [kg]
+    elimination_factor: int = 23  # of a link: momentum that the upper node gets [-]
+    inverse_pivot: int = 25  # velocity over momentum of an eliminated node [1/kg]
+    momentum_factor: int = 27  # mass of a node if it is coupled, otherwise 1 [kg]
+    impulse_factor: int = 29  # half a step, over the mass if it is not coupled [s]
+    inverse_length: int = 31  # of a cell, 0 for the contact [1/m]
+    rest_height: int = 32  # of a node of the layer [m]
+    static_strain: int = 33  # compression of a cell at rest [-]
+    peak_strain: int = 34  # largest magnitude of the strain of a cell [-]
+    implicit_stiffness: int = 35  # of a cell that is too fast for the step [kg]
+    position: int = 36  # displacement at the requested time [m]
+    speed: int = 37  # velocity at the requested time [m/s]
+    force: int = 38  # force through a cell at the requested time, positive in compression [N]
+
+
+ROW = Row()
+"""Rows by name, constants in a kernel."""
+
+_ROW_COUNT = 39
+
+# A pair of values is in flight and in contact, or at the plate and at the top of the layer.
+RECORD = np.dtype(
+    [
+        # constants
+        ('step', 'f8'),  # [s]
+        ('rate', 'f8'),  # 2 / step [1/s]
+        ('cells', 'i8'),  # number of cells, and of the link that is the contact
+        ('is_curved', '?'),  # a sheet is neo-Hookean
+        ('has_maxwell', '?'),
+        ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
+        ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
+        ('maxwell_decay', 'f8', (3,)),  # share of the stretch that is left after a step
+        ('maxwell_gain', 'f8', (3,)),  # share of a new stretch that an element takes
+        ('mass', 'f8'),  # of the projectile [kg]
+        ('gravity', 'f8'),  # [m/s2]
+        ('release_threshold', 'f8'),  # contact force below which the projectile leaves [N]
+        ('edge_cells', 'i8', (2, 2)),  # cells that extrapolate the strain to plate and top
+        ('edge_weights', 'f8', (2,)),
+        ('collision_node', 'i8'),  # lowest of the nodes that meet the projectile as one
+        ('collision_mass', 'f8'),  # of these nodes [kg]
+        # the linear system of the mean velocities, see `_factorise`
+        ('first', 'i8', (2,)),  # first and last of the nodes that are coupled
+        ('end', 'i8', (2,)),
+        ('first_stiff', 'i8'),  # first and last link that is too fast for the step
+        ('last_stiff', 'i8'),
+        *stepper.COMMON,
+        ('plate_acceleration', 'f8'),  # [m/s2]
+        # the state of the grid
+        ('index', 'i8'),  # of the step
+        ('fraction', 'f8'),  # of the step that has passed
+        ('force', 'f8'),  # in the contact: now, and at the three steps before [N]
+        ('force_1', 'f8'),
+        ('force_2', 'f8'),
+        ('force_3', 'f8'),
+        ('known_forces', 'i8'),  # number of forces since the present contact began
+        ('below_before', 'f8'),  # displacements of the contact's nodes a step ago [m]
+        ('above_before', 'f8'),
+        # forces of the layer on plate and projectile: a step ago, before and after an event [N]
+        ('on_plate_before', 'f8'),
+        ('on_plate_until', 'f8'),
+        ('on_plate_now', 'f8'),
+        ('on_projectile_before', 'f8'),
+        ('on_projectile_until', 'f8'),
+        ('on_projectile_now', 'f8'),
+        ('power', 'f8'),  # of the plate [W]
+        ('work_before', 'f8'),  # of the plate, a step ago [J]
+    ],
+    align=True,
+)
+"""State of a throw by cells."""
+
+
+@subroutine
+def _cut(s, nodes, bodies):
+    """Cut sheets into cells; the projectile is a point."""
+    first = 0
+    for n in range(bodies.size):
+        body = bodies[n]
+        mass, spring = body.mass / body.count, body.stiffness * body.count
+        inverse = body.count / body.thickness
+        s.is_curved = s.is_curved or body.max_compression > 0.0
+        s.has_maxwell = s.has_maxwell or body.relaxed < 1.0
+        implicit, tangent = 0.0, body.tangent * spring
+        if 0.0 < math.sqrt(mass / tangent) * (1.0 + _ROUNDING) < s.step:
+            implicit = _AVERAGE_ACCELERATION * s.step * s.step * tangent
+        for j in range(first, first + body.count):
+            nodes[ROW.mass, j] += 0.5 * mass
+            nodes[ROW.mass, j + 1] += 0.5 * mass
+            nodes[ROW.inverse_length, j] = inverse
+            if body.max_compression > 0.0:
+                nodes[ROW.third_modulus, j] = body.relaxed * spring / inverse / 3.0
+                nodes[ROW.min_stretch, j] = 1.0 - body.max_compression
+                nodes[ROW.shock_viscosity, j] = mass * inverse  # von Neumann and Richtmyer
+            else:
+                nodes[ROW.stiffness, j] = body.relaxed * spring
+            for element in range(3):
+                nodes[ROW.maxwell_stiffness + element, j] = body.maxwell[element] * spring
+            nodes[ROW.viscosity, j] = nodes[ROW.viscosity + 1, j] = body.lag * spring
+            nodes[ROW.implicit_stiffness, j] = implicit
+        first += body.count
+    nodes[ROW.mass, s.cells + 1] = s.mass
+
+
+@subroutine
+def _factorise(s, nodes, case):
+    """Compute the factors of the matrix in flight (0) or in contact (1), see `_solve`."""
+    step, rigid = s.step, s.cells if case == 1 else -1
+    last = nodes.shape[1] - 1
+    mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
+    low, high = last, -1
+    s.first_stiff, s.last_stiff = last, -1
+    for j in range(last):
+        if nodes[ROW.implicit_stiffness, j] > 0.0:
+            s.first_stiff, s.last_stiff = min(s.first_stiff, j), j
+        viscous = 0.5 * step * nodes[ROW.viscosity + case, j]
+        coupling[j] = nodes[ROW.implicit_stiffness, j] + viscous
+        if coupling[j] > 0.0 or j == rigid:
+            low, high = min(low, j), max(high, j)
+    first, end = max(low, 1), high + 1  # the motion of node 0 is given
+    for j in range(1, last + 1):
+        is_coupled = first <= j <= end
+        nodes[ROW.momentum_factor + case, j] = mass[j] if is_coupled else 1.0
+        nodes[ROW.impulse_factor + case, j] = 0.5 * step / (1.0 if is_coupled else mass[j])
+    s.first[case], s.end[case] = first, end
+    factor, pivots = nodes[ROW.elimination_factor + case], nodes[ROW.inverse_pivot + case]
+    added = coupling[first - 1]
+    for j in range(first, end + 1):
+        pivot = mass[j] + added
+        if j == rigid:  # the projectile gets all of the momentum, and has the same velocity
+            factor[j], pivots[j], added = 1.0, 0.0, pivot
+        else:
+            pivots[j] = 1.0 / (pivot + coupling[j])
+            factor[j] = coupling[j] * pivots[j]
+            added = factor[j] * pivot
+
+
+@inlined
+def _across(nodes, row, j):
+    """Return the difference of a row between the ends of link j."""
+    return nodes[row, j + 1] - nodes[row, j]
+
+
+@inlined
+def _substitute(nodes, x, case, first, end):
+    """Solve for row x by Thomas's algorithm."""
+    factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
+    value = 0.0
+    for j in range(first, end + 1):
+        value = nodes[x, j] = nodes[x, j] + nodes[factor, j - 1] * value
+    value = 0.0
+    for j in range(end, first - 1, -1):
+        value = nodes[x, j] = nodes[pivot, j] * nodes[x, j] + nodes[factor, j] * value
+
+
+@inlined
+def _solve(s, nodes):
+    """
+    Compute the mean velocities w of all nodes above the plate.
+
+    They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the tensions, with the
+    matrix B of implicit cells.
+    """
+    now, case = s.index & 1, 1 if s.contact else 0
+    w, tension = ROW.mean_velocity + now, ROW.tension + now
+    momentum_factor, impulse_factor = ROW.momentum_factor + case, ROW.impulse_factor + case
+    first, end = s.first[case], s.end[case]
+    for j in range(1, nodes.shape[1]):
+        force = nodes[tension, j] - nodes[tension, j - 1]
+        start = nodes[momentum_factor, j] * nodes[ROW.velocity, j]
+        nodes[w, j] = start + nodes[impulse_factor, j] * force
+    if end < first:
+        return
+    for j in range(s.first_stiff, s.last_stiff + 1):
+        momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
+        nodes[w, j + 1] += momentum
+        if j > 0:
+            nodes[w, j] -= momentum
+    nodes[w, first] += nodes[ROW.coupling + case, first - 1] * nodes[w, first - 1]
+    _substitute(nodes, w, case, first, end)
+
+
+@subroutine
+def _prepare_contact(s, nodes):
+    """Prepare the free top, the equations of flight and contact, and the nodes of a landing."""
+    top = s.cells
+    # A dashpot that takes half of the momentum of the top in half a step ends its alternation
+    nodes[ROW.viscosity, top - 1] += s.rate * nodes[ROW.mass, top]
+    _factorise(s, nodes, 0)
+    _factorise(s, nodes, 1)
+    s.contact = True
+    # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
+    # such cells part meet as one.
+    s.collision_node = top
+    while s.collision_node > 1 and nodes[ROW.implicit_stiffness, s.collision_node - 1] > 0.0:
+        s.collision_node -= 1
+    for j in range(s.collision_node, top + 1):
+        s.collision_mass += nodes[ROW.mass, j]
+
+
+@inlined
+def _neo_hookean_stress(ratio, min_stretch):
+    """Compute the stress of a stretch ratio over E / 3, linear below `min_stretch`."""
+    inverse = 1.0 / max(ratio, min_stretch)
+    share = ratio * inverse
+    return ratio - inverse * inverse * (3.0 - (share + share))
+
+
+@subroutine
+def _prepare_rest(s, nodes):
+    """Compute strains and heights at rest: each cell carries the weight of the projectile."""
+    top, carried = s.cells, s.mass * s.gravity
+    for j in range(top):
+        inverse, modulus = nodes[ROW.inverse_length, j], nodes[ROW.third_modulus, j]
+        if modulus > 0.0:
+            ratio = _static_stretch(carried / modulus)
+            nodes[ROW.static_strain, j] = 1.0 - ratio
+            nodes[ROW.constant_tension, j] = -modulus * _neo_hookean_stress(ratio, 0.0)
+            s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
+        else:
+            nodes[ROW.static_strain, j] = carried / nodes[ROW.stiffness, j] * inverse
+        length = (1.0 - nodes[ROW.static_strain, j]) / nodes[ROW.inverse_length, j]
+        nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + length
+    s.rest_height = nodes[ROW.rest_height, top]
+    nodes[ROW.peak_strain] = nodes[ROW.static_strain]
+    s.loads[1], s.loads[2] = nodes[ROW.static_strain, 0], nodes[ROW.static_strain, top - 1]
+    s.loads[4] = s.force = carried
+    s.known_forces = 1
+    s.on_projectile_before = s.on_projectile_until = s.on_projectile_now = carried
+    s.on_plate_before = s.on_plate_until = s.on_plate_now = -carried
+
+
+@kernel
+def _prepare(
+    core: Any, nodes: Any, bodies: Any, step: float, mass: float, gravity: float, omega: float,
+    peak_force: float,
+) -> None:
+    """Complete the third record, which has the plate's motion already, and cut the bodies."""
+    s = core[2]
+    s.step, s.rate, s.mass, s.gravity = step, 2.0 / step, mass, gravity
+    s.release_threshold = -_FORCE_NOISE * peak_force
+    for n in range(bodies.size):
+        s.cells += bodies[n].count
+    for end in range(2):
+        edge = s.cells - 1 if end == 1 else 0
+        s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
+        if bodies[bodies.size - 1 if end == 1 else 0].count > 1:
+            s.edge_cells[end, 1] = edge + (1 - 2 * end)
+            s.edge_weights[end] = -0.5
+    s.event_time = s.fastest_shock = math.inf
+    for element in range(3):
+        s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
+        half = 0.5 * step * s.maxwell_rates[element]
+        s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
+        s.maxwell_gain[element] = 1.0 / (1.0 + half)
+    _cut(s, nodes, bodies)
+    _prepare_contact(s, nodes)
+    _prepare_rest(s, nodes)
+
+
+@inlined
+def _elastic_tension(s, nodes):
+    """Compute the elastic tension of all links."""
+    now = s.index & 1
+    if s.is_curved:
+        _neo_hookean_tension(s, nodes)
+    else:
+        for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
+            stretch = _across(nodes, ROW.displacement, j)
+            nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch  # E u_y, Eq. (2)
+    if s.has_maxwell:
+        _update_maxwell(s, nodes)
+
+
+@reduction
+def _neo_hookean_tension(s, nodes):
+    """Compute the tension of linear and neo-Hookean links, and of their artificial viscosity."""
+    now, fastest = s.index & 1, -s.fastest_shock
+    for j in range(nodes.shape[1] - 1):
+        stretch = _across(nodes, ROW.displacement, j)
+        ratio = 1.0 - nodes[ROW.static_strain, j] + nodes[ROW.inverse_length, j] * stretch
+        stress = _neo_hookean_stress(ratio, nodes[ROW.min_stretch, j])
+        pull = nodes[ROW.constant_tension, j] + nodes[ROW.third_modulus, j] * stress
+        closing = min(_across(nodes, ROW.velocity, j), 0.0)
+        shock = nodes[ROW.shock_viscosity, j] * closing * max(closing, fastest)
+        nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch + pull - shock
+
+
+@reduction
+def _update_maxwell(s, nodes):
+    """Add the tension of the Maxwell elements, by the trapezoidal rule."""
+    now = s.index & 1
+    decay_0, decay_1, decay_2 = s.maxwell_decay[0], s.maxwell_decay[1], s.maxwell_decay[2]
+    gain_0, gain_1, gain_2 = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
+    row, stiffness = ROW.maxwell_stretch, ROW.maxwell_stiffness
+    for j in range(nodes.shape[1] - 1):
+        stretch = _across(nodes, ROW.displacement, j)
+        change = stretch - nodes[ROW.previous_stretch, j]
+        nodes[ROW.previous_stretch, j] = stretch
+        first = decay_0 * nodes[row, j] + gain_0 * change
+        second = decay_1 * nodes[row + 1, j] + gain_1 * change
+        third = decay_2 * nodes[row + 2, j] + gain_2 * change
+        nodes[row, j], nodes[row + 1, j], nodes[row + 2, j] = first, second, third
+        tension = nodes[stiffness, j] * first
+        tension += nodes[stiffness + 1, j] * second + nodes[stiffness + 2, j] * third
+        nodes[ROW.tension + now, j] += tension
+
+
+@inlined
+def _link_tension(nodes, j, parity, case, rate):
+    """
+    Compute the tension of a link, viscous part included, at one of the last two steps.
+
+    `rate` is 2 / h at the last step, and -2 / h at the step before.
+    """
+    opening = _across(nodes, ROW.mean_velocity + parity, j)
+    change = opening - nodes[ROW.velocity, j + 1] + nodes[ROW.velocity, j]
+    viscous = nodes[ROW.viscosity + case, j] * opening  # eta u_ty, added to Eq. (2)
+    implicit = nodes[ROW.implicit_stiffness, j] * change * rate
+    return nodes[ROW.tension + parity, j] + viscous + implicit
+
+
+@inlined
+def _contact_forces(s, nodes):
+    """Compute the forces of the layer on plate and projectile."""
+    now, j, case = s.index & 1, s.cells + 1, 1 if s.contact else 0
+    weight = s.mass * s.gravity
+    s.on_projectile_now = 0.0
+    if s.contact:
+        s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
+        change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
+        s.force = s.on_projectile_now = weight + s.mass * s.rate * change
+        s.known_forces += 1
+    inertia = nodes[ROW.mass, 0] * s.plate_acceleration
+    s.on_plate_now = _link_tension(nodes, 0, now, case, s.rate) - inertia - weight
+
+
+@subroutine
+def _first_root(a, b, c, d):
+    """Find the root of a + b x + c x^2 + d x^3 in a step, to the last bit."""
+    low, high = 0.0, 1.0
+    while True:
+        x = 0.5 * (low + high)
+        if not low < x < high:
+            return x
+        if a + x * (b + x * (c + x * d)) < 0.0:
+            high = x
+        else:
+            low = x
+
+
+@subroutine
+def _handle_release(s, nodes, events):
+    """Release the projectile at the root of the force, which is below zero now."""
+    after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
+    if s.known_forces < 4:  # so short after a landing it is a line
+        earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
+    third = (after - first + 3.0 * (earlier - before)) / 6.0
+    second = 0.5 * (earlier + after) - before
+    slope = after - before - second - third
+    t = _first_root(before, slope, second, third)
+    # Impulse of the force less the weight from half of the step on; the mean velocity of the step
+    # is that at its middle and a 24th of its curvature
+    impulse = (before - s.mass * s.gravity) * (t - 0.5) + slope * (t**2 - 0.25) / 2.0
+    impulse += second * (t**3 - 0.125) / 3.0 + third * (t**4 - 0.0625) / 4.0
+    impulse -= (after - before) / 24.0
+    velocity = nodes[ROW.velocity, s.cells + 1] + s.step * impulse / s.mass
+    if s.events == 0:
+        _find_largest_strain(s, nodes)
+    height, _ = _motion(s, nodes, s.cells + 1, t)
+    stepper.note_event(s, events, (s.index - 1 + t) * s.step, height, velocity)
+
+
+@subroutine
+def _handle_landing(s, nodes, events):
+    """Land the projectile at the root of the gap, which is negative now."""
+    j, projectile_node = s.cells, s.cells + 1
+    u, v = nodes[ROW.displacement], nodes[ROW.velocity]
+    before = nodes[ROW.mean_velocity + 1 - (s.index & 1)]
+    gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
+    bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
+    t = _first_root(gap, closed - gap - bend, bend, 0.0)
+    speed, change = v[projectile_node], v[projectile_node] - before[projectile_node]
+    height = u[projectile_node] - s.step * (1.0 - t) * (speed + t * change)
+    velocity = speed - s.gravity * s.step * (t - 0.5)
+    overlap, approach = u[j] - u[j + 1], v[j] - v[j + 1]
+    below_share = s.collision_mass / (s.collision_mass + s.mass)
+    for k in range(s.collision_node, j + 1):
+        u[k] -= (1.0 - below_share) * overlap
+        v[k] -= (1.0 - below_share) * approach
+    u[projectile_node] += below_share * overlap
+    v[projectile_node] += below_share * approach
+    s.known_forces = 0
+    stepper.note_event(s, events, (s.index - 1 + t) * s.step, height, velocity)
+
+
+@inlined
+def _march(s, nodes, path, events, goal):
+    """Advance to step `goal`, or into one with more events than there is room for."""
+    step, link = s.step, s.cells
+    while s.index < goal and s.events <= events.shape[0]:
+        before, now = s.index & 1, 1 - (s.index & 1)
+        s.below_before = nodes[ROW.displacement, link]
+        s.above_before = nodes[ROW.displacement, link + 1]
+        for j in range(nodes.shape[1]):
+            velocity = 2.0 * nodes[ROW.mean_velocity + before, j] - nodes[ROW.velocity, j]
+            nodes[ROW.velocity, j] = velocity  # v^{n+1/2} = v^{n-1/2} + h a^n
+            nodes[ROW.displacement, j] += step * velocity  # u^{n+1} = u^n + h v^{n+1/2}
+        s.index += 1
+        s.event_time = math.inf
+        s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
+        s.work_before = s.work
+        height, speed, s.plate_acceleration = motion_at(s, path, s.index * step)
+        nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + now, 0] = height, speed
+        nodes[ROW.velocity, 0] = speed - 0.5 * step * s.plate_acceleration
+        gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
+        lands = not s.contact and gap < 0.0
+        if lands:
+            _handle_landing(s, nodes, events)
+        _elastic_tension(s, nodes)
+        leaves = False
+        while True:
+            if not s.contact:  # both sides of the contact are free of the weight
+                nodes[ROW.tension + now, link] = s.mass * s.gravity
+            _solve(s, nodes)
+            _contact_forces(s, nodes)
+            if leaves:
+                break
+            s.on_plate_until = s.on_plate_before if lands else s.on_plate_now
+            s.on_projectile_until = s.on_projectile_before if lands else s.on_projectile_now
+            leaves = s.contact and not lands and s.force < s.release_threshold
+            if not leaves:
+                break
+            _handle_release(s, nodes, events)  # and compute the step again, in flight
+        if s.events == 0:
+            _compare_loads(s, nodes)
+        elif s.events > 1 or s.event_time == math.inf:
+            continue
+        power = -s.on_plate_now * nodes[ROW.mean_velocity + (s.index & 1), 0]
+        duration = min(s.index * step, s.event_time) - (s.index - 1) * step
+        s.work += duration * (s.power + 0.5 * duration / step * (power - s.power))
+        s.power = power
+
+
+@inlined
+def _strain_of(nodes, row, j):
+    """Compute the strain of a cell from the row of displacements or of positions."""
+    return _across(nodes, row, j) * nodes[ROW.inverse_length, j] - nodes[ROW.static_strain, j]
+
+
+@inlined
+def _compare_loads(s, nodes):
+    """Update the running maxima."""
+    for j in range(nodes.shape[1] - 1):
+        strain = abs(_strain_of(nodes, ROW.displacement, j))
+        if strain > nodes[ROW.peak_strain, j]:  # noqa: PLR1730 - numba makes vectors of this
+            nodes[ROW.peak_strain, j] = strain
+    for end in range(2):
+        strain = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 0])
+        inner = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 1])
+        strain += s.edge_weights[end] * (inner - strain)
+        s.loads[1 + end] = max(s.loads[1 + end], abs(strain))
+    s.loads[3] = max(s.loads[3], s.on_projectile_now / s.mass - s.gravity)
+    s.loads[4] = max(s.loads[4], abs(s.on_plate_now))
+
+
+@subroutine
+def _find_largest_strain(s, nodes):
+    """Find the largest strain of all cells and both ends."""
+    largest = max(s.loads[1], s.loads[2])
+    for j in range(s.cells):
+        largest = max(largest, nodes[ROW.peak_strain, j])
+    s.loads[0] = largest
+
+
+@subroutine
+def _motion(s, nodes, j, fraction):
+    """Interpolate displacement and velocity of a node between the last two steps."""
+    u, v, step = nodes[ROW.displacement, j], nodes[ROW.velocity, j], s.step
+    if s.index == 0:
+        return u, v
+    now, t = s.index & 1, fraction
+    # Changes of velocity in half a step, of an acceleration that is linear in time
+    old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
+    before = u - step * v
+    if j >= s.cells:  # which a landing may have moved
+        before = s.below_before if j == s.cells else s.above_before
+    bend = old * (2.0 - t) + new * (1.0 + t)
+    height = before + t * (u - before) - step * t * (1.0 - t) * bend / 3.0
+    turn = old * (2.0 * t - t * t - 2.0 / 3.0) + new * (t * t - 1.0 / 3.0)
+    return height, v + turn
+
+
+@kernel
+def _advance(core, nodes, path, events, time):
+    """Advance to `time`; return the number of events until now, or an error code."""
+    grid, s = core[0], core[1]
+    step = grid.step
+    goal = stepper.steps_until(s, step, time)
+    if goal < 0:
+        return goal
+    if goal * step < time:
+        goal += 1
+    if goal * step > grid.horizon:
+        return stepper.BEYOND_HORIZON
+    _march(grid, nodes, path, events, goal)
+    if grid.events > events.shape[0]:
+        core[1] = core[0]
+        return stepper.TOO_MANY_EVENTS
+    if grid.events == 0:
+        _find_largest_strain(grid, nodes)
+    piece = s.piece
+    core[1] = core[0]
+    if time < s.piece_begin:  # the grid is further on
+        s.piece = piece
+    s.time = time
+    s.fraction = 1.0
+    if goal > 0:
+        s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
+    on_plate, on_projectile, weight = s.on_plate_now, s.on_projectile_now, 1.0
+    if time < s.event_time:  # the event is still to come
+        until = min(max(s.event_time / step - (goal - 1), 1e-9), 1.0)
+        s.work = s.work_before + s.fraction / until * (s.work - s.work_before)
+        if s.event_time < math.inf:
+            s.contact = not s.contact
+            s.events -= 1
+        on_plate, on_projectile, weight = s.on_plate_until, s.on_projectile_until, s.fraction
+    state = s.state
+    state[stepper.TIME] = time
+    state[stepper.PLATE_POSITION], state[stepper.PLATE_VELOCITY], _ = motion_at(s, path, time)
+    height, state[stepper.PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.fraction)
+    state[stepper.PROJECTILE_POSITION] = s.rest_height + height
+    s.surface, _ = _motion(s, nodes, s.cells, s.fraction)
+    rise = on_plate - s.on_plate_before
+    state[stepper.PLATE_FORCE] = s.on_plate_before + weight * rise
+    rise = on_projectile - s.on_projectile_before
+    state[stepper.PROJECTILE_FORCE] = s.on_projectile_before + weight * rise
+    return s.events
+
+
+@subroutine
+def _move_nodes(s, nodes):
+    """Interpolate all nodes, and the forces through all cells, at the requested time."""
+    now, fraction = s.index & 1, s.fraction if s.index > 0 else 1.0
+    for j in range(nodes.shape[1]):
+        nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, fraction)
+    nodes[ROW.position, 0] = s.state[stepper.PLATE_POSITION]
+    nodes[ROW.speed, 0] = s.state[stepper.PLATE_VELOCITY]
+    case, weight = 1 if s.contact else 0, s.mass * s.gravity
+    for j in range(nodes.shape[1] - 1):
+        earlier = _link_tension(nodes, j, 1 - now, case, -s.rate)
+        later = _link_tension(nodes, j, now, case, s.rate)
+        nodes[ROW.force, j] = weight - earlier - fraction * (later - earlier)
+
+
+@kernel
+def _read_layer(core, nodes, points, out):
+    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    s = core[1]
+    _move_nodes(s, nodes)
+    one = np.uintp(1)  # any other index is looked at whether it counts from the end
+    for n in range(points.size):
+        j, k = np.uintp(points[n].cell), np.uintp(points[n].neighbour)
+        fraction, weight = points[n].fraction, points[n].weight
+        below = nodes[ROW.rest_height, j] + nodes[ROW.position, j]
+        above = nodes[ROW.rest_height, j + one] + nodes[ROW.position, j + one]
+        below_speed, above_speed = nodes[ROW.speed, j], nodes[ROW.speed, j + one]
+        out[0, n] = below + fraction * (above - below)
+        out[1, n] = below_speed + fraction * (above_speed - below_speed)
+        out[2, n] = nodes[ROW.force, j] + weight * (nodes[ROW.force, k] - nodes[ROW.force, j])
+        if out.shape[0] > 3:
+            strain = _strain_of(nodes, ROW.position, points[n].cell)
+            neighbour_strain = _strain_of(nodes, ROW.position, points[n].neighbour)
+            out[3, n] = strain + weight * (neighbour_strain - strain)
+
+
+@subroutine
+def _elastic_energy(ratio, min_stretch):
+    """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
+    x = max(ratio, min_stretch)
+    beyond, slope = ratio - x, 1.0 + 2.0 / x**3
+    return 0.5 * x**2 + 1.0 / x + beyond * (x - 1.0 / x**2 + 0.5 * beyond * slope)
+
+
+@kernel
+def _stored_energy(core: Any, nodes: Any) -> float:
+    """Add up kinetic and potential energy against rest."""
+    s = core[1]
+    _move_nodes(s, nodes)
+    position, speed = nodes[ROW.position], nodes[ROW.speed]
+    weight = s.mass * s.gravity
+    total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
+    total += weight * (position[0] + position[s.cells + 1] - position[s.cells])
+    remainder = (1.0 - s.fraction) * s.step if s.index > 0 else 0.0
+    for j in range(position.size - 1):
+        stretch = position[j + 1] - position[j]
+        total += 0.5 * nodes[ROW.stiffness, j] * stretch**2
+        if nodes[ROW.third_modulus, j] > 0.0:
+            start, min_stretch = 1.0 - nodes[ROW.static_strain, j], nodes[ROW.min_stretch, j]
+            elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j], min_stretch)
+            elastic -= _elastic_energy(start, min_stretch)
+            total += nodes[ROW.third_modulus, j] / nodes[ROW.inverse_length, j] * elastic
+            total += nodes[ROW.constant_tension, j] * stretch
+        for element in range(3):  # which go on by their last rate
+            maxwell = nodes[ROW.maxwell_stretch + element, j]
+            change = nodes[ROW.previous_stretch, j] - stretch
+            maxwell -= change - remainder * s.maxwell_rates[element] * maxwell
+            total += 0.5 * nodes[ROW.maxwell_stiffness + element, j] * maxwell**2
+        total += 0.5 * nodes[ROW.mass, j + 1] * speed[j + 1] ** 2
+    return total  # type: ignore[no-any-return]
+
+
+_RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
+_advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
+_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, nb.from_dtype(_POINT)[::1], _ROWS)
+
 
 def reading_points(bodies: NDArray[np.void], count: int) -> NDArray[np.void]:
-    """Return a `POINT` for each of some even heights from plate to top of a cut layer."""
+    """Return a `_POINT` for each of some even heights from plate to top of a cut layer."""
     counts = bodies['count']
     sheets = np.repeat(np.arange(counts.size), counts)
     lengths = (bodies['thickness'] / counts)[sheets]
@@ -91,10 +798,14 @@ def reading_points(bodies: NDArray[np.void], count: int) -> NDArray[np.void]:
     neighbour = cell
     for other in (cell - nearer, cell + nearer):
         neighbour = np.where(sheets_around[other + 1] == sheets[cell], other, neighbour)
-    points = np.empty(count, POINT)
+    points = np.empty(count, _POINT)
     points['cell'], points['neighbour'] = cell, neighbour
     points['weight'], points['fraction'] = (fraction - 0.5) * (neighbour - cell), fraction
     return points
+
+
+def _arrays_of(rig: Rig) -> dict[str, Floats]:
+    return {name: np.array([value]) for name, value in values_of(rig).items()}
 
 
 def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.void], Floats]:
@@ -102,7 +813,7 @@ def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.
     Make the sheets of layers, and the crossing times of their fastest waves.
 
     The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
-    proportions of all layers. The results have the shape (n, sheets): `BODY` without numbers of
+    proportions of all layers. The results have the shape (n, sheets): `_BODY` without numbers of
     cells, and times [s].
     """
     shares = np.array([
@@ -116,7 +827,7 @@ def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.
     scales, thickness = scales_of(values), values['thickness']
     mass = values['density'] * section_of(values['diameter']) * thickness
     wholes = np.stack([thickness, mass, scales.crossing_time, values['loss_tangent']])
-    bodies = np.zeros((thickness.size, len(layer.sheets)), BODY)
+    bodies = np.zeros((thickness.size, len(layer.sheets)), _BODY)
     bodies['thickness'], bodies['mass'], crossing, losses = wholes[:, :, None] * shares[:, None]
     bodies['stiffness'] = bodies['mass'] / crossing**2
     bodies['relaxed'] = 1.0
@@ -134,28 +845,25 @@ def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.
     return bodies, crossing / fastest
 
 
-def _make_sheets(rig: Rig) -> tuple[NDArray[np.void], Floats]:
-    """Return a `BODY` for each sheet, and the crossing times of its fastest wave [s]."""
-    values = {name: np.array([value]) for name, value in values_of(rig).items()}
-    bodies, crossings = make_bodies(values, rig.layer)
-    return bodies[0], crossings[0]
-
-
-def count_cells(crossings: Floats, step: Floats | float) -> NDArray[np.int64]:
-    """Count the cells of sheets that their fastest wave crosses in a step or a little more."""
-    return np.maximum(1, (crossings / step * (1.0 + ROUNDING)).astype(np.int64))
-
-
-def cut_layer(rig: Rig, *, cells: int) -> tuple[float, NDArray[np.void]]:
+def _cut_layers(
+    values: Mapping[str, Floats], layer: Layer, cells: Any
+) -> tuple[Floats, NDArray[np.void]]:
     """
-    Cut the layer of a rig into about so many cells, at least 1 per sheet.
+    Cut layers into about so many cells, at least 1 per sheet; arguments as of `make_bodies`.
 
-    Returns the time step [s], and a `BODY` for each sheet from the plate up.
+    Returns time steps [s], and a `_BODY` for each sheet from the plate up.
     """
-    bodies, crossings = _make_sheets(rig)
-    step = float(crossings.sum()) / cells
-    bodies['count'] = count_cells(crossings, step)
-    return step, bodies
+    bodies, crossings = make_bodies(values, layer)
+    steps = crossings.sum(axis=1) / cells
+    counts = (crossings / steps[:, None] * (1.0 + _ROUNDING)).astype(np.int64)
+    bodies['count'] = np.maximum(1, counts)
+    return steps, bodies
+
+
+def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
+    """Return the numbers of cells that errors of 1e-4 need."""
+    needed = np.maximum(_CELLS_PER_RELAXATION / mass_ratio, _STEPS_PER_PERIOD / speed_ratio)
+    return np.ceil(np.maximum(needed, _CELLS))
 
 
 def cells_per_layer(rig: Rig) -> int:
@@ -173,16 +881,16 @@ def cells_per_layer(rig: Rig) -> int:
     64
 
     """
-    rate = 1.0 / float(_make_sheets(rig)[1].sum())  # of updates, over the square of the cells
-    updates = _CELLS**2 * rate
-    require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, 'cell updates per second')
+    _, crossings = make_bodies(_arrays_of(rig), rig.layer)
+    rate = 1.0 / float(crossings.sum())  # of updates, over the square of the cells
+    updates, unit = _CELLS**2 * rate, 'cell updates per second'
+    stepper.require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, unit)
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
     for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
-    require_feasible(rig, 'projectile.mass', for_mass, limit, 'cells')
+    stepper.require_feasible(rig, 'projectile.mass', for_mass, limit, 'cells')
     for_plate = math.ceil(_MIN_STEPS_PER_PERIOD / rig.speed_ratio)
-    require_feasible(rig, 'engine.frequency', for_plate, limit, 'cells')
-    needed = max(_CELLS_PER_RELAXATION / rig.mass_ratio, _STEPS_PER_PERIOD / rig.speed_ratio)
-    return min(max(_CELLS, math.ceil(min(needed, MAX_CELLS))), limit)
+    stepper.require_feasible(rig, 'engine.frequency', for_plate, limit, 'cells')
+    return int(min(_needed_cells(rig.mass_ratio, rig.speed_ratio), limit))
 
 
 def throw_batch(
@@ -193,7 +901,7 @@ def throw_batch(
     cancelled: Cancelled | None = None,
 ) -> Floats:
     """
-    Compute first releases and loads for `throws.throw_many`, unchecked but for `cells`.
+    Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
     The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
     proportions of all layers. The number of cells, 8 to `MAX_CELLS`, is chosen for each throw by
@@ -201,33 +909,23 @@ def throw_batch(
     shocks. The result is that of `stepper.follow_batch`.
     """
     if cells is not None:
-        require_count('cells', cells, low=8, high=MAX_CELLS)
+        stepper.require_count('cells', cells, low=8, high=MAX_CELLS)
     scales = scales_of(values)
-    bodies, crossings = make_bodies(values, layer)
-    steps = crossings.sum(axis=1) / (_choose_cells(scales, layer) if cells is None else cells)
-    bodies['count'] = count_cells(crossings, steps[:, None])
+    finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
+    needed = np.ceil(finer * _needed_cells(scales.mass_ratio, scales.speed_ratio))
+    steps, bodies = _cut_layers(values, layer, cells or np.minimum(needed, _MAX_BATCH_CELLS))
     omega = scales.angular_frequency
     peak_force = values['amplitude'] * omega * scales.impedance
     columns = steps, values['mass'], values['gravity'], omega, peak_force
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        nodes = np.zeros((ROWS, bodies['count'][n].sum() + 2))
-        prepare(core, nodes, bodies[n], *(column[n] for column in columns))
+        nodes = np.zeros((_ROW_COUNT, bodies['count'][n].sum() + 2))
+        _prepare(core, nodes, bodies[n], *(column[n] for column in columns))
         return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
 
-    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, math.nan, cancelled)
-
-
-def _choose_cells(scales: Scales, layer: Layer) -> NDArray[np.int64]:
-    """Choose the numbers of cells of the layers in `throw_batch`."""
-    finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
-    counts = np.full(scales.mass_ratio.shape, int(finer * _CELLS))
-    needed = finer * np.maximum(
-        _CELLS_PER_RELAXATION / scales.mass_ratio, _STEPS_PER_PERIOD / scales.speed_ratio
+    return stepper.follow_batch(
+        RECORD, _advance_compiled(), prepare_throw, values, scales.longest_wait, cancelled
     )
-    while (too_few := (counts < needed) & (counts < _MAX_BATCH_CELLS)).any():
-        counts[too_few] *= 2
-    return counts
 
 
 class CellStepper(Stepper):
@@ -271,20 +969,21 @@ class CellStepper(Stepper):
         field_points: int = 64,
     ) -> None:
         cells = cells_per_layer(rig) if cells is None else cells
-        require_count('cells', cells, low=1, high=MAX_CELLS)
-        self.step, bodies = cut_layer(rig, cells=cells)
+        stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
+        steps, (bodies,) = _cut_layers(_arrays_of(rig), rig.layer, cells)
+        self.step = float(steps[0])
         self.cells = int(bodies['count'].sum())
         self.cost = _UPDATE_COST * (self.cells + 2) / self.step
         super().__init__(
-            rig, RECORD, np.zeros((ROWS, self.cells + 2)),
+            rig, RECORD, np.zeros((_ROW_COUNT, self.cells + 2)),
             is_measured=is_measured, field_points=field_points,
         )
         self._reading = (reading_points(bodies, field_points),)
-        prepare(
+        _prepare(
             self._core, self._layer, bodies, self.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
         )
-        self._start(advance_compiled(), read_layer_compiled())
+        self._start(_advance_compiled(), _read_layer_compiled())
 
     @property
     def horizon(self) -> float:
@@ -299,11 +998,10 @@ class CellStepper(Stepper):
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""
-        return float(stored_energy(self._core, self._layer))
+        return float(_stored_energy(self._core, self._layer))
 
 
 def warm_up() -> None:
     """Compile or load all kernels."""
-    load_kernels(CellStepper(Rig(), is_measured=True, field_points=2))
-    values = {name: np.array([value]) for name, value in values_of(Rig()).items()}
-    throw_batch(values, Layer(), cells=8)
+    stepper.load_kernels(CellStepper(Rig(), is_measured=True, field_points=2))
+    throw_batch(_arrays_of(Rig()), Layer(), cells=8)

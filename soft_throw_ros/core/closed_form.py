@@ -8,7 +8,7 @@ measured plates need `soft_throw_ros.core.wave_stepper`.
 
 Notes
 -----
-Time in crossings :math:`t_s`, speed in units of the plate's `velocity_factor`, so that
+Time in crossings :math:`t_s`, speed in :math:`A \omega / \sqrt{1 - \zeta^2}`, so that
 :math:`V_p = \Im e^{\lambda t}`. In the wave interval :math:`k`, that is
 :math:`t = 2 k + 1 + \sigma` with :math:`0 \le \sigma \le 2`, upward wave and mass move with
 
@@ -33,6 +33,14 @@ one more interval costs :math:`O(k)` and no transcendental function. The contact
 falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. (14) is
 :math:`k = 1`, where it stops.
 
+The interval of release is found from G at the ends of intervals; within it the root is bracketed
+and polished by Newton's iteration. In interval 0 the bracket is certain. Later, G may dip to 0 in
+an interval at whose end it is positive again; in dense scans of 10^5 throws it did so only with G
+at one end of the interval below 0.28 :math:`\omega t_s` (with gravity: 0.8 times the largest
+steady amplitude so far) and rising at its end. Hence every minimum is looked for if G comes below
+1 (with gravity: 2) and does not clearly fall. With gravity G may also be negative at the end for
+the second time (never seen for k <= 3 and :math:`\kappa > 4`).
+
 """
 
 from __future__ import annotations
@@ -43,9 +51,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.batch import run_batches, ThrowUnresolvedError
+from soft_throw_ros.core.batch import run_batches
 from soft_throw_ros.core.kernels import inlined, kernel, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratio
+from soft_throw_ros.core.rig import MAX_PERIODS
+
+Floats = NDArray[np.float64]
 
 MAX_INTERVALS = 2048
 """Most wave intervals (two crossings each) before the computation gives up with an error. [-]"""
@@ -74,59 +85,14 @@ _FIRST = np.int64(0)
 
 class FirstRelease(NamedTuple):
     r"""
-    Time, speed and energy of first releases in ratios, as floats or arrays.
+    Time, speed and energy of first releases in ratios, as arrays of one shape.
 
     They are :math:`t_e f`, :math:`V_e / (A \omega)` and :math:`\alpha = (V_e / V_p^*)^2`.
     """
 
-    ejection_phase: float | NDArray[np.float64]
-    speed: float | NDArray[np.float64]
-    energy_transfer: float | NDArray[np.float64]
-
-
-def first_release(
-    *, mass_ratio: float, speed_ratio: float, damping_ratio: float = 0.0,
-    gravity_ratio: float = 0.0,
-) -> FirstRelease:
-    r"""
-    Compute the first release of one throw: floats, as of `first_releases`.
-
-    Raises
-    ------
-    ThrowUnresolvedError
-        If the projectile does not leave within `MAX_INTERVALS` (fewer if gravity makes many of
-        them worth a search), or rounding would spoil the promised accuracy.
-
-    Notes
-    -----
-    The interval of release is found from G at the ends of intervals; within it the root is
-    bracketed and polished by Newton's iteration. In interval 0 the bracket is certain. Later, G
-    may dip to 0 in an interval at whose end it is positive again; in dense scans of 10^5 throws it
-    did so only with G at one end of the interval below 0.28 :math:`\omega t_s` (with gravity: 0.8
-    times the largest steady amplitude so far) and rising at its end. Hence every minimum is looked
-    for if G comes below 1 (with gravity: 2) and does not clearly fall. With gravity G may also be
-    negative at the end for the second time (never seen for k <= 3 and :math:`\kappa > 4`).
-
-    Examples
-    --------
-    The largest energy transfer that a layer can give to a harmonic plate:
-
-    >>> release = first_release(mass_ratio=0.234231, speed_ratio=8.242210)
-    >>> round(release.ejection_phase, 6), round(release.energy_transfer, 6)
-    (0.39944, 4.123215)
-
-    """
-    ratios = {
-        'mass_ratio': mass_ratio, 'speed_ratio': speed_ratio, 'damping_ratio': damping_ratio,
-        'gravity_ratio': gravity_ratio,
-    }
-    release = FirstRelease(*map(float, first_releases(**ratios, threads=1)))
-    if math.isnan(release.speed):
-        case = ', '.join(f'{name} {value:g}' for name, value in ratios.items())
-        raise ThrowUnresolvedError(
-            f'no release is known to 1e-9 within {MAX_INTERVALS} wave intervals for {case}'
-        )
-    return release
+    ejection_phase: Floats
+    speed: Floats
+    energy_transfer: Floats
 
 
 def first_releases(
@@ -140,7 +106,7 @@ def first_releases(
     r"""
     Compute times and speeds of the first releases of rigid projectiles.
 
-    The plate moves as `plate.Underdamped`; the layer is lossless. `throws.throw_many` takes SI
+    The plate moves as `plate.Underdamped`; the layer is lossless. `throw.throw_many` takes SI
     units.
 
     Parameters
@@ -159,10 +125,11 @@ def first_releases(
     Returns
     -------
     FirstRelease
-        Of arrays with the common shape; NaN where `first_release` raises ThrowUnresolvedError.
-        Errors: 1e-9 in the ejection phase and relative in the energy transfer for
-        :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3];
-        a few roundings in practice.
+        Of arrays with the common shape; NaN where the projectile does not leave within 16 periods
+        of the plate or of its own on the layer and `MAX_INTERVALS` (fewer if gravity makes many of
+        them worth a search), or rounding would spoil the promised accuracy. Errors: 1e-9 in the
+        ejection phase and relative in the energy transfer for :math:`\mu` in [0.003, 100],
+        :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3]; a few roundings in practice.
 
     Raises
     ------
@@ -178,6 +145,12 @@ def first_releases(
     >>> throws = first_releases(mass_ratio=0.8 / thickness, speed_ratio=24.0 / thickness)
     >>> throws.energy_transfer.round(4)
     array([2.003 , 3.546 , 3.8322])
+
+    The largest energy transfer that a layer can give to a harmonic plate:
+
+    >>> release = first_releases(mass_ratio=0.234231, speed_ratio=8.242210)
+    >>> round(float(release.ejection_phase), 6), round(float(release.energy_transfer), 6)
+    (0.39944, 4.123215)
 
     """
     arrays = np.broadcast_arrays(
@@ -204,20 +177,8 @@ def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     The spring is the limit of a layer with a crossing time of zero: accurate for light, stiff
     layers, and a reference for others. The plate is harmonic, and there is no gravity.
 
-    Parameters
-    ----------
-    frequency_ratio : array_like
-        :math:`q = f_0 / f`, `Rig.natural_frequency` over the frequency of the engine. [-]
-
-    Returns
-    -------
-    FirstRelease
-        Floats or arrays, with the shape of `frequency_ratio`.
-
-    Raises
-    ------
-    ValueError
-        If a ratio is not finite and positive.
+    `frequency_ratio` is :math:`q = f_0 / f`, `Rig.natural_frequency` over the frequency of the
+    engine. ValueError if it is not finite and positive.
 
     Notes
     -----
@@ -241,25 +202,17 @@ def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     return FirstRelease(1.0 / (1.0 + q), speed, speed**2)
 
 
-@subroutine
-def _first_release(mu, kappa, zeta, gravity, c, b):
-    """Compute (t_e f, V_e / (A w)), NaN if they are unknown; c and b are memory."""
-    wave = _wave(mu, kappa, zeta, gravity)
-    k, low, high, guess, steady = _find(wave, c, b)
-    if high == 0.0:
-        return math.nan, math.nan
-    sigma = guess if low < guess < high else 0.5 * (low + high)
-    return _polish(k, low, high, sigma, wave, steady, c)
-
-
 @kernel
 def _release_series(ratios, phase, speed, first, count):
     """Compute some throws from number `first` on; `ratios` has a row for each ratio."""
     c, b = np.empty(MAX_INTERVALS), np.empty(MAX_INTERVALS)
     for n in range(first, first + count):
-        phase[n], speed[n] = _first_release(
-            ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n], c, b
-        )
+        wave = _wave(ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n])
+        k, low, high, guess, steady = _find(wave, c, b)
+        phase[n] = speed[n] = math.nan
+        if high > 0.0:
+            sigma = guess if low < guess < high else 0.5 * (low + high)
+            phase[n], speed[n] = _polish(k, low, high, sigma, wave, steady, c)
 
 
 class _Wave(NamedTuple):
@@ -336,7 +289,8 @@ def _find(wave, c, b):
     power = complex(1.0, 0.0)  # r^k
     largest = 1.0
     margin = turn
-    for k in range(1, MAX_INTERVALS):
+    longest = 0.5 * MAX_PERIODS * max(wave.kappa, 2.0 * math.pi * math.sqrt(wave.mu))
+    for k in range(1, int(min(MAX_INTERVALS, 2.0 + longest))):
         arriving *= wave.step
         power *= wave.reflection
         steady = arriving + wave.reflection * steady
@@ -353,7 +307,7 @@ def _find(wave, c, b):
         pull = wave.to_force * steady
         before = force
         force = (pull * wave.step).imag - s_next - s_now + weight
-        # Where may G + weight come down to 0 and rise again? See the Notes of `first_release`.
+        # Where may G + weight come down to 0 and rise again? See the Notes of the module.
         smooth = True
         if weight > 0.0:
             smooth = k <= 3 and turn < 0.5 * math.pi

@@ -74,8 +74,10 @@ class Underdamped(Motion):
     @classmethod
     def of(cls, engine: Engine) -> Underdamped:
         """Make the motion of `engine`."""
-        values = (engine.frequency, engine.amplitude, engine.damping_ratio)
-        return cls(frequency=values[0], amplitude=values[1], damping_ratio=values[2])
+        return cls(
+            frequency=engine.frequency, amplitude=engine.amplitude,
+            damping_ratio=engine.damping_ratio,
+        )
 
     @property
     def angular_frequency(self) -> float:
@@ -87,12 +89,6 @@ class Underdamped(Motion):
         r""":math:`\lambda = -\zeta \omega + i \omega_d` [1/s]."""
         zeta = self.damping_ratio
         return self.angular_frequency * complex(-zeta, math.sqrt(1.0 - zeta**2))
-
-    @property
-    def velocity_factor(self) -> float:
-        r""":math:`V_p(t)` is the imaginary part of this times :math:`e^{\lambda t}` [m/s]."""
-        root = math.sqrt(1.0 - self.damping_ratio**2)
-        return self.amplitude * self.angular_frequency / root
 
     @property
     def peak_velocity(self) -> float:
@@ -264,16 +260,13 @@ def quintic(
     )
 
 
-def require_series(times: Floats, values: Floats, name: str, *, after: float = -math.inf) -> None:
-    """Raise ValueError unless all is finite, and times increase, beginning after `after`."""
+def require_series(times: Floats, values: Floats, name: str) -> None:
+    """Raise ValueError unless all is finite, and times increase."""
     for label, array in (('times', times), (name, values)):
         if not np.isfinite(array).all():
             index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
             raise ValueError(f'{label} must be finite, got {array[index]} at index {index[0]}')
-    backward = np.flatnonzero(np.diff(times, prepend=after) <= 0.0)
+    backward = np.flatnonzero(np.diff(times) <= 0.0)
     if backward.size:
-        first = int(backward[0])
-        before = times[first - 1] if first else after
-        raise ValueError(
-            f'times must increase, got {times[first]} after {before} at index {first}'
-        )
+        n = int(backward[0]) + 1
+        raise ValueError(f'times must increase, got {times[n]} after {times[n - 1]} at index {n}')

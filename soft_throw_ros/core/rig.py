@@ -32,15 +32,14 @@ LINEAR_STRAIN = 0.15
 """Largest strain of a linear layer with reliable results. [-]
 
 There a neo-Hookean layer throws up to 5 % earlier than a linear one, with an energy transfer that
-differs by up to 5 %: the layers of the paper at both of its frequencies, half to one and a half
-times its amplitude (`test/core/test_cell_stepper.py`). That is about the error of a wave speed.
+differs by up to 5 %. That is about the error of a wave speed.
 """
 
 STANDARD_GRAVITY = 9.81
 """Gravity of a rig on Earth. [m/s2]"""
 
-_MAX_PERIODS = 16.0
-"""Longest wait of steppers for a release, in periods of plate or projectile. [-]"""
+MAX_PERIODS = 16.0
+"""Longest wait for a release, in periods of plate or projectile. [-]"""
 
 RANGES = {
     **dict.fromkeys(('frequency', 'amplitude', 'thickness', 'wave_speed', 'density'), 'positive'),
@@ -400,14 +399,6 @@ class Rig:
         end = self.engine.motion.end_time if self.engine.motion else 0.0
         return end + float(scales_of(values_of(self)).longest_wait)
 
-    def check_for_waves(self) -> None:
-        """Raise ValueError if the layer is a stack, is not linear, or has internal loss."""
-        if self.layer.needs_cells:
-            raise ValueError(
-                'travelling waves need a layer of one material, linear and without loss, '
-                f'got {len(self.layer.sheets)} sheets, {self.layer}'
-            )
-
 
 def values_of(rig: Rig) -> dict[str, float]:
     """Return the numbers of engine and layer, the gravity, and the mass of the projectile."""
@@ -432,7 +423,7 @@ class Scales(NamedTuple):
         """Time until which steppers follow throws without a release [s]."""
         own_period = 2.0 * math.pi * np.sqrt(self.crossing_time * self.relaxation_time)
         longest = np.maximum(2.0 * math.pi / self.angular_frequency, own_period)
-        return self.crossing_time + _MAX_PERIODS * longest
+        return self.crossing_time + MAX_PERIODS * longest
 
 
 def scales_of(values: Mapping[str, Any]) -> Scales:

@@ -17,7 +17,7 @@ from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.batch import Cancelled, check_cancelled
+from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import Record, subroutine
 from soft_throw_ros.core.plate_kernels import (
     append_states,
@@ -43,12 +43,10 @@ Floats = NDArray[np.float64]
 ) = range(7)
 """Indices of `Stepper.state`."""
 
-RELEASE, RECONTACT, LANDING = np.arange(3)
-"""Kinds of events in the memory of a kernel; `EVENT_KINDS` are their names."""
-
 EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 
-EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
+_EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
+_RELEASE, _RECONTACT, _LANDING = np.arange(3)  # in the memory of a kernel
 
 _NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
 
@@ -57,9 +55,6 @@ MAX_EVENTS = 4096
 
 _SLICE = 0.1
 """Time of a processor between two looks at a flag. [s]"""
-
-_MAX_CROSSINGS = 4096.0
-"""Longest wait for a release in batches, in crossings of the wave. [-]"""
 
 COMMON = [
     *PLATE,
@@ -81,15 +76,11 @@ BACKWARDS, BEYOND_HORIZON, TOO_MANY_EVENTS, TOO_FAR = -1, -2, -3, -4
 """Error codes that a kernel returns instead of the number of events."""
 
 
-class RateError(ValueError):
-    """A rig that cannot be stepped in real time."""
-
-
 class HorizonError(ValueError):
     """A time beyond the known motion of the plate."""
 
 
-class EventLimitError(RuntimeError):
+class EventLimitError(ThrowUnresolvedError):
     """More than `MAX_EVENTS` events in one throw."""
 
 
@@ -352,7 +343,7 @@ class Stepper:
     def events(self, start: int = 0) -> list[Event]:
         """Return the events until now, from number `start` on, counted from 0."""
         return [
-            Event(EVENT_KINDS[int(kind)], *numbers)
+            Event(_EVENT_KINDS[int(kind)], *numbers)
             for kind, *numbers in self._events[start:self.event_count].tolist()
         ]
 
@@ -386,26 +377,24 @@ def follow_batch(
     advance: Callable[..., int],
     prepare: Callable[[NDArray[np.void], int], tuple[Floats, float]],
     values: Mapping[str, Floats],
-    until: Floats | float,
+    latest: Floats,
     cancelled: Cancelled | None,
 ) -> Floats:
     """
-    Follow throws to their first releases, or up to a time [s] if it is no NaN, without steppers.
+    Follow throws to their first releases, or up to some latest times [s], without steppers.
 
     `prepare` completes the third record of a throw by its number, and returns its layer and its
     cost, see `Stepper.cost`. The result has a row each for time (NaN without a release),
     speed, largest strain, acceleration and plate force, and work of the plate.
     """
     amplitude, zeta = values['amplitude'], values['damping_ratio']
-    scales = scales_of(values)
-    longest = np.minimum(scales.longest_wait, _MAX_CROSSINGS * scales.crossing_time)
-    latest = np.where(np.isnan(until), longest, until)
+    omega = scales_of(values).angular_frequency
     core, no_events = np.zeros(3, record), np.empty((0, 4))
     numbers = core.view(np.float64).reshape(3, -1)
     rows = np.empty((6, latest.size))
     for n in range(latest.size):
         numbers[:] = 0.0
-        write_damped(core, amplitude[n], scales.angular_frequency[n], zeta[n])
+        write_damped(core, amplitude[n], omega[n], zeta[n])
         layer, cost = prepare(core, n)
         looks = 1 + int(cost * latest[n] / _SLICE)
         numbers[:2] = numbers[2]
@@ -421,10 +410,17 @@ def follow_batch(
 
 
 @subroutine
-def note_event(
-    s: Record, events: Floats, kind: int, time: float, height: float, velocity: float
-) -> None:
-    """Append an event, with its height from rest; the march ends if the table is full."""
+def note_event(s: Record, events: Floats, time: float, height: float, velocity: float) -> None:
+    """
+    Change between contact and flight, and append this event, with its height from rest.
+
+    The march ends if the table is full.
+    """
+    kind = _RELEASE
+    if not s.contact:
+        s.landed = s.landed or (velocity <= 0.0 and s.gravity > 0.0)
+        kind = _LANDING if s.landed else _RECONTACT
+    s.contact = not s.contact
     s.events += 1
     s.event_time, s.event_velocity = time, velocity
     if s.events <= events.shape[0]:
@@ -476,7 +472,7 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
 
 
 def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str) -> None:
-    """Raise RateError with a feasible value of a parameter if a rig needs more than the limit."""
+    """Refuse a rig that needs more than the limit, with a feasible value of a parameter."""
     value, dimension, margin, bound = {
         'layer.thickness': (rig.layer.thickness, 'm', 1.001, 'more'),
         'projectile.mass': (rig.projectile.mass, 'kg', 1.001, 'more'),
@@ -485,7 +481,7 @@ def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str
     factor = needed / limit
     if factor > 1.0:
         feasible = margin * value * (factor if bound == 'more' else 1.0 / factor)
-        raise RateError(
+        raise ThrowUnresolvedError(
             f'{name} {value:g} {dimension} at layer.wave_speed {rig.layer.wave_speed:g} m/s needs '
             f'{needed:.3g} {unit}, the limit is {limit:g}; '
             f'feasible: {name} of {feasible:.4g} {dimension} or {bound}'

@@ -1,35 +1,61 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
+r"""
 Throws by travelling waves: a rigid projectile on a lossless layer of one material.
 
-`wave_kernels` has the scheme and its order.
+Notes
+-----
+The kernels are a delay line with contact, release, flight and landing. With :math:`p = v_+` and
+:math:`m = v_-` of Sec. IV of [1]_, at the top of the layer
+
+.. math::
+
+    p(t) &= V_p(t - t_s) - m(t - 2 t_s) \\
+    \tau \dot V + V &= 2 p, \quad m = V - p \qquad \text{in contact} \\
+    m &= p + g \tau \qquad\qquad\qquad\quad \text{in flight}
+
+where everything counts from the static equilibrium, and the layer pushes the projectile with
+:math:`F = (m_r / \tau) (2 p - V) + m_r g`. The projectile leaves when F falls below zero, and is
+in contact again when the gap closes, its speed unchanged. Flight, landing and gravity are not in
+[1]_'s analytical model.
+
+The step h divides :math:`t_s`, so waves travel from grid point to grid point without any error,
+and the kinks that the start of a damped step sends through the layer, at odd multiples of
+:math:`t_s`, fall on grid points. Only the response of the mass has to be computed: p is known
+:math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a kink),
+and the equation of V is solved exactly for this cubic, however small :math:`\tau` is. So the first
+release is of fourth order in h. Heights are sums of p by the trapezoidal rule, which is enough for
+the gap in flight, of second order.
+
+Releases and landings are roots within a step, one in each step. A landing makes m jump between two
+grid points; the nearer one of them takes the value that keeps the area under m, so that the wave
+has the right momentum when it comes back. Later events are therefore of second order in h, except
+a release that the jump itself causes, which is known to a step.
+
+A dip of the contact force below zero, or of the gap, that begins and ends within one step is not
+seen.
+
+References
+----------
+.. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
+
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 import math
+from typing import Any
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
+from soft_throw_ros.core.kernels import compiled, kernel, subroutine
+from soft_throw_ros.core.plate_kernels import enter_piece, motion_at
 from soft_throw_ros.core.rig import Rig, scales_of
-from soft_throw_ros.core.stepper import (
-    follow_batch,
-    load_kernels,
-    require_count,
-    require_feasible,
-    Stepper,
-)
-from soft_throw_ros.core.wave_kernels import (
-    advance_compiled,
-    make_waves,
-    PAD,
-    prepare,
-    read_layer_compiled,
-    RECORD,
-)
+from soft_throw_ros.core.stepper import Stepper
 
 Floats = NDArray[np.float64]
 
@@ -49,13 +75,501 @@ _STEPS_PER_PERIOD = 160.0
 """Fewest steps per period of the plate, for 1e-6 at the first release. [-]"""
 
 _STEPS_PER_RELAXATION = 8.0
-"""Steps per relaxation time that the first release needs, up to `_MOST_FOR_RELAXATION`. [-]"""
-
-_MOST_FOR_RELAXATION = 2048
-"""Most steps per crossing that are chosen for the relaxation time. [-]"""
+"""Steps per relaxation time that the first release needs. [-]"""
 
 _STEP_COST = 3e-9
 """Time of a processor for a step. [s]"""
+
+
+_PAD = 8
+"""Steps that are kept beyond those that are read, for the cubics. [-]"""
+
+_SPARE_STEPS = 1024
+"""Spare steps in the memory of waves, so that it is rarely moved. [-]"""
+
+_STRAINS_PER_CROSSING, _STRAIN_PHASE, _STRAIN_FADING = 32.0, 0.05, 0.25
+"""
+Fewest strains that are compared in a crossing [-], the longest phase in between [rad], and the
+longest time in between, over the relaxation time of the projectile [-].
+"""
+
+_NOISE = 1e-12
+"""Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
+
+_COUNTS = np.arange(1024.0)
+"""Whole numbers, which are slow to convert. [-]"""
+
+_RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
+
+# The first record is the state at a grid point, the second that between two grid points. Lengths
+# count from the static equilibrium, offsets are in steps.
+RECORD = np.dtype(
+    [
+        # constants
+        ('step', 'f8'),  # h [s]
+        ('steps', 'i8'),  # N = t_s / h
+        ('rate', 'f8'),  # h / tau
+        ('decay', 'f8'),  # e^{-h / tau}
+        ('cubic', 'f8', (4,)),  # V(t + h) = decay V(t) + cubic . p, of four points
+        ('relaxation', 'f8'),  # tau [s]
+        ('gravity', 'f8'),  # g [m/s2]
+        ('gravity_offset', 'f8'),  # g tau [m/s]
+        ('release_threshold', 'f8'),  # 2 p - V at which the projectile leaves: -g tau, less noise
+        ('thickness', 'f8'),
+        ('impedance', 'f8'),
+        *stepper.COMMON,
+        # where the waves have got to
+        ('cell', 'i8'),  # grid point
+        ('offset', 'f8'),  # beyond it
+        ('base', 'i8'),  # grid point at index 0 of the waves
+        ('filled', 'i8'),  # up to where p is known at the plate
+        ('kink', 'i8'),  # next grid point at which p has a kink, at the top
+        # the mass and the top of the layer
+        ('velocity', 'f8'),  # V in contact
+        ('sum', 'f8'),  # of p at the top by the trapezoidal rule, over h
+        ('top', 'f8'),  # height of the top less 2 P - tau V, in flight less 2 P + g tau t
+        ('launch_cell', 'i8'),
+        ('launch_offset', 'f8'),
+        ('launch_height', 'f8'),
+        ('launch_velocity', 'f8'),
+        # loads up to the first release
+        ('stride', 'i8'),  # between the grid points in time and depth whose strains are compared
+        ('compared', 'i8'),  # next of these grid points in time
+        ('peak_contact_force', 'f8'),  # of the scaled contact force 2 p - V
+        ('peak_plate_stress', 'f8'),  # of p - m + g tau at the plate
+        ('peak_strain', 'f8'),  # of the same in the layer
+        ('first_work', 'f8'),  # the next at the first release
+        ('power_sum', 'f8'),  # sum of power over the impedance and h, without the steps in flight
+        ('power', 'f8'),  # last addend
+        # at `time`
+        ('upward', 'f8', (2,)),  # p at plate and top
+        ('downward', 'f8', (2,)),  # m at plate and top
+    ],
+    align=True,
+)
+"""State of a throw by travelling waves."""
+
+
+@subroutine
+def _moments(x):
+    """Compute e^{-x} and the integrals of e^{-x (1 - u)} u^n over [0, 1] for n = 0 ... 3."""
+    if x < 1.0:
+        series = 1.0
+        for n in range(19, 4, -1):
+            series = 1.0 - x * _RECIPROCAL[n] * series
+        third = 0.25 * series
+        second = (1.0 - x * third) * _RECIPROCAL[3]
+        first = (1.0 - x * second) * 0.5
+        zeroth = 1.0 - x * first
+        return 1.0 - x * zeroth, zeroth, first, second, third
+    decay = math.exp(-x)
+    zeroth = (1.0 - decay) / x
+    first = (1.0 - zeroth) / x
+    second = (1.0 - 2.0 * first) / x
+    return decay, zeroth, first, second, (1.0 - 3.0 * second) / x
+
+
+@kernel
+def _prepare(
+    core: Any, N: int, thickness: float, crossing: float, relaxation: float, gravity: float,
+    impedance: float, omega: float, speed: float,
+) -> None:
+    """Complete the third record, which has the plate's motion already."""
+    s = core[2]
+    s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
+    decay, m0, m1, m2, m3 = _moments(s.rate)
+    s.decay = decay
+    # The cubic through p at -1, 0, 1 and 2, integrated against e^{-x (1 - u)}
+    x = 2.0 * s.rate
+    cubic = s.cubic
+    cubic[0] = x * (-m1 / 3.0 + m2 / 2.0 - m3 / 6.0)
+    cubic[1] = x * (m0 - m1 / 2.0 - m2 + m3 / 2.0)
+    cubic[2] = x * (m1 + m2 / 2.0 - m3 / 2.0)
+    cubic[3] = x * (-m1 / 6.0 + m3 / 6.0)
+    s.relaxation, s.gravity, s.impedance = relaxation, gravity, impedance
+    s.thickness = thickness
+    s.rest_height = thickness - gravity * relaxation * crossing  # sag m g L / (E S)
+    s.gravity_offset = gravity * relaxation
+    s.release_threshold = -s.gravity_offset - _NOISE * speed
+    s.base = -2 * N - _PAD
+    s.contact = True
+    s.kink = N
+    longest = min(N / _STRAINS_PER_CROSSING, _STRAIN_FADING * relaxation / s.step)
+    # A divisor of N, so that kinks, where strains are largest, are at points that are compared
+    s.stride = max(1, int(min(longest, _STRAIN_PHASE / (omega * s.step))))
+    while N % s.stride > 0:
+        s.stride -= 1
+    s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
+
+
+@subroutine
+def _mass_velocity(s, d, V, a, b, c, e):
+    """Solve tau V' + V = 2 p over d steps during which p = a + b u + c u^2 + e u^3."""
+    decay, zeroth, first, second, third = _moments(s.rate * d)
+    drive = a * zeroth + d * (b * first + d * (c * second + d * e * third))
+    return decay * V + 2.0 * s.rate * d * drive
+
+
+@subroutine
+def _expand(s, waves):
+    """Expand p at the top after `s.cell` in a cubic through points on one side of a kink."""
+    aside = 1 if s.cell == s.kink else (-1 if s.cell + 1 == s.kink else 0)
+    i = s.cell - s.base - s.steps + aside
+    behind, here, ahead, beyond = waves[0, i - 1], waves[0, i], waves[0, i + 1], waves[0, i + 2]
+    e = _RECIPROCAL[6] * (beyond - behind + 3.0 * (here - ahead))
+    c = 0.5 * (behind + ahead) - here
+    b = ahead - here - c - e
+    return _shift(-float(aside), here, b, c, e)
+
+
+@subroutine
+def _shift(d, a, b, c, e):
+    """Expand a cubic about another point."""
+    return (
+        a + d * (b + d * (c + d * e)),
+        b + d * (2.0 * c + 3.0 * d * e),
+        c + 3.0 * d * e,
+        e,
+    )
+
+
+@subroutine
+def _free_flight(s, offset):
+    """Compute time since the launch, height and velocity of the projectile."""
+    time = (s.cell - s.launch_cell + (offset - s.launch_offset)) * s.step
+    height = s.launch_height + time * (s.launch_velocity - 0.5 * s.gravity * time)
+    return time, height, s.launch_velocity - s.gravity * time
+
+
+@subroutine
+def _rise(s, waves, d):
+    """Integrate p at the top from the start until d steps after `s.cell`, along lines [m]."""
+    i = s.cell - s.base - s.steps
+    here = waves[0, i]
+    return s.step * (s.sum + d * (here + 0.5 * d * (waves[0, i + 1] - here)))
+
+
+@subroutine
+def _excess(s, waves, d, cubic):
+    """Compute the scaled force, or the gap in flight, d steps after `s.cell`."""
+    if s.contact:
+        p, _, _, _ = _shift(d, *cubic)
+        return 2.0 * p - _mass_velocity(s, d, s.velocity, *cubic) - s.release_threshold
+    time, height, _ = _free_flight(s, d)
+    return height - s.top - 2.0 * _rise(s, waves, d) - s.gravity_offset * time
+
+
+@subroutine
+def _find_event(s, waves, cubic):
+    """Return the offset of an event in the step, 2 if there is none."""
+    if not _excess(s, waves, 1.0, cubic) < 0.0:
+        return 2.0
+    if not s.contact:
+        i = s.cell + 1 - s.base - s.steps
+        if _free_flight(s, 1.0)[2] >= 2.0 * waves[0, i] + s.gravity_offset:  # the gap opens
+            return 2.0
+    low, high = 0.0, 1.0
+    for _ in range(54):  # bisect
+        d = 0.5 * (low + high)
+        if _excess(s, waves, d, cubic) < 0.0:
+            high = d
+        else:
+            low = d
+    return high
+
+
+@subroutine
+def _change_contact(s, waves, events, d, cubic):
+    """Release or land the projectile d steps after `s.cell`, and return its velocity."""
+    time, rise = (s.cell + d) * s.step, _rise(s, waves, d)
+    if s.contact:
+        V = _mass_velocity(s, d, s.velocity, *cubic)
+        height = s.top + 2.0 * rise - s.relaxation * V
+        if s.events == 0:
+            _compare_strains_at(s, waves, s.cell)
+            s.first_work = s.power_sum + 0.5 * s.power * (2.0 * d - 1.0)
+        stepper.note_event(s, events, time, height, V)
+        s.launch_cell, s.launch_offset = s.cell, d
+        s.launch_height, s.launch_velocity = height, V
+        s.top = height - 2.0 * rise
+    else:
+        _, height, V = _free_flight(s, d)
+        stepper.note_event(s, events, time, height, V)
+        s.top = height - 2.0 * rise + s.relaxation * V
+    return V
+
+
+@subroutine
+def _cross_step(s, waves, events, target):
+    """
+    Go through the step after `s.cell`, and an event in it, up to an offset of `target`.
+
+    Below 1 that leaves `s` there, with its state written; at 1 the step is done.
+    """
+    cubic = _expand(s, waves)
+    begin, V, jump = 0.0, s.velocity, 0.0
+    event = _find_event(s, waves, cubic)
+    if event <= target:
+        begin, was_in_flight = event, not s.contact
+        V = _change_contact(s, waves, events, event, cubic)
+        cubic = _shift(event, *cubic)
+        if was_in_flight:  # m jumps from p + g tau to V - p
+            jump = V - 2.0 * cubic[0] - s.gravity_offset
+    if s.contact:
+        V = _mass_velocity(s, target - begin, V, *cubic)
+    if target < 1.0:
+        p, _, _, _ = _shift(target - begin, *cubic)
+        _write_top(s, target, p, V, _rise(s, waves, target))
+        return
+    j = s.cell - s.base
+    s.sum = _rise(s, waves, 1.0) / s.step
+    _end_step(s, waves, V)
+    waves[1, j if begin < 0.5 else j + 1] += (0.5 - begin) * jump  # keeps the area under m
+
+
+@subroutine
+def _end_step(s, waves, V):
+    """Write the sample of m at the next grid point, and account for the step."""
+    s.cell += 1
+    s.velocity = V if s.contact else 0.0
+    j = s.cell - s.base
+    p = waves[0, j - s.steps]
+    waves[1, j] = V - p if s.contact else p + s.gravity_offset  # m = V - p, Sec. IV
+    if s.events == 0:
+        s.peak_contact_force = max(s.peak_contact_force, 2.0 * p - V)
+        p, m = waves[0, j], waves[1, j - s.steps]
+        stress = p - m + s.gravity_offset
+        s.peak_plate_stress = max(s.peak_plate_stress, abs(stress))
+        s.power = stress * (p + m)
+        s.power_sum += s.power
+
+
+@subroutine
+def _write_top(s, offset, a, V, P):
+    """Write the state of projectile and top within a step, where p is a."""
+    s.upward[1] = a
+    if s.contact:
+        s.downward[1] = V - a
+        s.surface = height = s.top + 2.0 * P - s.relaxation * V
+        velocity, force = V, s.impedance * (2.0 * a - V + s.gravity_offset)
+    else:
+        time, height, velocity = _free_flight(s, offset)
+        s.downward[1], force = a + s.gravity_offset, 0.0
+        s.surface = s.top + 2.0 * P + s.gravity_offset * time
+    s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
+    s.state[stepper.PROJECTILE_VELOCITY] = velocity
+    s.state[stepper.PROJECTILE_FORCE] = force
+
+
+@subroutine
+def _run_in_contact(s, waves, count):
+    """Advance by up to `count` steps, stopping before a release."""
+    first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
+    top, downward = waves[0, first - N - 1:], waves[1, first + 1:]
+    leaving, coming = waves[0, first + 1:], waves[1, first + 1 - N:]
+    decay, threshold = s.decay, s.release_threshold
+    w0, w1, w2, w3 = s.cubic[0], s.cubic[1], s.cubic[2], s.cubic[3]
+    behind, here, ahead = top[0], top[1], top[2]
+    V, total, work, power = s.velocity, s.sum, s.power_sum, s.power
+    peak_force, peak_stress = s.peak_contact_force, s.peak_plate_stress
+    done = count
+    for n in range(count):
+        beyond = top[n + 3]
+        drive = w0 * behind + w1 * here + (w2 * ahead + w3 * beyond)
+        following = decay * V + drive  # tau V' + V = 2 p, Sec. IV
+        force = 2.0 * ahead - following
+        if force < threshold:
+            done = n
+            break
+        V = following
+        peak_force = max(peak_force, force)
+        downward[n] = V - ahead
+        total += 0.5 * (here + ahead)
+        stress = leaving[n] - coming[n] + offset
+        power = stress * (leaving[n] + coming[n])
+        work += power
+        peak_stress = max(peak_stress, abs(stress))
+        behind, here, ahead = here, ahead, beyond
+    s.cell += done
+    s.velocity, s.sum = V, total
+    if s.events == 0:
+        s.power_sum, s.power = work, power
+        s.peak_contact_force, s.peak_plate_stress = peak_force, peak_stress
+    return done
+
+
+@subroutine
+def _run_in_flight(s, waves, count):
+    """Advance by up to `count` steps, stopping before a landing."""
+    first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
+    top, downward = waves[0, first - N + 1:], waves[1, first + 1:]
+    twice, height = 2.0 * s.step, s.launch_height - s.top
+    speed, fall = s.launch_velocity - offset, 0.5 * s.gravity
+    start = s.cell + 1 - s.launch_cell - s.launch_offset
+    here, total = waves[0, first - N], s.sum
+    done = count
+    for n in range(count):
+        ahead = top[n]
+        area = total + 0.5 * (here + ahead)
+        time = (start + n) * s.step
+        if height + time * (speed - fall * time) < twice * area:
+            done = n
+            break
+        downward[n] = ahead + offset
+        total, here = area, ahead
+    s.cell += done
+    s.sum = total
+    return done
+
+
+@subroutine
+def _fill(s, waves, path, last):
+    """Compute p at the plate up to grid point `last`, from m a crossing earlier."""
+    while s.filled < last:
+        first = s.filled + 1
+        time = first * s.step
+        if not s.piece_begin <= time < s.piece_end:
+            enter_piece(s, path, time)
+        begin, end = s.piece_begin, s.piece_end
+        count = int(min((end - time) / s.step, last - first, _COUNTS.size - 1)) + 1
+        while count > 1 and (first + count - 1) * s.step >= end:
+            count -= 1
+        leaving, coming = waves[0, first - s.base:], waves[1, first - s.base - s.steps:]
+        p = s.coefficients
+        a, b, c, d, e = p[1], 2.0 * p[2], 3.0 * p[3], 4.0 * p[4], 5.0 * p[5]
+        start, step = float(first), s.step
+        for n in range(count):
+            u = (start + _COUNTS[n]) * step - begin
+            velocity = a + u * (b + u * (c + u * (d + u * e)))
+            leaving[n] = velocity - coming[n]  # p(t) = V_p(t - t_s) - m(t - 2 t_s), Sec. IV
+        s.filled += count
+
+
+@subroutine
+def _march(s, waves, path, events, goal):
+    """Advance to grid point `goal`, or until there is no more room for events."""
+    while s.cell < goal and s.events <= events.shape[0]:
+        while s.kink < s.cell:
+            s.kink += 2 * s.steps
+        if s.filled == s.cell:
+            if s.cell + 3 - s.base > waves.shape[1]:
+                shift = s.cell - s.base - _PAD - s.steps
+                for j in range(s.cell + 2 - s.base - shift):
+                    waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
+                s.base += shift
+            last_column = s.base + waves.shape[1] - 2
+            _fill(s, waves, path, min(goal, last_column, s.cell + s.steps - 1))
+        count = s.filled - s.cell
+        if s.contact:
+            count = min(count, max(0, s.kink - 1 - s.cell))
+            done = _run_in_contact(s, waves, count)
+        else:
+            done = _run_in_flight(s, waves, count)
+        while s.events == 0 and s.compared <= s.cell:
+            _compare_strains_at(s, waves, s.compared)
+            s.compared += s.stride
+        if done < count or count == 0:
+            _cross_step(s, waves, events, 1.0)
+
+
+@subroutine
+def _compare_strains_at(s, waves, cell):
+    """Compare strains in the layer at a grid point in time, not earlier than a crossing ago."""
+    N, i = s.steps, cell - s.base
+    for k in range(0, N + 1, s.stride):  # steps above the plate
+        stress = waves[0, i - k] - waves[1, i - N + k] + s.gravity_offset
+        s.peak_strain = max(s.peak_strain, abs(stress))
+
+
+@subroutine
+def _write_loads(s):
+    """Write loads and work in SI units."""
+    force, stress = s.peak_contact_force, s.peak_plate_stress
+    contact_stress, wave_speed = force + s.gravity_offset, s.thickness / (s.steps * s.step)
+    s.loads[0] = max(s.peak_strain, stress, contact_stress) / wave_speed
+    s.loads[1], s.loads[2] = stress / wave_speed, contact_stress / wave_speed
+    s.loads[3], s.loads[4] = force / s.relaxation, stress * s.impedance
+    work = s.first_work if s.events > 0 else s.power_sum + (s.offset - 0.5) * s.power
+    s.work = s.impedance * s.step * work
+
+
+@kernel
+def _advance(core, waves, path, events, time):
+    """Advance to `time`; return the number of events so far, or an error code."""
+    grid, s = core[0], core[1]
+    step = grid.step
+    goal = stepper.steps_until(s, step, time)
+    if goal < 0:
+        return goal
+    if time > grid.horizon:
+        return stepper.BEYOND_HORIZON
+    _march(grid, waves, path, events, goal)
+    core[1] = core[0]
+    if s.events <= events.shape[0]:
+        s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
+        _cross_step(s, waves, events, s.offset)
+    _write_loads(s)
+    if s.events > events.shape[0]:
+        return stepper.TOO_MANY_EVENTS
+    i = goal - s.base - s.steps
+    m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
+    height, speed, _ = motion_at(s, path, time)
+    s.time = time
+    s.upward[0] = speed - m
+    s.downward[0] = m
+    s.state[stepper.TIME] = time
+    s.state[stepper.PLATE_POSITION] = height
+    s.state[stepper.PLATE_VELOCITY] = speed
+    s.state[stepper.PLATE_FORCE] = s.impedance * (m - s.upward[0] - s.gravity_offset)
+    return s.events
+
+
+@kernel
+def _read_layer(core, waves, out):
+    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    s = core[1]
+    height, velocity, force = out[0], out[1], out[2]
+    i = s.cell - s.base
+    # From the last grid point to now, waves go on along a line; a later step overwrites its end.
+    offset = s.offset if s.offset > 0.0 else 1.0
+    waves[0, i + 1] = waves[0, i] + (s.upward[0] - waves[0, i]) / offset
+    waves[1, i + 1] = waves[1, i] + (s.downward[1] - waves[1, i]) / offset
+    last = force.size - 1
+    spacing, start = s.steps / last, i - s.steps - 1
+    p_wave, m_wave = waves[0, start:], waves[1, start:]
+    at_plate, at_top = s.offset + (s.steps + 1), s.offset + 1.0
+    for n in range(last + 1):
+        index = at_plate - spacing * n
+        j = np.uintp(index)
+        p = p_wave[j] + (p_wave[j + np.uintp(1)] - p_wave[j]) * (index - j)
+        index = at_top + spacing * n
+        j = np.uintp(index)
+        m = m_wave[j] + (m_wave[j + np.uintp(1)] - m_wave[j]) * (index - j)
+        velocity[n] = p + m
+        force[n] = p - m + s.gravity_offset
+    for end in range(2):
+        velocity[end * last] = s.upward[end] + s.downward[end]
+        force[end * last] = s.upward[end] - s.downward[end] + s.gravity_offset
+    # Heights by the trapezoidal rule, its error spread over the layer so that both ends agree
+    cell = s.thickness / last
+    stretch = 0.5 * cell * s.steps * s.step / s.thickness
+    squeezed = 0.0
+    height[0] = 0.0
+    for n in range(1, last + 1):
+        squeezed += force[n - 1] + force[n]
+        height[n] = squeezed
+    low, high = s.state[stepper.PLATE_POSITION], s.rest_height + s.surface
+    error = (high - low - s.thickness + stretch * squeezed) / last
+    for n in range(last + 1):
+        height[n] = low + n * (cell + error) - stretch * height[n]
+        if out.shape[0] > 3:
+            out[3, n] = -force[n] * s.steps * s.step / s.thickness
+        force[n] *= s.impedance
+
+
+_RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
+_advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
+_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)
 
 
 def steps_per_crossing(rig: Rig) -> int:
@@ -74,13 +588,19 @@ def steps_per_crossing(rig: Rig) -> int:
 
     """
     slowest = _FEWEST_STEPS / rig.crossing_time
-    require_feasible(rig, 'layer.thickness', slowest, MAX_STEP_RATE, 'steps per second')
+    stepper.require_feasible(rig, 'layer.thickness', slowest, MAX_STEP_RATE, 'steps per second')
     limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * rig.crossing_time))
     for_plate = math.ceil(_STEPS_PER_PERIOD / rig.speed_ratio)
-    require_feasible(rig, 'engine.frequency', for_plate, limit, 'steps per crossing of the wave')
-    for_mass = math.ceil(min(_STEPS_PER_RELAXATION / rig.mass_ratio, _MOST_FOR_RELAXATION))
+    unit = 'steps per crossing of the wave'
+    stepper.require_feasible(rig, 'engine.frequency', for_plate, limit, unit)
+    for_mass = math.ceil(_STEPS_PER_RELAXATION / rig.mass_ratio)
     steps = min(max(_STEPS, for_mass, for_plate), limit)
     return steps - steps % 32
+
+
+def _make_waves(steps: int) -> Floats:
+    """Make room for the waves p and m."""
+    return np.zeros((2, 4 * steps + _SPARE_STEPS))
 
 
 class WaveStepper(Stepper):
@@ -120,40 +640,44 @@ class WaveStepper(Stepper):
         steps: int | None = None,
         field_points: int = 64,
     ) -> None:
-        rig.check_for_waves()
+        if rig.layer.needs_cells:
+            raise ValueError(
+                'travelling waves need a layer of one material, linear and without loss, '
+                f'got {len(rig.layer.sheets)} sheets, {rig.layer}'
+            )
         steps = steps_per_crossing(rig) if steps is None else steps
-        self.steps = require_count('steps', steps, low=16, high=MAX_STEPS)
+        self.steps = stepper.require_count('steps', steps, low=16, high=MAX_STEPS)
         self.cost = _STEP_COST * self.steps / rig.crossing_time
         super().__init__(
-            rig, RECORD, make_waves(self.steps), is_measured=is_measured, field_points=field_points
+            rig, RECORD, _make_waves(self.steps), is_measured=is_measured,
+            field_points=field_points,
         )
-        prepare(
+        _prepare(
             self._core, self.steps, rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
             rig.gravity, rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
         )
-        self._start(advance_compiled(), read_layer_compiled())
+        self._start(_advance_compiled(), _read_layer_compiled())
 
     def _copy_layer(self, origin: Stepper) -> None:
         """Copy the waves that are still on their way."""
         grid = origin._core[0]
         kept = int(grid['cell'] - grid['base']) - self.steps
-        first, last = max(kept - PAD, 0), int(grid['filled'] - grid['base']) + 2
+        first, last = max(kept - _PAD, 0), int(grid['filled'] - grid['base']) + 2
         self._layer[:, first:last] = origin._layer[:, first:last]
 
 
 def throw_batch(
     values: Mapping[str, Floats],
     *,
-    until: Floats | float = math.nan,
+    until: Floats,
     cancelled: Cancelled | None = None,
 ) -> Floats:
     """
-    Compute first releases and loads for `throws.throw_many`, without loss, unchecked.
+    Compute loads for `throw.throw_many`, without loss, unchecked.
 
-    `until` has the times of the first releases where they are known, otherwise NaN [s]: a light
-    projectile may leave and be caught again within a step. Arguments and result are else those of
-    `cell_stepper.throw_batch`. Errors: 1e-5 in the release, and 1e-3 in loads and work for 95 % of
-    rigs.
+    `until` has the exact times of the first releases [s]: a light projectile may leave and be
+    caught again within a step. Arguments and result are else those of `cell_stepper.throw_batch`.
+    Errors in loads and work: 1e-3 for 95 % of rigs.
     """
     scales = scales_of(values)
     crossing, omega = scales.crossing_time, scales.angular_frequency
@@ -167,13 +691,15 @@ def throw_batch(
     )
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        prepare(core, *(column[n] for column in columns))
-        return make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
+        _prepare(core, *(column[n] for column in columns))
+        return _make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
 
-    until = until + crossing / steps
-    return follow_batch(RECORD, advance_compiled(), prepare_throw, values, until, cancelled)
+    latest = until + crossing / steps
+    return stepper.follow_batch(
+        RECORD, _advance_compiled(), prepare_throw, values, latest, cancelled
+    )
 
 
 def warm_up() -> None:
     """Compile or load all kernels that the twin needs."""
-    load_kernels(WaveStepper(Rig(), is_measured=True, field_points=2))
+    stepper.load_kernels(WaveStepper(Rig(), is_measured=True, field_points=2))

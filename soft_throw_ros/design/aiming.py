@@ -1,10 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Aim a throw: find the amplitude of the plate that reaches a height or a speed.
-
-The last release counts, because re-contacts change the flight.
-"""
+"""Aim a throw at a height or a speed of its last release, by the amplitude of the plate."""
 
 from __future__ import annotations
 
@@ -17,15 +13,13 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throw import last_release, rig_with
+from soft_throw_ros.core.throw import rig_with, simulate
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
 
 _MAX_AMPLITUDE = TWIN.by_name['engine.amplitude'].high  # where the search ends [m]
 _BRACKET_STEP = 0.1  # step of the logarithm of the amplitude in the search for a bracket [-]
 _UNRELEASED = -10.0  # logarithm of reached over target that stands for no release [-]
-_AMPLITUDE_TOLERANCE = 1e-9  # error of the logarithm of the amplitude [-]
-_TARGET_TOLERANCE = 1e-5  # relative error of the target, beyond it a solution is a jump [-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,31 +83,29 @@ def aim(
     def excess(logarithm: float) -> float:
         """Compute the logarithm of reached over target."""
         try:
-            last = last_release(
+            throw = simulate(
                 rig_with(rig, {'amplitude': math.exp(logarithm)}), cancelled=cancelled
             )
         except ThrowUnresolvedError:
             return _UNRELEASED
-        reached = last.speed if height is None else last.height
+        reached = throw.last_release.velocity if height is None else throw.flight_height
         return math.log(reached / target) if reached > 0.0 else _UNRELEASED
 
-    free = last_release(replace(rig, gravity=0.0), cancelled=cancelled).speed
+    free = simulate(replace(rig, gravity=0.0), cancelled=cancelled).last_release.velocity
     low = math.log(rig.engine.amplitude * needed / free)
     while excess(low) >= 0.0:
         low -= _BRACKET_STEP
     high = low + _BRACKET_STEP
-    while excess(high) < 0.0:
+    while excess(high) < 0.0 and high < math.log(_MAX_AMPLITUDE):
         low, high = high, high + _BRACKET_STEP
-        if low > math.log(_MAX_AMPLITUDE):
-            raise ThrowUnresolvedError(f'no amplitude up to {_MAX_AMPLITUDE:g} m reaches {goal}')
-    logarithm = float(scipy.optimize.brentq(
-        excess, low, high, xtol=_AMPLITUDE_TOLERANCE, rtol=_AMPLITUDE_TOLERANCE
-    ))
+    is_reached = excess(high) >= 0.0
+    logarithm = float(scipy.optimize.brentq(excess, low, high)) if is_reached else high
     amplitude = math.exp(logarithm)
-    if abs(excess(logarithm)) > _TARGET_TOLERANCE or amplitude > _MAX_AMPLITUDE:
+    # at a jump the target is passed and not reached
+    if amplitude > _MAX_AMPLITUDE or abs(excess(logarithm)) > 1e-5:
         raise ThrowUnresolvedError(f'no amplitude up to {_MAX_AMPLITUDE:g} m reaches {goal}')
     aimed = rig_with(rig, {'amplitude': amplitude})
-    throw, last, limits = predict(aimed), last_release(aimed), limits or Limits()
+    throw, last, limits = predict(aimed), simulate(aimed), limits or Limits()
     for name, value, limit in (
         ('strain', throw.peak_strain, min(limits.max_strain, LARGEST_STRAIN)),
         ('acceleration', throw.peak_acceleration, limits.max_acceleration),
@@ -124,6 +116,6 @@ def aim(
                 f'{value:.4g}, which must be at most {limit:g}'
             )
     return Aim(
-        **vars(throw), amplitude=amplitude, height=last.height, speed=last.speed, rig=aimed,
-        present=rig,
+        **vars(throw), amplitude=amplitude, height=last.flight_height,
+        speed=last.last_release.velocity, rig=aimed, present=rig,
     )

@@ -71,21 +71,21 @@ def ejection_of(result: RigFit) -> Ejection:
     the systematic errors of the release.
     """
     rigs = [result.rig, *result.draw(_DRAWS)]
-    throws = throw_many(rigs)
-    is_released = ~np.isnan(throws.ejection_time)
+    time, speed, energy_transfer = np.transpose([throw_many(rig)[:3] for rig in rigs])
+    is_released = ~np.isnan(time)
     if not is_released[0]:
         raise FitError(
             'the projectile of the fitted rig does not leave the layer '
             f'({100.0 * is_released.mean():.2g} % of the rigs within the errors throw it)'
         )
-    crossings = throws.ejection_time / [rig.crossing_time for rig in rigs]
+    crossings = time / [rig.crossing_time for rig in rigs]
     echoes = ((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64)
     echoes -= echoes[0]
     columns = {
-        'ejection.time': throws.ejection_time,
-        'ejection.speed': throws.ejection_speed,
-        'ejection.peak_plate_speed': throws.ejection_speed / np.sqrt(throws.energy_transfer),
-        'ejection.energy_transfer': throws.energy_transfer,
+        'ejection.time': time,
+        'ejection.speed': speed,
+        'ejection.peak_plate_speed': speed / np.sqrt(energy_transfer),
+        'ejection.energy_transfer': energy_transfer,
     }
 
     def release(count: int) -> Release:
@@ -95,9 +95,8 @@ def ejection_of(result: RigFit) -> Ejection:
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
             estimates.append(with_floor(name, Estimate(value, error), result.growth))
-        time, speed, plate_speed, energy_transfer = estimates
         share = float(chosen.sum() / is_released.sum())
-        return Release(time, speed, plate_speed, energy_transfer, count, share)
+        return Release(*estimates, echoes=count, probability=share)
 
     others = [release(int(count)) for count in np.unique(echoes[is_released]) if count]
     likely = [item for item in others if item.probability > _MIN_PROBABILITY]

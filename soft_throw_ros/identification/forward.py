@@ -15,7 +15,6 @@ from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
     Event,
-    EventLimitError,
     PROJECTILE_POSITION,
     PROJECTILE_VELOCITY,
     Stepper,
@@ -110,7 +109,7 @@ def _follow(rig: Rig, time: Floats, *, by_cells: bool) -> ProjectilePath:
             states[1, index] = stepper.state[PROJECTILE_VELOCITY]
     except FitError:
         raise
-    except (ValueError, EventLimitError) as error:
+    except ValueError as error:
         raise FitError(f'the throw cannot be followed: {error}') from None
     position, velocity = states[:, indices]
     return ProjectilePath(position, velocity, tuple(events))

@@ -6,21 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from soft_throw_ros.core.smoothing import FEWEST
-from soft_throw_ros.twin.plate_estimator import PER_CROSSING, PER_PERIOD, SampledSpan
 from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
-from soft_throw_ros.twin.sensor_checks import LowRate, SensorFault
-
-_REQUIRED_SAMPLES = {
-    SampledSpan.CROSSING: f'{PER_CROSSING} in a crossing of the wave',
-    SampledSpan.PERIOD: f'{PER_PERIOD} in a period of the plate',
-    SampledSpan.WINDOW: f'{FEWEST} in measured.smoothing_window',
-}
-
-
-def count_of(number: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
 
 
 def throw_text(result: ThrowResult) -> str:
@@ -41,7 +27,7 @@ def throw_text(result: ThrowResult) -> str:
     if result.accuracy is not None:
         text += f' +- {result.accuracy.energy_transfer_error:.3f}'
     if result.last is not None and result.recontacts:
-        recontacts = count_of(result.recontacts, 're-contact')
+        recontacts = f'{result.recontacts} re-contact{"s" * (result.recontacts > 1)}'
         text += f' ({result.last.energy_transfer:.3f} after {recontacts})'
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
@@ -68,13 +54,6 @@ def comparison_text(result: ThrowResult) -> str:
     )
 
 
-def lead_text(result: ThrowResult) -> str:
-    """Return how long before or after the release the first prediction was available."""
-    lead = 1e3 * (result.lead or 0.0)
-    side = 'before' if result.is_ahead else 'after'
-    return f'prediction available {abs(lead):.2f} ms {side} release'
-
-
 def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:
     """Yield the disturbances of a throw with a number of samples, if any."""
     if disturbances is None:
@@ -86,18 +65,3 @@ def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:
         )
     if disturbances.time_skipped > 0.0:
         yield f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'
-
-
-def sensor_text(fault: SensorFault) -> str:
-    """Return a fault of the sensors with its numbers and the remedy."""
-    if isinstance(fault, LowRate):
-        return (
-            f'the plate is measured at {fault.rate:.0f} Hz, which must be at least '
-            f'{fault.least_rate:.0f} Hz, {_REQUIRED_SAMPLES[fault.span]}: no throw is followed'
-        )
-    noise, expected = fault
-    return (
-        f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / expected:.1f} '
-        f'times measured.position_noise {1e6 * expected:.3g} um: set it, or divide heights in '
-        'millimetres by 1000; the plate may never seem at rest, and then no throw is followed'
-    )

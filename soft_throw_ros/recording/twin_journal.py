@@ -68,11 +68,6 @@ class TwinJournal:
         is_measured = self.settings['engine.motion'] == 'measured'
         return 1.0 if is_measured else float(self.settings['time_scale'])
 
-    @property
-    def wanted_rig(self) -> Rig | None:
-        """The rig of the next throw, with all pending changes; None if unknown."""
-        return rig_of(self.wanted, self._motion_of) if self.wanted else None
-
     def read(self, message: Message) -> None:
         """Apply a line; raise one of `DECODING_ERRORS` if it is damaged."""
         entry = journal.decode(str(decode(message).data))

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.plate import motion_of, SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event, EventLimitError, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import make_stepper
@@ -51,7 +51,7 @@ class Imperfections:
     @property
     def are_present(self) -> bool:
         """Whether the rig has any imperfection."""
-        return any((self.ringing, self.second_mode))
+        return bool(self.ringing or self.second_mode)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +62,6 @@ class ImperfectThrow:
     imperfections: Imperfections
     events: tuple[Event, ...]
     """Releases and contacts, alternating; times count from the start of the throw."""
-    peak_strain: float
-    """Largest strain up to the first release [-]."""
     _start: float
     _time: Floats
     _projectile: Floats
@@ -83,24 +81,9 @@ def throw(
     rig: Rig, imperfections: Imperfections | None = None, *, until: float, start: float = 0.0
 ) -> ImperfectThrow:
     """
-    Simulate a throw from rest.
+    Simulate a throw of a rig with faults from rest `until` a time after its start [s].
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig without its faults.
-    imperfections : Imperfections, optional
-        Faults of the plate; no faults by default.
-    until : float
-        End of the simulation, after the start of the throw. [s]
-    start : float
-        Time of the first height that is needed; a ringing plate has its full amplitude then. [s]
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time.
-
+    A ringing plate has its full amplitude at the time `start` of the first height [s].
     """
     imperfections = imperfections or Imperfections()
     start = min(start, 0.0)
@@ -125,7 +108,6 @@ def throw(
         rig=rig,
         imperfections=imperfections,
         events=tuple(event._replace(time=event.time + begin) for event in stepper.events()),
-        peak_strain=stepper.loads.strain,
         _start=start,
         _time=times,
         _projectile=path,
@@ -137,14 +119,6 @@ class Deviations:
     Tabulated differences between the paths of an imperfect rig and a perfect one.
 
     They fade before the projectile lands, because the bounces that follow are chaotic.
-
-    Parameters
-    ----------
-    rig : Rig
-        Rig without its faults.
-    imperfections : Imperfections
-        Faults of the rig.
-
     """
 
     def __init__(self, rig: Rig, imperfections: Imperfections) -> None:
@@ -185,15 +159,14 @@ class Deviations:
 
 
 def _plate(rig: Rig, imperfections: Imperfections, time: Floats, start: float) -> Floats:
-    """Return heights of the plate: the step of the engine, ringing, and a second mode."""
+    """Return heights of the plate: the motion of the engine, ringing, and a second mode."""
     engine = rig.engine
-    motion = Underdamped.of(engine)
-    height = motion.position(time)
+    height = motion_of(engine).position(time)
     if imperfections.ringing:
-        rate = motion.exponent
+        own = engine
         if imperfections.ringing_damping_ratio is not None:
             own = replace(engine, damping_ratio=imperfections.ringing_damping_ratio)
-            rate = Underdamped.of(own).exponent
+        rate = Underdamped.of(own).exponent
         growth = np.clip((time - start) / _LEAD_IN + 1.0, 0.0, 1.0)
         decay = np.exp(rate.real * np.maximum(time - start, 0.0))
         wave = np.sin(rate.imag * (time - start) + imperfections.ringing_phase)

@@ -61,15 +61,7 @@ class Measurement(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFaults:
-    """
-    Faults of the sensors; no faults by default.
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite, or if one other than a drift or a delay is negative.
-
-    """
+    """Faults of the sensors, by default none; only a drift and a delay may be negative."""
 
     noise: float = 0.0  # standard deviation of heights [m]
     jitter: float = 0.0  # largest deviation of sample and stamp from the nominal time [s]
@@ -95,19 +87,7 @@ class SensorFaults:
         projectile: Callable[[Numbers], Numbers],
         chances: Chances,
     ) -> Measurement:
-        """
-        Measure the heights of plate and projectile.
-
-        Parameters
-        ----------
-        time : float or ndarray, shape (n,)
-            Nominal times of the samples. [s]
-        plate, projectile : callable
-            True heights [m] as functions of time [s].
-        chances : Chances
-            Random numbers of the same shape as `time`.
-
-        """
+        """Measure plate and projectile, whose heights [m] are functions of time, at a time [s]."""
         moment = time + self.jitter * chances.jitter
         drift = self.drift * (_DRIFT_TURNS - abs(moment % (2.0 * _DRIFT_TURNS) - _DRIFT_TURNS))
         heights = plate(moment), self.projectile_scale * projectile(moment - self.projectile_delay)

@@ -8,15 +8,15 @@ This package may import `configuration`, `core` and `storage`.
 Notes
 -----
 `session.Session` receives requests, changes of settings and samples between steps, and writes
-them to the journal. In each step `throw_cycle.ThrowCycle` advances the state of the rig: at rest,
-a throw under way (`throws.ScheduledThrow` or `measured_throw.MeasuredThrow`), or returning.
+them to the journal. In each step it advances the state of the rig, see `rig_states`: at rest, a
+throw under way (`ScheduledThrow` or `measured_throw.MeasuredThrow`), or returning to rest.
 
 A sample of a measured plate passes the following stations:
 
-1. `plate_estimator.PlateEstimator` refuses it, or sorts it by its stamp. When it is complete,
-   `outlier_filter` may remove it, and the samples of a window yield a smoothed state.
-2. `plate_monitor.PlateMonitor` detects from smoothed states that a throw has begun, and finds the
-   `Onset`. `sensor_checks` warns of faults.
+1. `sample_buffer.SampleBuffer` refuses it, or sorts it by its stamp. When it is complete,
+   `outlier_filter` may remove it.
+2. `plate_monitor.PlateMonitor` detects from the running mean of the heights that a throw has
+   begun, and finds the `Onset`. It reports faults of the sensor.
 3. In a throw, `plate_observer.PlateObserver` smooths the samples, and continues the motion ahead
    of them.
 4. `measured_throw` advances the simulation along the smoothed plate, which gives the residual, and

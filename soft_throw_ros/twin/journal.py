@@ -15,10 +15,9 @@ throw         the same, `throw` (its number), `pending` (changes that wait) and 
 samples       `count` and `data`, see `encode_samples`: taken before this step, or others
 input         `input`: 'throw', 'reset', or 'parameters' with their `values` and `motions`
 tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
-result        `result`: the values of a `ThrowResult`, where None is infinite; and in the end of
-              a throw `states` and `fields` as below, of the steps before from its start on
+result        `result`: the values of a `ThrowResult`, where None is infinite
 checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps from `first` to before
-              `step`, for about a second
+              `step`, for at most a second, and from the start of a throw on
 ============= ================================================================================
 
 All but the last two repeat a run; the last two show whether it is the same. Numbers are written
@@ -46,9 +45,8 @@ from soft_throw_ros import __version__
 from soft_throw_ros.configuration import motions, Settings, TWIN
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
-from soft_throw_ros.twin.plate_estimator import Onset, RestBaseline
 from soft_throw_ros.twin.results import Outputs, State, ThrowResult
-from soft_throw_ros.twin.sample_buffer import Samples
+from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Samples
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 Entry = Mapping[str, Any]  # of JSON, whose values are of many types
@@ -83,11 +81,6 @@ _FARTHEST = 2**62
 _SCHEDULE = ('anchor_step', 'anchor_time_ns', 'rate')
 """Keys of the fields of a `TickSchedule`."""
 
-_REST = {
-    'plate': 'plate_rest', 'projectile': 'projectile_rest', 'noise': 'noise', 'error': 'rest_error'
-}
-"""Keys of the fields of a `RestBaseline`; NaN is None."""
-
 _SAMPLE = np.dtype([('step', '<i8'), ('stamp_ns', '<i8'), ('heights', '<f8', (2,))])
 
 
@@ -110,20 +103,7 @@ def encode(entry: Entry) -> str:
 
 
 def decode(line: str) -> Entry:
-    """
-    Parse one line.
-
-    Raises
-    ------
-    JournalError
-        If the line is no entry; the message quotes the line.
-
-    Examples
-    --------
-    >>> decode('{"kind":"input","step":7,"input":"throw"}')['step']
-    7
-
-    """
+    """Parse one line; JournalError, which quotes the line, if it is no entry."""
     with _reading('line of a journal', line):
         entry = json.loads(line)
     if not isinstance(entry, dict) or not {'kind', 'step'} <= entry.keys():
@@ -143,11 +123,7 @@ def checked_settings(entry: Entry, key: str) -> Settings:
 
 
 def motion_source(entry: Entry) -> motions.MotionSource:
-    """
-    Return a source of the motions that an entry contains, by the paths of their files.
-
-    No file is opened: the source raises JournalError for every other path.
-    """
+    """Return a source of the motions in an entry, JournalError for others; it opens no file."""
 
     def motion_of(path: str) -> SampledMotion:
         with _reading(f'motion of {entry["kind"]} {entry["step"]}', path):
@@ -177,14 +153,11 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     `data` contains for each sample the step, the stamp and the other fields of `Sample`, 8 bytes
     each, little endian, compressed by zlib, in base 64.
     """
-    rows = np.zeros(sum(len(samples) for _, samples in batches), _SAMPLE)
-    end = 0
-    for step, samples in batches:
-        begin, end = end, end + len(samples)
-        rows['step'][begin:end], rows['stamp_ns'][begin:end] = step, samples.stamps
-        rows['heights'][begin:end] = samples.heights
-    data = base64.b64encode(zlib.compress(rows.tobytes(), 1)).decode()
-    return {'count': len(rows), 'data': data}
+    parts = [np.zeros(len(samples), _SAMPLE) for _, samples in batches]
+    for rows, (step, samples) in zip(parts, batches, strict=True):
+        rows['step'], rows['stamp_ns'], rows['heights'] = step, samples.stamps, samples.heights
+    content = zlib.compress(b''.join(rows.tobytes() for rows in parts), 1)
+    return {'count': sum(map(len, parts)), 'data': base64.b64encode(content).decode()}
 
 
 def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
@@ -205,10 +178,9 @@ def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
 
 def encode_onset(onset: Onset) -> Entry:
     """Encode an onset for an entry."""
-    rest = {_REST[name]: value for name, value in vars(onset.rest).items()}
     return {
         'onset_ns': onset.onset_ns,
-        **{key: None if math.isnan(value) else value for key, value in rest.items()},
+        'rest': [None if math.isnan(value) else value for value in onset.rest],
         'clock_offset_ns': onset.clock_offset_ns,
         **encode_samples([(0, onset.samples)]),
     }
@@ -217,12 +189,10 @@ def encode_onset(onset: Onset) -> Entry:
 def decode_onset(values: Entry) -> Onset:
     """Decode an onset."""
     with _reading('onset of a throw of a measured plate', values):
-        rest = {name: values[key] for name, key in _REST.items()}
-        if rest['projectile'] is None:  # it was not measured
-            rest['projectile'] = math.nan
+        rest = [math.nan if value is None else float(value) for value in values['rest']]
         return Onset(
             onset_ns=index(values['onset_ns']),
-            rest=RestBaseline(**{name: float(value) for name, value in rest.items()}),
+            rest=RestBaseline(*rest),
             samples=decode_samples({**values, 'step': 0})[0][1],
             clock_offset_ns=index(values.get('clock_offset_ns', 0)),
         )
@@ -235,12 +205,6 @@ class _Checksum:
     first: int
     states: int = 0
     fields: int = 0
-
-    def add(self, outputs: Outputs) -> None:
-        """Add the outputs of a step."""
-        self.states = crc32(STATE.pack(*outputs.state), self.states)
-        for array in outputs.layer or ():
-            self.fields = crc32(array.data, self.fields)
 
 
 class JournalWriter:
@@ -256,8 +220,7 @@ class JournalWriter:
         self._line = 0
         self._batches: list[tuple[int, Samples]] = []
         self._last_flush_step = step
-        self._second = _Checksum(step)
-        self._throw: _Checksum | None = None
+        self._checksum = _Checksum(step)
 
     def write(self, kind: str, step: int, **values: object) -> None:
         """Write an entry, without `motions` if there are none."""
@@ -271,8 +234,6 @@ class JournalWriter:
     def begin(self, kind: str, step: int, settings: Settings, **values: Any) -> None:
         """Write the start of a session or a throw, and begin a checksum."""
         self._write_checksum(step)
-        if kind == 'throw':
-            self._throw = _Checksum(step)
         self.write(kind, step, settings=dict(settings), versions=dict(VERSIONS), **values)
 
     def keep_samples(self, step: int, samples: Samples) -> None:
@@ -281,25 +242,22 @@ class JournalWriter:
 
     def write_result(self, step: int, result: ThrowResult) -> None:
         """Write the result of a throw."""
-        checksums: dict[str, int] = {}
-        if result.stage == 'final' and self._throw is not None:
-            checksums = {'states': self._throw.states, 'fields': self._throw.fields}
-            self._throw = None
         values = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in result.values().items()
         }
-        self.write('result', step, result=values, **checksums)
+        self.write('result', step, result=values)
 
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
-        """Add the outputs of a step to the checksums, and write the entries that are due."""
-        self._second.add(outputs)
-        if self._throw is not None:
-            self._throw.add(outputs)
+        """Add the outputs of a step to the checksum, and write the entries that are due."""
+        checksum = self._checksum
+        checksum.states = crc32(STATE.pack(*outputs.state), checksum.states)
+        for array in outputs.layer or ():
+            checksum.fields = crc32(array.data, checksum.fields)
         following = outputs.step + 1
         if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
             self._flush(following)  # also without samples, as a sign of life
-        if following - self._second.first >= CHECKSUM_TIME * rate:
+        if following - checksum.first >= CHECKSUM_TIME * rate:
             self._write_checksum(following)
 
     def close(self, step: int) -> None:
@@ -310,9 +268,9 @@ class JournalWriter:
 
     def _write_checksum(self, step: int) -> None:
         """Write the checksum of the steps before `step`, if any, and begin the next."""
-        if step > self._second.first:
-            self.write('checksum', step, **vars(self._second))
-        self._second = _Checksum(step)
+        if step > self._checksum.first:
+            self.write('checksum', step, **vars(self._checksum))
+        self._checksum = _Checksum(step)
 
     def _flush(self, step: int) -> None:
         """Write the stored samples."""

@@ -10,26 +10,18 @@ advances with any continuation of the plate's motion (see `Stepper.sync_from`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 import dataclasses
-from dataclasses import dataclass, field
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
-from soft_throw_ros.core.stepper import (
-    Event,
-    PLATE_POSITION,
-    PROJECTILE_POSITION,
-    TIME,
-)
-from soft_throw_ros.twin.plate_estimator import Onset, PAST, PlateEstimator, PlateStates
+from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
     layer_of,
-    PreparedRig,
     stepper_of,
     THROW_FIELD_LENGTH,
     throw_field_of,
@@ -46,13 +38,20 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.throws import OngoingThrow, Tick
+from soft_throw_ros.twin.rig_states import OngoingThrow
+from soft_throw_ros.twin.sample_buffer import Onset, PAST, SampleBuffer
 from soft_throw_ros.twin.tick_schedule import SECOND
+
+if TYPE_CHECKING:
+    from soft_throw_ros.twin.session import Session
 
 Floats = NDArray[np.float64]
 
 _PREDICTION_ERROR = 0.03
 """Largest relative standard error of the ejection speed in the first prediction. [-]"""
+
+_NOISY = 0.05
+"""Relative error of the speed of a certain release beyond which noise may have caused it. [-]"""
 
 LOST = PAST
 """Time without samples after which the plate is lost, because later ones are too old. [ns]"""
@@ -62,9 +61,6 @@ FEWEST_IN_FLIGHT = 8
 
 MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
-
-_NOISY = 0.05
-"""Relative error of the speed of a certain release beyond which noise may have caused it. [-]"""
 
 _SKIPPED = 0.5
 """Delay between two steps that shows that steps have been skipped, in steps. [-]"""
@@ -79,34 +75,25 @@ class MeasuredThrow(OngoingThrow):
     the projectile is known, and until its release.
     """
 
-    def __init__(
-        self, prepared: PreparedRig, onset: Onset, estimator: PlateEstimator, *, number: int
-    ) -> None:
-        config = estimator.config
+    def __init__(self, session: Session, onset: Onset, buffer: SampleBuffer) -> None:
+        prepared, config = session.prepared, buffer.config
         assert prepared.fork is not None
         assert prepared.release_weights is not None
         rest_speed = MEASURED_REST_SPEED * config.start_speed
-        super().__init__(
-            prepared, number=number, start_ns=onset.onset_ns, rest_speed=rest_speed
-        )
+        super().__init__(session, start_ns=onset.onset_ns, rest_speed=rest_speed)
         self._fork = prepared.fork
-        self._onset, self._estimator = onset, estimator
+        self._onset, self._buffer = onset, buffer
         self._observer = PlateObserver(config, onset, prepared.release_weights)
         self._settled = [(np.empty(0), np.empty((0, 3)))]  # times and states of the plate
         self._path = self._settled[0]  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
-        self._residuals = _ResidualStatistics(
-            last_ns=onset.onset_ns,
-            longest=1.0 / prepared.rig.engine.frequency,
-            threshold=config.residual_threshold,
-            gravity=prepared.rig.gravity,
-        )
+        self._compared_ns = onset.onset_ns  # until when the projectile has been compared [ns]
+        self._differences = [np.empty((2, 0))]  # times [s], and model minus projectile [m]
         self._accuracy: Accuracy | None = None  # of the last prediction, or of the release
         self._lead: float | None = None  # of the first prediction [s]
         self._last_due_ns = 0  # time of the last step [ns]
         self._time_skipped = 0.0  # of skipped steps [s]
 
-    @property
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
         self._fork.sync_from(self._stepper, *self._path)
@@ -118,48 +105,50 @@ class MeasuredThrow(OngoingThrow):
         """Whether the plate cannot change the release any more."""
         return self._accuracy is not None and self._accuracy.is_certain
 
-    def advance(self, tick: Tick, motion: PlateStates) -> Outputs:
+    def _advance(self) -> Outputs:
         """Advance as far as the plate is known, and predict from there."""
-        estimator, observer, start_ns = self._estimator, self._observer, self.start_ns
-        crossing, window = self._prepared.rig.crossing_time, estimator.config.smoothing_window
-        if motion.gap > crossing or tick.due_ns - estimator.newest_ns > LOST:
+        session, buffer, observer, fork = self.session, self._buffer, self._observer, self._fork
+        due_ns, crossing = session.due_ns(session.step), self._prepared.rig.crossing_time
+        if buffer.gap > crossing or due_ns - buffer.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
-            observer.add(estimator.samples(observer.next_ns, estimator.complete_ns + 1))
+            observer.add(buffer.between(observer.next_ns, buffer.complete_ns + 1))
+        late = (due_ns - self._last_due_ns) / SECOND - self._prepared.tick
+        if self._last_due_ns and late > _SKIPPED * self._prepared.tick:
+            self._time_skipped += late
+        self._last_due_ns = due_ns
         known = observer.newest + crossing
         # a longer extrapolation has no meaning
-        now = min((tick.due_ns - start_ns) / SECOND, known + window)
-        self._move_plate(max(now, known, self._latest_release))
-        self._count_skipped_time(tick.due_ns)
+        latest = known + buffer.config.smoothing_window
+        now = min((due_ns - self.start_ns) / SECOND, latest)
+        release_by = self._prepared.latest_release if self._lead is None else 0.0
+        self._move_plate(max(now, known, release_by))
         horizon = self._stepper.horizon
-        events, residual = self._follow_plate(horizon, tick.config.max_events)
+        events, residual = self._follow_plate(horizon)
         self._now, ahead = max(now, horizon), max(known, horizon)
-        self._fork.sync_from(self._stepper, *self._path)
+        fork.sync_from(self._stepper, *self._path)
         states = {time: self._move_fork(time) for time in sorted((self._now, ahead))}
-        forecast = self._forecast(known, tick)
+        if not (self._is_certain or self.ended_by):
+            if not fork.event_count and release_by > known:
+                self._try_to_advance(fork, release_by)
+            if fork.event_count:
+                self._predict(fork.events()[0], known, due_ns)
         if self.ended_by == 'noise':
             self.events, events = [], ()
-        predicted, stamp_ns = states[ahead], start_ns + round(ahead * SECOND)
+        state, stamp_ns = states[ahead], self.start_ns + round(ahead * SECOND)
         return Outputs(
-            tick.step,
+            session.step,
             self.number,
             states[self._now],
             events=events,
-            results=() if forecast is None else (forecast,),
             prediction=PredictedState(
                 stamp_ns,
-                predicted.projectile_position,
-                predicted.projectile_velocity,
-                predicted.projectile_force,
-                stamp_ns - tick.due_ns,
+                state.projectile_position,
+                state.projectile_velocity,
+                state.projectile_force,
             ),
             residual=residual,
         )
-
-    @property
-    def _latest_release(self) -> float:
-        """Latest time of a release that the next prediction needs [s]."""
-        return self._prepared.latest_release if self._lead is None else 0.0
 
     def _move_plate(self, until: float) -> None:
         """Append the states of the plate that do not change any more, and store the others."""
@@ -176,79 +165,64 @@ class MeasuredThrow(OngoingThrow):
         self._try_to_advance(self._fork, time)
         return State._make(self._fork.state.tolist()[1:])
 
-    def event_ns(self, event: Event, tick: Tick) -> int:  # noqa: ARG002
+    def _event_ns(self, event: Event) -> int:
         """Return the time of an event by the stamps of the samples [ns]."""
         return self.start_ns + round(event.time * SECOND)
 
-    def _count_skipped_time(self, due_ns: int) -> None:
-        """Count the time of skipped steps."""
-        late = (due_ns - self._last_due_ns) / SECOND - self._prepared.tick
-        if self._last_due_ns and late > _SKIPPED * self._prepared.tick:
-            self._time_skipped += late
-        self._last_due_ns = due_ns
+    def _follow_plate(self, known: float) -> tuple[tuple[Event, ...], Residual | None]:
+        """
+        Advance as far as the plate is known, and compare with samples of the projectile.
 
-    def _follow_plate(
-        self, known: float, max_events: int
-    ) -> tuple[tuple[Event, ...], Residual | None]:
-        """Advance as far as the plate is known, and compare with samples of the projectile."""
-        rest, start_ns, residuals = self._onset.rest, self.start_ns, self._residuals
-        if residuals.is_complete:
-            return self._go_to(known, max_events)[1], None
-        stepper, first_ns = self._stepper, start_ns + round(self._stepper.state[TIME] * SECOND)
-        samples = self._estimator.samples(
-            max(residuals.last_ns, first_ns) + 1, start_ns + math.floor(known * SECOND) + 1
-        )
-        heights = samples.heights - (rest.plate, rest.projectile)
-        is_measured = np.isfinite(heights[:, 1])
-        stamps, heights = samples.stamps[is_measured], heights[is_measured]
-        times = (stamps - start_ns) / SECOND
+        They are compared until a period of the plate after the release.
+        """
+        rest, stepper, begin_ns = self._onset.rest, self._stepper, self._compared_ns
+        if self.first_release and begin_ns > self._event_ns(self.first_release) + self._period_ns:
+            return self._go_to(known)[1], None
+        self._compared_ns = self.start_ns + math.floor(known * SECOND)
+        samples = self._buffer.between(begin_ns + 1, self._compared_ns + 1)
+        samples = samples[np.isfinite(samples.projectile)]
+        times = samples.seconds_since(self.start_ns)
+        modelled = np.empty((len(samples), 2))
         for n, time in enumerate(times.tolist()):
             self._try_to_advance(stepper, min(time, known))
-            heights[n] -= stepper.state[PLATE_POSITION:PROJECTILE_POSITION + 1]
-        _, events = self._go_to(known, max_events)
-        if not stamps.size:
+            modelled[n] = stepper.state[PLATE_POSITION:PROJECTILE_POSITION + 1]
+        _, events = self._go_to(known)
+        if not samples:
             return events, None
-        heights[:, 1] += self._prepared.rest.projectile_position
-        residuals.last_ns = int(stamps[-1])
-        residuals.add(times, -heights[:, 1], self.events)
-        plate, projectile = (-heights[-1]).tolist()
-        return events, Residual(residuals.last_ns, plate, projectile)
+        modelled[:, 1] -= self._prepared.rest.projectile_position
+        differences = modelled - (samples.heights - (rest.plate, rest.projectile))
+        self._differences.append(np.stack((times, differences[:, 1])))
+        return events, Residual(int(samples.stamps[-1]), *differences[-1].tolist())
 
-    def _forecast(self, ahead: float, tick: Tick) -> ThrowResult | None:
-        """Return the release when it is first known well enough, and when it is certain."""
-        fork = self._fork
-        if self._is_certain or self.ended_by:
-            return None
-        if not fork.event_count and self._latest_release > ahead:
-            self._try_to_advance(fork, self._latest_release)
-        if not fork.event_count:
-            return None
-        release = fork.events()[0]
-        accuracy = self._assess_accuracy(release, is_certain=release.time <= ahead)
+    @property
+    def _period_ns(self) -> float:
+        """Period of the plate [ns]."""
+        return SECOND / self._prepared.rig.engine.frequency
+
+    def _predict(self, release: Event, known: float, due_ns: int) -> None:
+        """Report the release when it is first known well enough, and when it is certain."""
+        accuracy = self._assess_accuracy(release, is_certain=release.time <= known)
         error = accuracy.ejection_speed_error / abs(release.velocity)
-        if accuracy.is_certain:
-            if error > _NOISY:
-                self.ended_by = 'noise'
-                return None
-        elif self._lead is not None or error > _PREDICTION_ERROR:
-            return None
-        self._accuracy = accuracy
-        lead = release.time - (tick.due_ns - self.start_ns) / SECOND
-        self._lead = lead if self._lead is None else self._lead
-        result = self._result_of('predicted', tick, fork, [release])
-        return self._with_measurement(result, lead, None)
+        if accuracy.is_certain and error > _NOISY:
+            self.ended_by = 'noise'
+        elif accuracy.is_certain or (self._lead is None and error <= _PREDICTION_ERROR):
+            self._accuracy = accuracy
+            lead = release.time - (due_ns - self.start_ns) / SECOND
+            self._lead = lead if self._lead is None else self._lead
+            result = self._result_of('predicted', self._fork, [release])
+            self.session.report(self._with_measurement(result, lead))
 
     def _latest_peak(self, release: Event | None) -> float:
         """Return the time until which the plate has its peak speed: until the release too [s]."""
-        peak_time = 1.1 * self._estimator.config.motion.peak_velocity_time
+        peak_time = 1.1 * self._buffer.config.motion.peak_velocity_time
         return max(peak_time, release.time if release else 0.0)
 
-    def peak_plate_speed(self, release: Event | None) -> float:
+    def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
         times, states = self._plate(self._path)
         is_early = times <= self._latest_peak(release)
         fastest = peak_speed(times[is_early], states[is_early])
-        return max(fastest, self._estimator.config.start_speed)
+        return max(fastest, self._buffer.config.start_speed)
 
     def _plate(self, *more: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
         """Return times and states of the plate that are settled, and more."""
@@ -257,33 +231,32 @@ class MeasuredThrow(OngoingThrow):
 
     def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
         """Return the accuracy of a release."""
-        speed, peak_speed = release.velocity, self.peak_plate_speed(release)
-        errors = self._observer.errors(speed, peak_speed)
-        estimator = self._estimator
+        buffer, peak_speed = self._buffer, self._peak_plate_speed(release)
+        time, speed, energy_transfer = self._observer.errors(release.velocity, peak_speed)
         return Accuracy(
             is_certain=is_certain,
-            release_time_error=errors.time,
-            ejection_speed_error=errors.speed * abs(speed),
-            energy_transfer_error=errors.energy_transfer * (speed / peak_speed) ** 2,
-            samples=len(estimator.samples(self.start_ns)) + estimator.outliers,
-            samples_left_out=estimator.outliers + self._observer.outliers,
+            release_time_error=time,
+            ejection_speed_error=speed,
+            energy_transfer_error=energy_transfer,
+            samples=len(buffer.between(self.start_ns)) + buffer.outliers,
+            samples_left_out=buffer.outliers,
         )
 
-    def result(self, stage: str, tick: Tick) -> ThrowResult:
+    def _result(self, stage: str) -> ThrowResult:
         """Return the result so far, with its accuracy and the faults of the measurement."""
         release = self.first_release
         if stage == 'release' and release is not None:
             self._accuracy = self._assess_accuracy(release, is_certain=self._is_certain)
-        result = super().result(stage, tick)
-        return self._with_measurement(result, self._lead, self._residuals.compare(release))
+        result = super()._result(stage)
+        return self._with_measurement(result, self._lead, comparison=self._compare())
 
     def _with_measurement(
-        self, result: ThrowResult, lead: float | None, comparison: Comparison | None
+        self, result: ThrowResult, lead: float | None, *, comparison: Comparison | None = None
     ) -> ThrowResult:
         """Add the faults of the measurement until now, and to a valid result its accuracy."""
         disturbances = Disturbances(
             clock_offset_ns=self._onset.clock_offset_ns,
-            samples_missing=self._estimator.missing_since(self.start_ns),
+            samples_missing=self._buffer.missing_since(self.start_ns),
             time_skipped=self._time_skipped,
         )
         known: dict[str, Any] = {}
@@ -291,7 +264,34 @@ class MeasuredThrow(OngoingThrow):
             known = {'lead': lead, 'accuracy': self._accuracy, 'comparison': comparison}
         return dataclasses.replace(result, disturbances=disturbances, **known)
 
-    def throw_field(self) -> Callable[[], ThrowField] | None:
+    def _compare(self) -> Comparison | None:
+        """Compare the throw with the samples of the projectile; None if there are none."""
+        times, differences = np.concatenate(self._differences, axis=1)
+        longest = self._period_ns / SECOND
+        release, landing, *_ = [*(event.time for event in self.events), math.inf, math.inf]
+        counted = differences[times <= release + longest]
+        if not counted.size:
+            return None
+        comparison = Comparison(
+            samples=counted.size,
+            position_rms=math.sqrt(np.square(counted).mean()),
+            position_max=float(np.abs(counted).max()),
+            threshold=self._buffer.config.residual_threshold,
+        )
+        is_flying = (times > release) & (times < landing)
+        times, differences = times[is_flying] - release, differences[is_flying]
+        if times.size < FEWEST_IN_FLIGHT or times[-1] < 0.5 * longest:
+            return comparison
+        # model and projectile fly freely, so that the residual is linear in time
+        slope, offset = np.polyfit(times, differences, 1).tolist()
+        later = -offset / self.events[0].velocity
+        return dataclasses.replace(
+            comparison,
+            ejection_time_error=later,
+            ejection_speed_error=slope - self._prepared.rig.gravity * later,
+        )
+
+    def _throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when the plate is known for long enough or lost."""
         release, known = self.first_release, self._stepper.horizon
         if self._has_shown_field or known <= 0.0 or not (release or self.ended_by):
@@ -311,66 +311,8 @@ class MeasuredThrow(OngoingThrow):
 
 
 def peak_speed(times: Floats, states: Floats) -> float:
-    """Return the largest speed of a plate from its states, with the peak between two of them."""
-    if not times.size:
-        return 0.0
-    best = int(states[:, 1].argmax())
-    speed = float(states[best, 1])
-    other = best + (1 if states[best, 2] > 0.0 else -1)
-    if not 0 <= other < times.size:
-        return speed
-    change = states[best, 2] - states[other, 2]
-    share = states[best, 2] / change if change else 0.0  # of the way to no acceleration
-    return speed + 0.5 * float(states[best, 2] * np.clip(share, 0.0, 1.0) * (
-        times[other] - times[best]
-    ))
-
-
-@dataclass(kw_only=True)
-class _ResidualStatistics:
-    """Statistics of the residuals of the projectile, until `longest` after the release."""
-
-    last_ns: int  # time of the last sample that was compared [ns]
-    longest: float  # [s]
-    threshold: float  # of a normal rms residual [m]
-    gravity: float  # [m/s2]
-    is_complete: bool = False
-    count: int = 0
-    sum_of_squares: float = 0.0  # [m2]
-    largest: float = 0.0  # [m]
-    in_flight: list[Floats] = field(default_factory=list)
-    """Times since the release [s], and residuals [m], shapes (2, n)."""
-
-    def add(self, times: Floats, differences: Floats, events: Sequence[Event]) -> None:
-        """Add residuals at times since the start, with the events until the last one."""
-        release, landing, *_ = [*(event.time for event in events), math.inf, math.inf]
-        self.is_complete = bool(times[-1] > release + self.longest)
-        is_flying = (times > release) & (times < landing)
-        self.in_flight.append(np.stack((times - release, differences))[:, is_flying])
-        counted = differences[times <= release + self.longest]
-        self.count += len(counted)
-        self.sum_of_squares += float(np.square(counted).sum())
-        self.largest = max(self.largest, float(np.abs(counted).max(initial=0.0)))
-
-    def compare(self, release: Event | None) -> Comparison | None:
-        """Return the statistics of the residuals; None if there are none."""
-        if not self.count:
-            return None
-        comparison = Comparison(
-            samples=self.count,
-            position_rms=math.sqrt(self.sum_of_squares / self.count),
-            position_max=self.largest,
-            threshold=self.threshold,
-        )
-        times, differences = np.concatenate(self.in_flight, axis=1)
-        is_enough = times.size >= FEWEST_IN_FLIGHT and times[-1] >= 0.5 * self.longest
-        if release is None or not is_enough:
-            return comparison
-        # model and projectile fly freely, so that the residual is linear in time
-        slope, offset = np.polyfit(times, differences, 1).tolist()
-        later = -offset / release.velocity
-        return dataclasses.replace(
-            comparison,
-            ejection_time_error=later,
-            ejection_speed_error=slope - self.gravity * later,
-        )
+    """Return the largest speed of a plate from its states, with the peaks between them."""
+    speeds, accelerations = states[:, 1], states[:, 2]
+    gain, loss = accelerations[:-1].clip(1e-9), (-accelerations[1:]).clip(0.0)
+    peaks = speeds[:-1] + 0.5 * np.diff(times) * gain**2 / (gain + loss)
+    return float(max(speeds.max(initial=0.0), peaks.max(initial=0.0)))

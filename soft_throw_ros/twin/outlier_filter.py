@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.kernels import kernel
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ _TRACKING = 1.05
 
 _BODY = np.dtype(
     [
-        ('time', 'f8'),  # of the last height [s]
+        ('stamp', 'i8'),  # of the last height [ns]
         ('state', 'f8', (2,)),  # height [m] and velocity [m/s] then
         ('covariance', 'f8', (2, 2)),
         ('median', 'f8'),  # running median of deviations over standard errors [-]
@@ -55,17 +56,17 @@ class OutlierFilter:
         self._bodies['state'][:, 0] = np.inf
         self._bodies['median'] = MEDIAN_DEVIATION
 
-    def find(self, times: Floats, heights: Floats) -> NDArray[np.bool_]:
+    def find(self, stamps: NDArray[np.int64], heights: Floats) -> NDArray[np.bool_]:
         """Return which of the following heights are outliers, shape (n, 2); NaN is none."""
         is_outlier = np.zeros(heights.shape, dtype=np.bool_)
-        _find(self._bodies, times, heights, *self._parameters, is_outlier)
+        _find(self._bodies, stamps, heights, *self._parameters, is_outlier)
         return is_outlier
 
 
 @kernel
 def _find(
     bodies: NDArray[np.void],
-    times: Floats,
+    stamps: NDArray[np.int64],
     heights: Floats,
     acceleration: float,
     speed: float,
@@ -77,11 +78,11 @@ def _find(
     for body in range(bodies.size):
         s = bodies[body]
         x, p = s.state, s.covariance
-        for n in range(times.size):
-            height, h = heights[n, body], times[n] - s.time
+        for n in range(stamps.size):
+            height, h = heights[n, body], (stamps[n] - s.stamp) / SECOND
             if np.isnan(height):
                 continue
-            s.time = times[n]
+            s.stamp = stamps[n]
             x[0] += h * x[1]
             p[0, 0] += h * (2.0 * p[0, 1] + h * p[1, 1]) + (0.5 * acceleration * h * h) ** 2
             p[0, 1] += h * p[1, 1] + 0.5 * (acceleration * h) ** 2 * h
@@ -113,4 +114,4 @@ def _find(
 def warm_up() -> None:
     """Compile the kernel, or load it from the cache on disk."""
     plate = Underdamped(amplitude=1.0, frequency=1.0, damping_ratio=0.1)
-    OutlierFilter(plate, 1.0, 0.0).find(np.arange(4.0), np.zeros((4, 2)))
+    OutlierFilter(plate, 1.0, 0.0).find(np.arange(4), np.zeros((4, 2)))

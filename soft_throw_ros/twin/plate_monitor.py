@@ -9,23 +9,31 @@ import math
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.core.smoothing import FEWEST
-from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import (
-    Onset,
-    PlateEstimator,
-    PlateStates,
-    REST_WINDOWS,
-    RestBaseline,
-    SampleCounts,
-)
+from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION, OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
-from soft_throw_ros.twin.sample_buffer import Samples
+from soft_throw_ros.twin.sample_buffer import (
+    FEWEST,
+    LONG_AGO,
+    Onset,
+    RestBaseline,
+    SampleBuffer,
+    SampleCounts,
+    Samples,
+)
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 RISE = 0.125
 """Time until the plate reaches the speed of a start, over its period. [-]"""
+
+REST_WINDOWS = 8
+"""Shortest rest of the plate before a throw, in smoothing windows. [-]"""
+
+_LAG = 0.25
+"""Delay of the running mean of the heights, over the smoothing window. [-]"""
+
+_REST_SIGMAS = 4.0
+"""Standard errors of the speed within which the plate is at rest. [-]"""
 
 _MOST_FOR_START = 128
 """Most samples in the fit of the start, to bound its cost. [-]"""
@@ -36,49 +44,80 @@ _MOST_MISFIT = 0.05
 _START_STEPS = 6
 """Gauss-Newton steps of this fit. [-]"""
 
-_REST_SIGMAS = 4.0
-"""Standard errors of the speed within which the plate is at rest. [-]"""
+PER_CROSSING, PER_PERIOD = 3, 20
+"""Samples that are needed while a wave crosses the layer, and in a period of the plate. [-]"""
+
+MAX_NOISE = 1.5
+"""Noise of the samples over `measured.position_noise`, above which it is reported. [-]"""
+
+_RATE_ERROR = 0.03
+"""Error of the estimated rate of a sensor whose stamps jitter, relative to the rate. [-]"""
+
+_FEWEST_FOR_NOISE = 30
+"""Fewest samples that give an estimate of the noise. [-]"""
+
+_NOISE_RANGE = 15.0
+"""Range of heights, in standard deviations, of a plate that is at rest but for noise. [-]"""
 
 
 @dataclass
-class _JumpDetector:
-    """A detector of rests and jumps of the plate; times are those of the estimator [s]."""
+class _PlateTracker:
+    """
+    Smoothed height and speed of the plate, and whether it rests or has begun to move.
 
+    The height is a running mean, whose delay times the speed is its difference from the samples.
+    """
+
+    config: MeasurementConfig
+    height: float = 0.0  # [m]
+    stamp_ns: int = LONG_AGO  # of the last sample
+    speed: float = 0.0  # [m/s]
     is_armed: bool = False  # whether the plate is at rest, so that a jump starts a throw
-    last_moving: float = math.nan  # last time at which the plate was too fast for a rest
-    last_quiet: float = -math.inf  # last time at which it was slow enough
-    begun: float = math.inf  # time at which it reached the speed of a start; infinite before
+    moving_ns: int | None = None  # last time at which the plate was too fast for a rest
+    quiet_ns: int = LONG_AGO  # last time at which it was slow enough
+    begun_ns: int | None = None  # time at which it reached the speed of a start
 
-    def cancel(self) -> None:
-        """Wait for another rest after a jump."""
-        self.is_armed, self.begun = False, math.inf
+    def __post_init__(self) -> None:
+        config, start_speed = self.config, self.config.start_speed
+        self._lag = _LAG * config.smoothing_window
+        error = config.position_noise / self._lag
+        self._fast = max(start_speed, OUTLIER_SIGMAS * error)
+        self._slow = max(0.5 * start_speed, _REST_SIGMAS * error)
 
-    def observe(self, time: float, speed: float, error: float, config: MeasurementConfig) -> None:
-        """Observe a smoothed speed in the direction of a start."""
-        if math.isnan(self.last_moving):
-            self.last_moving = time
-        if self.begun < math.inf:
-            if time >= self.begun + config.smoothing_window:  # it was no start
-                self.cancel()
-                self.last_moving = time
-        elif self.is_armed and speed > max(config.start_speed, OUTLIER_SIGMAS * error):
-            self.begun = time
-        elif abs(speed) > max(0.5 * config.start_speed, _REST_SIGMAS * error):
-            self.last_moving = time
-            moving_time = time - self.last_quiet
-            self.is_armed = self.is_armed and moving_time <= longest_rise(config)
+    def disarm(self) -> None:
+        """Wait for another rest."""
+        self.is_armed, self.moving_ns, self.begun_ns = False, None, None
+
+    def observe(self, stamp_ns: int, height: float) -> None:
+        """Observe the next height of the plate."""
+        window_ns, since_ns = self.config.smoothing_window_ns, stamp_ns - self.stamp_ns
+        since = since_ns / SECOND
+        self.stamp_ns = stamp_ns
+        self.height += since / (since + self._lag) * (height - self.height)
+        self.speed = (height - self.height) / self._lag
+        is_over = self.begun_ns is not None and stamp_ns >= self.begun_ns + window_ns
+        if since_ns > window_ns or is_over:  # a gap, or it was no start
+            self.disarm()
+        if self.moving_ns is None:
+            self.moving_ns = stamp_ns
+        elif self.begun_ns is not None:
+            return
+        elif self.is_armed and self.config.direction * self.speed > self._fast:
+            self.begun_ns = stamp_ns
+        elif abs(self.speed) > self._slow:
+            self.moving_ns = stamp_ns
+            self.is_armed &= stamp_ns - self.quiet_ns <= longest_rise(self.config) * SECOND
         else:
-            self.last_quiet = time
-            if time - self.last_moving >= REST_WINDOWS * config.smoothing_window:
-                self.is_armed = True
+            self.quiet_ns = stamp_ns
+            self.is_armed |= stamp_ns - self.moving_ns >= REST_WINDOWS * window_ns
 
 
 class PlateMonitor:
     """
-    A monitor of the plate from one throw to the next.
+    A monitor of the plate from one throw to the next, and of its sensor.
 
-    The monitor updates the counts of samples. The samples of the onset of a throw that has just
-    begun are used again.
+    The samples of the onset of a throw that has just begun are used again. `crossing_time` is
+    that of the wave in the layer [s].
 
     Notes
     -----
@@ -92,81 +131,110 @@ class PlateMonitor:
     def __init__(
         self,
         config: MeasurementConfig,
+        crossing_time: float,
         counts: SampleCounts,
         onset: Onset | None = None,
     ) -> None:
-        self.estimator = PlateEstimator(
-            config,
-            counts,
-            origin_ns=None if onset is None else onset.onset_ns,
-            samples=None if onset is None else onset.samples,
-        )
-        self._jump = _JumpDetector()
+        self.buffer = SampleBuffer(config, counts, None if onset is None else onset.samples)
+        self._crossing_time = crossing_time
         self._rest = math.nan if onset is None else onset.rest.plate  # height of the plate [m]
-        # heights [m] and speeds [m/s] of the plate, and of a projectile that a slow plate carries
-        self._plate = self._projectile = self._rest, 0.0
+        self._plate = _PlateTracker(config, self._rest if onset else 0.0)
+        # height [m] and speed [m/s], on a slow plate those of the plate
+        self._projectile = self._plate.height, 0.0
+        self._faults: dict[str, str] = {}  # by kind; empty once they are reported
+        self._diagnosed_ns = LONG_AGO  # stamp of the newest sample at the last diagnosis
 
-    def rearm(self, config: MeasurementConfig) -> None:
-        """Wait for another rest before a throw, and use the parameters `config` from now on."""
-        if config != self.estimator.config:
-            self.estimator = PlateEstimator(config, self.estimator.counts)
-        self._jump = _JumpDetector()
+    def rearm(self, config: MeasurementConfig, crossing_time: float) -> None:
+        """Wait for another rest before a throw, and use these parameters from now on."""
+        if config != self.buffer.config:
+            self.buffer = SampleBuffer(config, self.buffer.counts)
+            self._plate = _PlateTracker(config, self._plate.height)
+        self._crossing_time = crossing_time
+        self._plate.disarm()
 
     @property
     def is_armed(self) -> bool:
         """Whether the plate is at rest, so that a jump starts a throw."""
-        return self._jump.is_armed
+        return self._plate.is_armed
 
-    def advance(self, now_ns: int) -> tuple[PlateStates, Onset | None]:
-        """Return the motion since the last call, and the onset of a throw if one has begun."""
-        motion = self.estimator.advance(now_ns)
-        if motion.times.size:
-            self._update_state(motion)
-        onset = self._detect(motion)
-        if onset is not None:
-            self._jump.cancel()
-        return motion, onset
-
-    def _to_ns(self, time: float) -> int:
-        assert self.estimator.origin_ns is not None
-        return self.estimator.origin_ns + round(time * SECOND)
-
-    def _detect(self, motion: PlateStates) -> Onset | None:
-        """Follow the smoothed motion of the plate; return the onset of a throw."""
-        config = self.estimator.config
-        if motion.gap > config.smoothing_window:
-            self._jump = _JumpDetector()
-            return None
+    def advance(self, now_ns: int) -> Onset | None:
+        """Observe the samples that are complete now; return the onset of a throw."""
+        buffer, plate = self.buffer, self._plate
+        config, new = buffer.config, buffer.complete(now_ns)
         is_tried = False  # with all complete samples
-        for time, (_, speed, _), error in zip(
-            motion.times.tolist(), motion.states.tolist(), motion.errors.tolist(), strict=True
-        ):
-            self._jump.observe(time, config.direction * speed, error, config)
-            if self._jump.begun < math.inf and not is_tried:
-                onset, is_tried = find_onset(self.estimator, self._to_ns(self._jump.begun)), True
+        for stamp_ns, height in zip(new.stamps.tolist(), new.plate.tolist(), strict=True):
+            plate.observe(stamp_ns, height)
+            if plate.begun_ns is not None and not is_tried:
+                onset, is_tried = find_onset(buffer, plate.begun_ns), True
                 if onset is not None:
-                    return onset
+                    plate.disarm()
+                    return onset if self._has_rate(self._crossing_time) else None
+        if new:
+            if math.isnan(self._rest):
+                self._rest, self._projectile = plate.height, (plate.height, 0.0)
+            is_slow = abs(plate.speed) < config.start_speed
+            self._projectile = (
+                (plate.height, plate.speed) if is_slow else (self._projectile[0], 0.0)
+            )
         return None
-
-    def _update_state(self, motion: PlateStates) -> None:
-        """Store the latest state of the plate."""
-        height, speed, _ = motion.states[-1].tolist()
-        if math.isnan(self._rest):
-            self._rest, self._projectile = height, (height, 0.0)
-        self._plate = height, speed
-        is_slow = abs(speed) < self.estimator.config.start_speed
-        self._projectile = self._plate if is_slow else (self._projectile[0], 0.0)
 
     def state(self, rest: State) -> State:
         """Return the state of the plate, with the projectile lying on the layer."""
         if math.isnan(self._rest):
             return rest
         return rest._replace(
-            plate_position=rest.plate_position + self._plate[0] - self._rest,
+            plate_position=rest.plate_position + self._plate.height - self._rest,
             projectile_position=rest.projectile_position + self._projectile[0] - self._rest,
-            plate_velocity=self._plate[1],
+            plate_velocity=self._plate.speed,
             projectile_velocity=self._projectile[1],
         )
+
+    def faults(self) -> tuple[str, ...]:
+        """Return the faults of the sensor since the last call, each kind once."""
+        if self.buffer.newest_ns > self._diagnosed_ns:  # else the sensor is silent
+            self._diagnosed_ns = self.buffer.newest_ns
+            # until a rest is seen, the rate must suffice to see one
+            self._has_rate(self._crossing_time if self.is_armed else math.inf)
+            if not self.is_armed:
+                self._check_noise()
+        new = tuple(filter(None, self._faults.values()))
+        self._faults = dict.fromkeys(self._faults, '')
+        return new
+
+    def _has_rate(self, crossing_time: float) -> bool:
+        """Return whether the rate of samples suffices to follow a throw; note it if not."""
+        config, rate = self.buffer.config, self.buffer.rate()
+        rates = {
+            f'{PER_CROSSING} in a crossing of the wave': PER_CROSSING / crossing_time,
+            f'{PER_PERIOD} in a period of the plate': PER_PERIOD * config.plate.frequency,
+            f'{FEWEST} in measured.smoothing_window': FEWEST / config.smoothing_window,
+        }
+        required = max(rates, key=rates.__getitem__)
+        suffices = rate >= (1.0 - _RATE_ERROR) * rates[required]
+        if rate > 0.0 and not suffices:
+            self._faults.setdefault(
+                'rate',
+                f'the plate is measured at {rate:.0f} Hz, which must be at least '
+                f'{rates[required]:.0f} Hz, {required}: no throw is followed',
+            )
+        return suffices
+
+    def _check_noise(self) -> None:
+        """Note noise that hides the rest of the plate, or heights in another unit."""
+        heights, expected = self.buffer.samples.plate, self.buffer.config.position_noise
+        if heights.size < _FEWEST_FOR_NOISE:
+            return
+        # second differences, which have six times the variance, are free of slow motions
+        deviation = float(np.median(np.abs(np.diff(heights, 2)))) / MEDIAN_DEVIATION
+        noise = deviation / math.sqrt(6.0)
+        if noise > MAX_NOISE * expected and np.ptp(heights) < _NOISE_RANGE * noise:
+            self._faults.setdefault(
+                'noise',
+                f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / expected:.1f} '
+                f'times measured.position_noise {1e6 * expected:.3g} um: set it, or divide '
+                'heights in millimetres by 1000; the plate may never seem at rest, and then no '
+                'throw is followed',
+            )
 
 
 def longest_rise(config: MeasurementConfig) -> float:
@@ -174,20 +242,35 @@ def longest_rise(config: MeasurementConfig) -> float:
     return max(RISE / config.plate.frequency, 2.0 * config.rise_time)
 
 
-def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
+def rest_of(samples: Samples, noise: float) -> RestBaseline:
+    """Return the rest by samples, whose noise [m] is at least as large as is stated."""
+    plate, projectile = samples.plate, samples.projectile
+    measured = projectile[np.isfinite(projectile)]
+    # rounded samples at rest are all the same, so that their scatter underestimates the noise
+    noise = max(noise, float(plate.std()))
+    return RestBaseline(
+        plate=float(plate.mean()),
+        projectile=float(measured.mean()) if measured.size else math.nan,
+        noise=noise,
+        error=noise / math.sqrt(plate.size),
+    )
+
+
+def find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     """Find the start of a plate that was fast at `begun_ns`, if its motion is that of a start."""
-    config = estimator.config
+    config, end_ns = buffer.config, buffer.complete_ns + 1
     window_ns = config.smoothing_window_ns
-    margin_ns = max(window_ns, round(longest_rise(config) * SECOND))
-    rest = estimator.rest_before(begun_ns - margin_ns)
-    samples = estimator.samples(begun_ns - margin_ns, estimator.complete_ns + 1)
-    if rest is None or len(samples) < FEWEST:
+    first_ns = begun_ns - max(window_ns, round(longest_rise(config) * SECOND))
+    before = buffer.between(first_ns - (REST_WINDOWS - 1) * window_ns, first_ns)
+    samples = buffer.between(first_ns, end_ns)
+    if min(len(before), len(samples)) < FEWEST:
         return None
+    rest = rest_of(before, config.position_noise)
     # a slow engine moves for many samples; a subset suffices
     stride = math.ceil(len(samples) / _MOST_FOR_START)
     thinned = samples[(len(samples) - 1) % stride::stride]
     onset_ns, size = find_start(thinned, begun_ns, rest, config)
-    moved = estimator.samples(onset_ns + 1, estimator.complete_ns + 1)
+    moved = buffer.between(onset_ns + 1, end_ns)
     if len(moved) < FEWEST - 1:
         return None
     height, speed, _ = size * config.motion.states_at(moved.seconds_since(onset_ns)).T
@@ -196,8 +279,7 @@ def find_onset(estimator: PlateEstimator, begun_ns: int) -> Onset | None:
     misfit = float(np.median(np.abs(moved.plate - rest.plate - height)))
     if misfit > max(_MOST_MISFIT * config.plate.amplitude, OUTLIER_SIGMAS * rest.noise):
         return None
-    before = estimator.samples(onset_ns - window_ns)
-    return Onset(onset_ns=onset_ns, rest=rest, samples=before)
+    return Onset(onset_ns=onset_ns, rest=rest, samples=buffer.between(onset_ns - window_ns))
 
 
 def find_start(

@@ -21,8 +21,7 @@ velocity of the plate. These three integrals are states of the filter too, so th
 are those of the whole path, with all correlations.
 
 A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t`, which adds
-to the noise. A height is an outlier if it is six standard errors off; the third in a row shows
-that the plate moves in another way, and widens the errors of the state.
+to the noise. A height counts as at most six standard errors off.
 
 References
 ----------
@@ -41,10 +40,8 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, Record, subroutine
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.outlier_filter import MAX_OUTLIERS_IN_A_ROW, OUTLIER_SIGMAS
-from soft_throw_ros.twin.plate_estimator import Onset, state_spacing_ns
-from soft_throw_ros.twin.sample_buffer import Samples
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
+from soft_throw_ros.twin.sample_buffer import Onset, Samples
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +57,7 @@ AMPLITUDE_ERROR = 0.025
 _SETTLED = 0.5
 """Age at which a smoothed state does not change any more, over the smoothing window. [-]"""
 _SPACING = 0.125
-"""Time between states of the continuation, over the smoothing window. [-]"""
+"""Time between states of the plate, over the smoothing window. [-]"""
 _COARSE = 4
 """Weights of the release that the prediction of its errors passes in a step. [-]"""
 _AVERAGED = 16
@@ -80,12 +77,9 @@ _MEMORY = np.dtype(
         ('zeta', 'f8'),
         ('amplitude', 'f8'),  # expected [m]
         ('unmodelled', 'f8'),  # spectral density of q [m2/s3]
-        ('wide', 'f8', (3,)),  # variances of a state of which nothing is known
         ('time', 'f8'),  # since the start [s]
         ('state', 'f8', (3,)),
         ('covariance', 'f8', (_STATES, _STATES)),
-        ('in_a_row', 'i8'),  # outliers until now
-        ('outliers', 'i8'),
         ('steps', 'i8'),  # of the filter since the last settled state
         ('settled', 'f8'),  # time of this state [s]
         ('ratio', 'f8'),  # mean square of normalised innovations [-]
@@ -104,14 +98,6 @@ STEP = np.dtype(
     align=True,
 )
 """Record of a step of the filter, for the smoother."""
-
-
-class ReleaseErrors(NamedTuple):
-    """Standard errors of a release: of its time [s], and relative ones of speed and alpha [-]."""
-
-    time: float
-    speed: float
-    energy_transfer: float
 
 
 class ReleaseWeights(NamedTuple):
@@ -199,21 +185,13 @@ def _filter(
         s.steps += 1
         _transition(s, s.time, f)  # from the rest, which gives the expected speed
         noise = errors[n] ** 2 + (f[1, 2] * s.amplitude * stamp_error) ** 2
-        error = heights[n] - s.state[0]
-        is_used = not np.isnan(error)
-        if is_used and error * error > OUTLIER_SIGMAS**2 * (p[0, 0] + noise):
-            s.in_a_row += 1
-            s.outliers += 1
-            is_used = s.in_a_row >= MAX_OUTLIERS_IN_A_ROW
-            if is_used:
-                for i in range(3):
-                    p[i, i] += s.wide[i]
+        variance = p[0, 0] + noise
+        most = OUTLIER_SIGMAS * math.sqrt(variance)
+        error = min(max(heights[n] - s.state[0], -most), most)
         step.time, step.pull = times[n], 0.0
         step.state[:], step.covariance[:], step.gain[:] = s.state, p[:3, :3], 0.0
-        if not is_used:
+        if np.isnan(heights[n]):
             continue
-        s.in_a_row = 0
-        variance = p[0, 0] + noise
         step.pull = error / variance
         gain = p[:, 0] / variance
         step.gain[:] = gain[:3]
@@ -325,19 +303,13 @@ class PlateObserver:
         memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
         memory['ratio'] = _FIRST_RATIO
         memory['settled'] = -1.0
-        memory['wide'] = plate.amplitude**2, swing**2, plate.amplitude**2
         memory['covariance'][0][range(3), range(3)] = np.square(
             [onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude]
         )
         self._present = memory[0]
         self._steps = np.zeros(_CAPACITY, STEP)
-        self._spacing = 0.99 * state_spacing_ns(config) / SECOND  # least, between states [s]
+        self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
         self._filter(np.zeros(1), np.full(1, np.nan), np.zeros(1), 0.0)
-
-    @property
-    def outliers(self) -> int:
-        """Number of outliers."""
-        return int(self._present['outliers'])
 
     @property
     def newest(self) -> float:
@@ -394,9 +366,9 @@ class PlateObserver:
             states[0, 1] = max(states[0, 1], 0.0)
         return times, states, settled
 
-    def errors(self, speed: float, peak_speed: float) -> ReleaseErrors:
+    def errors(self, speed: float, peak_speed: float) -> tuple[float, float, float]:
         """
-        Return the standard errors of a release with the given speeds [m/s].
+        Return the standard errors of time [s], speed [m/s] and energy transfer [-] of a release.
 
         Innovations that are larger than the stated noise explains make the errors larger.
         """
@@ -409,8 +381,8 @@ class PlateObserver:
         variances = memory['covariance'][0].diagonal()[3:] * max(1.0, float(memory['ratio'][0]))
         speed_error, time_error, peak_error = np.sqrt(variances).tolist()
         # errors of both speeds count as independent: another motion than expected makes them so
-        alpha = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
-        return ReleaseErrors(time_error, speed_error / abs(speed), alpha)
+        relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
+        return time_error, speed_error, relative_error * (speed / peak_speed) ** 2
 
 
 def warm_up() -> None:

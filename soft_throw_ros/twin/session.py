@@ -9,8 +9,9 @@ clock, and a replay, which advances it as fast as it can, get the same outputs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+import math
 from threading import Lock
 
 from soft_throw_ros.configuration import motions, Settings
@@ -18,12 +19,25 @@ from soft_throw_ros.configuration.motions import MotionSource
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
-from soft_throw_ros.twin.plate_estimator import SampleCounts
-from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
-from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.sample_buffer import Samples
-from soft_throw_ros.twin.sensor_checks import SensorFault
-from soft_throw_ros.twin.throw_cycle import ThrowCycle
+from soft_throw_ros.twin.measured_throw import MeasuredThrow
+from soft_throw_ros.twin.plate_monitor import PlateMonitor
+from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig, waiting_values
+from soft_throw_ros.twin.results import (
+    Outputs,
+    Phase,
+    PhaseChange,
+    PlateCommand,
+    ThrowField,
+    ThrowResult,
+)
+from soft_throw_ros.twin.rig_states import (
+    AtRest,
+    OngoingThrow,
+    Returning,
+    RigState,
+    ScheduledThrow,
+)
+from soft_throw_ros.twin.sample_buffer import Onset, SampleCounts, Samples
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 
@@ -33,7 +47,7 @@ class RequestRejected(Exception):
 
 class Session:
     """
-    The cycle of a rig, its settings and its journal.
+    A rig at rest, throwing or returning to rest, with its settings and its journal.
 
     Inputs may come from another thread than the one that advances the session. An input takes
     effect between two steps, and has the number of the second one in the journal.
@@ -46,17 +60,34 @@ class Session:
         Number of the first step.
     on_entry : callable
         Called with every line of the journal, in order; it must not call the session.
-    pending : mapping of str to value, optional
-        Pending changes of a session that continues another one from its journal.
     motion_of : callable
         Returns the motion of a plate by the path of its file; by default it reads the file.
     prepared : PreparedRig, optional
         The result of `prepared_rig.prepare` for the settings; by default they are prepared here.
+    entry : mapping, optional
+        Entry of the journal for the start of a throw, with which the session continues.
 
     Raises
     ------
     ValueError
         If the rig cannot be stepped in real time, with the number.
+
+    Notes
+    -----
+    A throw starts on request, or `throw.period` after the start of the last throw. It ends when
+    the projectile is at rest, after `throw.max_events` contacts, after 10 s, or when only the time
+    to return to rest remains until the next throw. Then plate and projectile return to rest along
+    continuous paths.
+
+    A change of the rig, of the measurement, of rates or of the time scale waits until the return
+    begins, and all that wait take effect together: after a throw, at a reset, or, if the rig is at
+    rest, before the next throw. Not while a controller has the motion of the next throw
+    (`engine.command`). Every other change is effective at once.
+
+    If the plate is measured, a throw starts when the plate moves up suddenly after a rest,
+    regardless of the period. It also ends when samples are missing for longer than a wave needs to
+    cross the layer, or when the next throw starts. Settings that wait then take effect with the
+    throw. Between throws, plate and projectile stay at the last measured height of the plate.
 
     """
 
@@ -66,20 +97,36 @@ class Session:
         *,
         step: int = 0,
         on_entry: Callable[[str], None] = lambda _line: None,
-        pending: Settings | None = None,
         motion_of: MotionSource = motions.read,
         prepared: PreparedRig | None = None,
+        entry: journal.Entry | None = None,
     ) -> None:
         self.step = step  # number of the next step
+        self.throws = 0  # number of throws that have started
+        self.sample_counts = SampleCounts()  # of the rig
+        self.prepared = self.wanted = prepared or prepare(settings, motion_of=motion_of)
+        self.config = self.prepared.config  # in effect
+        self.state = self.prepared.rest  # in the last step
+        self.monitor: PlateMonitor | None = None  # if the plate is measured
+        # outputs of the next step; the time of a phase [ns] is None for the deadline of the step
+        self.phases: list[tuple[Phase, int | None]] = []
+        self.throw_field: Callable[[], ThrowField] | None = None
+        self._results: list[ThrowResult] = []
+        self._command: PlateCommand | None = None
         self._lock = Lock()  # held for microseconds
         self._journal = JournalWriter(on_entry, step=step)
-        prepared = prepared or prepare(settings, motion_of=motion_of)
-        self._cycle = ThrowCycle(prepared, self._journal, step=step)
-        if pending is None:
-            encoded = self._cycle.encoded_motions
-            self._journal.begin('start', step, settings, motions=encoded)
-        elif pending:
-            self._cycle.stage(self._prepare(pending, motion_of))
+        self._schedule = TickSchedule(step=step, time_ns=0, rate=self.rate)
+        self._clock_offset_ns = 0  # of the samples, see `measure` [ns]
+        self._period_start = step  # of the last throw, or of a reset
+        self._field_start = step  # since which rows of the field are counted
+        self._busy_until: float = step  # at the end of a commanded motion, or of a return
+        self._start_monitoring()
+        self._rig_state: RigState = AtRest(self)
+        if entry is None:
+            self.phases.append((Phase.REST, None))
+            self._journal.begin('start', step, settings, motions=self._encoded_motions)
+        else:
+            self._resume(entry, motion_of)
 
     @classmethod
     def from_entry(
@@ -99,65 +146,62 @@ class Session:
             If the rig cannot be stepped in real time.
 
         """
-        settings, step = journal.checked_settings(entry, 'settings'), entry['step']
-        motion_of = journal.motion_source(entry)
-        if entry['kind'] == 'start':
-            return cls(settings, step=step, on_entry=on_entry, motion_of=motion_of)
-        if entry['kind'] != 'throw' or 'throw' not in entry:
+        settings, is_start = journal.checked_settings(entry, 'settings'), entry['kind'] == 'start'
+        if not is_start and (entry['kind'] != 'throw' or 'throw' not in entry):
             raise journal.JournalError(
                 f'a session starts with an entry start or throw, got {quote(dict(entry))}'
             )
-        pending = journal.checked_settings(entry, 'pending')
-        session = cls(
-            settings, step=step, on_entry=on_entry, pending=pending, motion_of=motion_of
+        return cls(
+            settings,
+            step=entry['step'],
+            on_entry=on_entry,
+            motion_of=journal.motion_source(entry),
+            entry=None if is_start else entry,
         )
-        session._cycle.resume(step, entry)
-        return session
+
+    def _resume(self, entry: journal.Entry, motion_of: MotionSource) -> None:
+        """Start the throw of an entry of a journal with the next step."""
+        if pending := journal.checked_settings(entry, 'pending'):
+            self._stage(self._prepare(pending, motion_of))
+        self.throws = entry['throw'] - 1
+        if 'schedule' in entry:
+            self._schedule = journal.decode_schedule(entry['schedule'])
+        is_measured = self.is_measured
+        self.begin_throw(journal.decode_onset(entry.get('onset', {})) if is_measured else None)
 
     def _prepare(self, values: Settings, motion_of: MotionSource) -> PreparedRig:
         """Return the wanted rig after a change."""
-        wanted = self._cycle.wanted
-        return prepare({**wanted.config.settings, **values}, wanted, motion_of)
-
-    @property
-    def throws(self) -> int:
-        """Number of throws that have started."""
-        return self._cycle.throws
+        return prepare({**self.wanted.config.settings, **values}, self.wanted, motion_of)
 
     @property
     def rate(self) -> float:
         """Present number of steps per second of the clock [Hz]."""
-        return self._cycle.config.state_rate
+        return self.config.state_rate
 
     @property
     def time_scale(self) -> float:
         """Present time of the rig over time of the clock [-]."""
-        return self._cycle.config.time_scale
-
-    def due_ns(self, step: int) -> int:
-        """Return the deadline of a step by the last schedule that was set [ns]."""
-        return self._cycle.schedule.deadline(step)
+        return self.config.time_scale
 
     @property
     def pending(self) -> Settings:
-        """Pending changes by name."""
-        return self._cycle.pending
+        """The changes that wait, by name."""
+        wanted, present = self.wanted.config.settings, self.config.settings
+        return {name: value for name, value in wanted.items() if value != present[name]}
 
     @property
     def is_measured(self) -> bool:
         """Whether the plate is measured."""
-        return self._cycle.monitor is not None
+        return self.monitor is not None
 
     @property
     def is_at_rest(self) -> bool:
         """Whether a measured plate is at rest, so that a throw can start."""
-        monitor = self._cycle.monitor
-        return monitor is not None and monitor.is_armed
+        return self.monitor is not None and self.monitor.is_armed
 
-    @property
-    def sample_counts(self) -> SampleCounts:
-        """Numbers of accepted and refused samples of the rig."""
-        return self._cycle.sample_counts
+    def due_ns(self, step: int) -> int:
+        """Return the deadline of a step by the last schedule that was set [ns]."""
+        return self._schedule.deadline(step)
 
     # inputs
 
@@ -179,7 +223,7 @@ class Session:
         with self._lock:
             if self.is_measured:
                 raise RequestRejected('the plate is measured: a throw starts when it jumps up')
-            if refusal := self._cycle.rig_state.request_throw(self.step):
+            if refusal := self._rig_state.request_throw():
                 raise RequestRejected(refusal)
             self._journal.write('input', self.step, input='throw')
             return self.throws + 1
@@ -188,7 +232,11 @@ class Session:
         """Abort a throw under way, return to rest, and count the period from here."""
         with self._lock:
             self._journal.write('input', self.step, input='reset')
-            self._cycle.reset(self.step)
+            if isinstance(self._rig_state, OngoingThrow):
+                self._rig_state.end('reset')
+            else:
+                self.put_back()
+            self._period_start = self.step
 
     def change(
         self,
@@ -198,7 +246,7 @@ class Session:
         motion_of: MotionSource = motions.read,
     ) -> None:
         """
-        Change settings: at once, or when the rig is put back, see `ThrowCycle`.
+        Change settings: at once, or when the rig is put back, see the class.
 
         The values include all implied changes, and `prepared` is the rig with all of them; by
         default it is prepared here. Changes come from one thread.
@@ -211,13 +259,24 @@ class Session:
         """
         wanted = prepared or self._prepare(values, motion_of)
         with self._lock:
-            before = self._cycle.encoded_motions
-            self._cycle.stage(wanted)
-            after = self._cycle.encoded_motions
+            before = self._encoded_motions
+            self._stage(wanted)
+            after = self._encoded_motions
             new = {path: text for path, text in after.items() if before.get(path) != text}
             self._journal.write(
                 'input', self.step, input='parameters', values=dict(values), motions=new
             )
+
+    def _stage(self, wanted: PreparedRig) -> None:
+        """Stage a wanted rig; put the changes in effect that need not wait."""
+        self.wanted = wanted
+        waiting = waiting_values(self.config.settings)
+        self.config = self.config.change({**wanted.config.settings, **waiting})
+
+    @property
+    def _encoded_motions(self) -> Mapping[str, str]:
+        """The motions of files of both rigs, encoded, by their paths."""
+        return {**self.prepared.encoded_motion, **self.wanted.encoded_motion}
 
     def measure(self, samples: Samples, *, clock_offset_ns: int = 0) -> None:
         """
@@ -226,22 +285,16 @@ class Session:
         The next throw notes the offset that has been added to their stamps.
         """
         with self._lock:
-            self._cycle.clock_offset_ns = clock_offset_ns
-            if (monitor := self._cycle.monitor) is not None and samples:
-                added = monitor.estimator.add_samples(samples, self.due_ns(self.step))
+            self._clock_offset_ns = clock_offset_ns
+            if self.monitor is not None and samples:
+                added = self.monitor.buffer.add(samples, self.due_ns(self.step))
                 if added:
                     self._journal.keep_samples(self.step, added)
 
-    def diagnose_sensors(self) -> tuple[SensorFault, ...]:
+    def diagnose_sensors(self) -> tuple[str, ...]:
         """Return new faults of the sensors of a measured plate; call it about once a second."""
         with self._lock:
-            cycle, monitor = self._cycle, self._cycle.monitor
-            if monitor is None:
-                return ()
-            crossing_time = cycle.prepared.rig.crossing_time
-            return cycle.sensor_checks.diagnose(
-                monitor.estimator, crossing_time, is_armed=monitor.is_armed
-            )
+            return () if self.monitor is None else self.monitor.faults()
 
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """
@@ -252,7 +305,7 @@ class Session:
         of its messages.
         """
         with self._lock:
-            self._cycle.schedule = replace(schedule)  # its owner changes it later
+            self._schedule = replace(schedule)  # its owner changes it later
             self._journal.write('tick_schedule', self.step, **journal.encode_schedule(schedule))
 
     def close(self) -> None:
@@ -265,11 +318,27 @@ class Session:
     def advance(self) -> Outputs:
         """Advance by one step."""
         with self._lock:
-            outputs = self._cycle.advance(self.step)
+            if self.monitor is not None:
+                self._watch_plate(self.monitor)
+            elif not isinstance(self._rig_state, OngoingThrow):
+                self._rig_state.start_next()
+            outputs = self._rig_state.advance()
+            self.state = outputs.state
+            due_ns, since = self.due_ns(self.step), self.step - self._field_start
+            row, last_row = (k * self.config.field_rate // self.rate for k in (since, since - 1))
+            outputs = outputs._replace(
+                phases=tuple(
+                    PhaseChange(phase, due_ns if stamp_ns is None else stamp_ns)
+                    for phase, stamp_ns in self.phases
+                ),
+                results=tuple(self._results),
+                layer=None if row == last_row else self._rig_state.layer(),
+                throw_field=self.throw_field,
+                command=self._command,
+            )
+            self.phases, self._results, self.throw_field, self._command = [], [], None, None
             self.step += 1
-            rate = self._cycle.config.state_rate
-            is_measured = self._cycle.monitor is not None
-            self._journal.end_step(outputs, rate=rate, is_measured=is_measured)
+            self._journal.end_step(outputs, rate=self.rate, is_measured=self.is_measured)
             return outputs
 
     def advance_to(self, step: int) -> Iterator[Outputs]:
@@ -301,7 +370,7 @@ class Session:
             return
         yield from self.advance_to(entry['step'])
         if entry['kind'] == 'throw' and 'onset' in entry:
-            self._cycle.clock_offset_ns = journal.decode_onset(entry['onset']).clock_offset_ns
+            self._clock_offset_ns = journal.decode_onset(entry['onset']).clock_offset_ns
         elif entry['kind'] == 'tick_schedule':
             self.set_tick_schedule(journal.decode_schedule(entry))
         elif entry['kind'] == 'input':
@@ -316,8 +385,141 @@ class Session:
                     self.reset()
                 case 'parameters':
                     values = journal.checked_settings(entry, 'values')
-                    known = {**self._cycle.encoded_motions, **entry.get('motions', {})}
+                    known = {**self._encoded_motions, **entry.get('motions', {})}
                     source = journal.motion_source({**entry, 'motions': known})
                     self.change(values, motion_of=source)
                 case name:
                     raise journal.JournalError(f'no input is named {quote(name)}')
+
+    # for the states of the rig
+
+    @property
+    def due(self) -> float:
+        """Step of the next throw by `throw.period`; infinite without, or with a measured plate."""
+        config = self.config
+        if not config.throw_period or config.is_measured:
+            return math.inf
+        return self._period_start + self.prepared.period_ticks(config.throw_period)
+
+    @property
+    def next_start(self) -> float:
+        """Step at which the next throw starts by the period, or at which it is commanded."""
+        return self.due - self._lead_ticks
+
+    @property
+    def _lead_ticks(self) -> int:
+        """Steps from the command of a motion to its start; 0 without a command."""
+        return round((self.config.command_lead or 0.0) * self.rate)
+
+    def refusal(self, reason: str, until: float) -> str:
+        """Return a reason with the time until a step."""
+        remaining = (until - self.step) / self.rate
+        return f'{reason}: ready in at most {remaining:.2f} s' if until < math.inf else reason
+
+    def report(self, result: ThrowResult) -> None:
+        """Output a result, and write it to the journal."""
+        self._results.append(result)
+        self._journal.write_result(self.step, result)
+
+    def enter(self, rig_state: RigState, phase: Phase, stamp_ns: int | None = None) -> None:
+        """Enter a state with a phase."""
+        self._rig_state = rig_state
+        self.phases.append((phase, stamp_ns))
+
+    def command_plate(self) -> None:
+        """Output the motion of the next throw if a controller plays it, and start the throw."""
+        start_step = self.step + self._lead_ticks
+        motion = self.prepared.rig.engine.motion
+        if self.config.command_lead is not None and motion is not None:
+            self._command = PlateCommand(self.due_ns(start_step), motion)
+        self._busy_until = self._end_of_command(start_step)
+        if start_step == self.step:
+            self.begin_throw()
+        elif isinstance(self._rig_state, AtRest):
+            self._rig_state.start_step = start_step
+        else:
+            self.enter(AtRest(self, start_step=start_step), Phase.REST)
+
+    def _end_of_command(self, start: int) -> float:
+        """Return the step at which a controller has played a motion from `start` on, if any."""
+        motion = self.prepared.rig.engine.motion
+        if self.config.command_lead is None or motion is None:
+            return start
+        return start + motion.end_time * self.rate
+
+    def begin_throw(self, onset: Onset | None = None) -> None:
+        """Begin a throw, of a measured plate with an onset."""
+        step = self.step
+        self.throws += 1
+        self._field_start = self._period_start = step
+        self._busy_until = self._end_of_command(step)
+        self._journal.begin(
+            'throw',
+            step,
+            self.config.settings,
+            motions=self._encoded_motions,
+            throw=self.throws,
+            pending=self.pending,
+            schedule=journal.encode_schedule(self._schedule),
+            **({} if onset is None else {'onset': journal.encode_onset(onset)}),
+        )
+        if onset is None:
+            self.enter(ScheduledThrow(self), Phase.CONTACT)
+        else:
+            self.monitor = self._new_monitor(onset)
+            throw = MeasuredThrow(self, onset, self.monitor.buffer)
+            self.enter(throw, Phase.CONTACT, onset.onset_ns)
+
+    def put_back(self, *, is_requested: bool = False) -> None:
+        """
+        Begin the return to rest, with the settings that were pending in effect.
+
+        It ends no sooner than a commanded motion, which the next command would replace.
+        """
+        busy_time = (self._busy_until - self.step) / self.rate
+        self._commit()
+        ticks = 0
+        if not self.config.is_measured:
+            ticks = self.prepared.return_ticks(self.config.throw_period)
+            ticks = max(ticks, math.ceil(busy_time * self.rate))
+        self._start_monitoring()
+        self._field_start, self._busy_until = self.step, self.step + ticks
+        is_requested = is_requested and self.monitor is None
+        returning = Returning(self, self.step, self.step + ticks, self.state, is_requested)
+        self.enter(returning, Phase.RETURNING)
+
+    def _commit(self) -> None:
+        """Put pending settings in effect; the time since the last start stays the same."""
+        if self.pending:
+            passed = (self.step - self._period_start) * self.prepared.tick
+            self.prepared, self.config = self.wanted, self.wanted.config
+            self._period_start = self.step - round(passed / self.prepared.tick)
+
+    def _start_monitoring(self) -> None:
+        """Wait for the next throw of the plate, if it is measured."""
+        if not self.config.is_measured:
+            self.monitor = None
+        elif self.monitor is None:
+            self.monitor = self._new_monitor()
+        else:
+            self.monitor.rearm(self.config.measurement, self.prepared.rig.crossing_time)
+
+    def _new_monitor(self, onset: Onset | None = None) -> PlateMonitor:
+        crossing_time = self.prepared.rig.crossing_time
+        return PlateMonitor(self.config.measurement, crossing_time, self.sample_counts, onset)
+
+    def _watch_plate(self, monitor: PlateMonitor) -> None:
+        """Take over the samples of the plate, and start a throw at its onset."""
+        now_ns, rig_state = self.due_ns(self.step), self._rig_state
+        if (onset := monitor.advance(now_ns)) is not None:
+            if isinstance(rig_state, OngoingThrow):
+                rig_state.end('next')
+            self._commit()
+            if self.config.is_measured:
+                self.begin_throw(replace(onset, clock_offset_ns=self._clock_offset_ns))
+                assert self.monitor is not None
+                self.monitor.advance(now_ns)  # since the start of the throw
+            elif self.monitor is not None:  # the change that took effect ends the measurement
+                self.put_back()
+        elif isinstance(rig_state, Returning) and monitor.is_armed:
+            self.enter(AtRest(self), Phase.REST)

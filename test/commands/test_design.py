@@ -21,7 +21,7 @@ from soft_throw_ros.design.aiming import aim
 from soft_throw_ros.design.landscape import compute_landscape
 from soft_throw_ros.design.motion import PlateLimits
 from soft_throw_ros.design.recommendation import predict, recommend
-from soft_throw_ros.design.score import Limits, robust, versatile
+from soft_throw_ros.design.score import Limits, robust
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 import yaml
 
@@ -91,12 +91,6 @@ def test_layer_without_a_throw_is_null_in_json(command):
             },
         ),
         (
-            '--objective versatile -p recommendation.masses:=[1e-3,3e-3] '
-            '-p recommendation.frequencies:=[50,70]',
-            Rig(),
-            {'objective': partial(versatile, masses=(1e-3, 3e-3), frequencies=(50.0, 70.0))},
-        ),
-        (
             '--config FILE --max-strain 0.11',
             Rig(engine=Engine(frequency=58.0)),
             {'vary': 'thickness', 'limits': Limits(thickness_max=0.03, max_strain=0.11)},
@@ -132,7 +126,7 @@ def test_aim_reaches_the_target_of_an_option_or_of_a_file(command, write):
     rig = 'twin: {ros__parameters: {gravity: 5.0'
     aims = write(rig + ', recommendation: {objective: aim, target_speed: 1.5}}}', 'aims.yaml')
     assert command.json('aim', '--config', aims)['aim']['speed'] == pytest.approx(1.5)
-    assert 'no target' in command.refused('aim', '--config', write(rig + '}}', 'other.yaml'))
+    assert command.json('recommend', '--config', aims)['recommendation']['amplitude'] > 0.0
 
 
 def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
@@ -164,15 +158,8 @@ def test_motion_for_throw_and_controller_is_written(command, tmp_path, capsys):
     assert np.abs(sent.states[:, 2]).max() <= limits.acceleration * (1.0 + 1e-9)
     assert plate.travel <= limits.travel * (1.0 + 1e-9)
     result = simulate(Rig(engine=Engine(motion=sent), gravity=0.0))
-    assert result.recontacts == 0
+    assert len(result.ejections) == 1
     assert result.ejection_speed == pytest.approx(speed, rel=1e-5)
-
-
-@pytest.mark.slow
-def test_recorded_motion_is_improved(command):
-    track = ROOT / 'test/data/reference_tracks.csv'
-    throws = command.json('motion', '-p', 'gravity:=0', '--motion', track)['motion']
-    assert throws['ejection_speed'] > throws['now']['ejection_speed']
 
 
 def test_map_is_summarised_and_saved_in_every_format(command, tmp_path):

@@ -27,21 +27,16 @@ MODULES = {
 REFUSALS = [
     ('throw --thickness 16.8', r'argument --thickness: layer\.thickness .* m, got 16\.8'),
     ('throw --thickness soft', "argument --thickness: .* got 'soft'"),
-    ('throw --thickness 1_000', "argument --thickness: .* got '1_000'"),
     ('throw --layer jelly', "argument --layer: .* got 'jelly'"),
-    ('throw --motion measured', "argument --motion: .*'measured'"),
     ('throw --motion nosuch.csv', 'nosuch.csv: No such file'),
     ('throw --config nosuch.yaml', 'nosuch.yaml: '),
     ('throw -p gravity:=-1', 'argument -p: gravity must be .* got -1'),
     ('throw -p gravitation:=3', "argument -p: must be NAME:=VALUE .* 'gravitation:=3'"),
-    ('throw -p gravity=3', "argument -p: must be NAME:=VALUE .* 'gravity=3'"),
     ('throw -p gravity:=[3', r"argument -p: gravity must be YAML, got '\[3'"),
     ('throw --thicknes 0.01', '--thicknes 0.01'),
     ('design', 'TASK'),
     ('design mop', "'mop'"),
     ('design recommend --objective best', "argument --objective: .*'best'"),
-    ('design recommend --objective aim', "argument --objective: 'aim' .*`design aim`"),
-    ('design recommend --vary motion', "argument --vary: 'motion' .*`design motion`"),
     ('design recommend --max-strain -1', r'argument --max-strain: .* or 0, got -1\.0'),
     ('design recommend -p recommendation.masses:=[0.001,x]', r"argument -p: .* \[0.001, 'x'\]"),
     ('design recommend --objective robust -p uncertainty.wave_speed:=10', '7.8, got 10'),
@@ -51,14 +46,12 @@ REFUSALS = [
     ('design motion --plate-speed -1', 'argument --plate-speed: .*-1'),
     ('design motion --vary thickness', 'unrecognized arguments: --vary'),
     ('design map x', 'a landscape has two axes, got x'),
-    ('design map x D', "AXIS must be .* got 'D'"),
     ('design map x D=1:2', "'D'; choose from x, C, mu"),
     ('design map x layer.density', "AXIS must be .* got 'layer.density'"),
-    ('design map x=0.1:0.9:4.5 C', "AXIS must be .* got 'x=0.1:0.9:4.5'"),
     ('design map x=0.9:0.1 C', 'x must be increasing'),
-    ('design map x=0.1:0.9:1 C', "AXIS must have 2 points .* got 'x=0.1:0.9:1'"),
+    ('design map x=0.1:0.9:1 C', "AXIS must .* got 'x=0.1:0.9:1'"),
     ('design map x=0.1:1 C', r'x must .* got 1\.0'),
-    ('design map engine.damping_ratio=0:0.3:9:log mu', 'AXIS must .* above 0 with :log'),
+    ('design map engine.damping_ratio=0:0.3:9:log mu', 'AXIS must .* LOW above 0 '),
     ('design map --release second', "argument --release: .*'second'"),
     ('design map --output no_such/map.nc', 'no_such/map.nc: folder no_such not found'),
     ('identify none.csv', 'none.csv: No such file or directory'),
@@ -76,7 +69,6 @@ REFUSALS = [
     (f'free_layers 0.01 {SAMPLE} 0.02', r"argument M FILE: must be pairs, got '0\.02' alone"),
     (f'free_layers 7 {SAMPLE}', r"argument M FILE: layer\.thickness must be .* got '7'"),
     ('track a.avi --rate 1', 'the following arguments are required: --scale'),
-    ('track a.avi --rate fast --scale 1 1', "argument --rate: .* positive, got 'fast'"),
     ('track a.avi --rate 1 --scale 1 0', "argument --scale: .* positive, got '0'"),
     ('track a.avi --rate 1 --scale 1 1 --overlay a.gif', r'argument --overlay: .* \.png'),
     ('track none.avi --rate 1 --scale 1 1', 'none.avi: No such file or directory'),
@@ -96,7 +88,7 @@ def test_refusal_is_one_line(capsys, tmp_path, monkeypatch, words, message):
         MODULES[name].main(args)
     out, err = capsys.readouterr()
     assert (end.value.code, out) == (2, '')
-    (line,) = [line for line in err.splitlines() if not re.search('computing|--help', line)]
+    (line,) = [line for line in err.splitlines() if not re.search('computing', line)]
     assert re.search(message, line.partition('error: ')[2])
     assert not list(tmp_path.iterdir())
 
@@ -105,12 +97,3 @@ def test_quoted_line_ends_are_one_line(capsys):
     with pytest.raises(SystemExit):
         throw.main(['--bogus=1\n2'])
     assert '--bogus=1 2' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize('name', ['throw', 'identify', 'free_layers', 'track', *design.TASKS])
-def test_commands_have_few_options(capsys, name):
-    main = MODULES[name].main if name in MODULES else design.main
-    with pytest.raises(SystemExit):
-        main(['--help'] if name in MODULES else [name, '--help'])
-    shown = re.findall(r'^  (-\S+)', capsys.readouterr().out, re.MULTILINE)
-    assert 1 < len(shown) <= 17

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from reference.method_of_steps import follow
-import rendering
+from reference.pictures import picture
 from soft_throw_ros.commands import identify, track
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
@@ -36,8 +36,8 @@ def write_video(path, pictures):
         stream = container.add_stream('ffv1', rate=25)
         stream.height, stream.width = pictures[0].shape
         stream.pix_fmt = 'gray'
-        for picture in [*pictures, None]:
-            frame = None if picture is None else av.VideoFrame.from_ndarray(picture, format='gray')
+        for levels in [*pictures, None]:
+            frame = None if levels is None else av.VideoFrame.from_ndarray(levels, format='gray')
             container.mux(stream.encode(frame))
     return path
 
@@ -50,7 +50,7 @@ def throw_pictures():
     plate = Underdamped.of(RIG.engine).position(time)
     projectile = follow(RIG, until=time[-1]).projectile_position(time)
     return [
-        rendering.picture(
+        picture(
             (330, 44),
             [
                 (315.3 - low / PIXEL, 21.7),

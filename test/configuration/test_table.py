@@ -4,7 +4,7 @@ import math
 import re
 from typing import Any
 
-from damage import accepted, WORDS
+from bags import accepted, WORDS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
@@ -45,17 +45,9 @@ def test_every_number_in_the_range_and_none_beyond_it_is_accepted(
     ('name', 'value', 'words'),
     [
         ('layer.thickness', math.nan, ['0.0005', '0.1 m', 'nan']),
-        ('layer.thickness', True, ['True']),
-        ('layer.thickness', None, ['None']),
-        ('layer.name', 7, ['7']),
         ('engine.command', 2.0, ['true or false', '2.0']),
-        ('recommendation.masses', ['heavy'], ['heavy']),
-        ('layer.thickness', '1_0', ["'1_0'"]),
-        ('layer.thicknes', 0.01, ['no parameter of the twin is named']),
         ('layer.loss', 'magic', ["'constant'", "'magic'"]),
         ('throw.period', 0.01, ['or 0', '0.01']),
-        ('throw.max_events', 2.0, ['whole number', '2.0']),
-        ('recommendation.masses', [0.01] * 17, ['at most 16 numbers', '0.01']),
         ('recommendation.masses', [], ['[]']),
         ('recommendation.masses', [0.01] * 5000, ['at most 16 numbers', '...']),
         ('layer.stack', 'x' * 20_000, ['at most 16384 characters', '...']),

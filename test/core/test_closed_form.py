@@ -10,14 +10,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from reference.cases import EXACT, log_uniform
-from scipy.integrate import solve_ivp
-from soft_throw_ros.core import closed_form
-from soft_throw_ros.core.closed_form import (
-    first_release,
-    first_releases,
-    spring_release,
-    ThrowUnresolvedError,
-)
+from soft_throw_ros.core.closed_form import first_releases, FirstRelease, spring_release
 from soft_throw_ros.core.plate import peak_velocity_ratio
 
 
@@ -98,18 +91,14 @@ def random_cases(size, seed, gravity=0.0):
 RATIOS = ('mass_ratio', 'speed_ratio', 'damping_ratio', 'gravity_ratio')
 
 
-def releases_of(cases):
-    return first_releases(**dict(zip(RATIOS, cases, strict=False)))
-
-
-def release_of(*case):
-    return first_release(**dict(zip(RATIOS, case, strict=False)))
+def releases_of(*cases):
+    return FirstRelease(*np.array(first_releases(**dict(zip(RATIOS, cases, strict=False)))))
 
 
 @pytest.mark.parametrize('case', EXACT)
 def test_release_is_exact(case):
     *ratios, phase, energy_transfer = case
-    release = release_of(*ratios)
+    release = releases_of(*ratios)
     assert release.ejection_phase == pytest.approx(phase, rel=0.0, abs=1e-12)
     assert release.energy_transfer == pytest.approx(energy_transfer, rel=1e-12)
 
@@ -117,12 +106,12 @@ def test_release_is_exact(case):
 @pytest.mark.parametrize('gravity', [0.0, 0.3])
 def test_releases_agree_with_the_laplace_series(gravity):
     cases = random_cases(40, seed=1, gravity=gravity)
-    releases = releases_of(cases)
+    releases = releases_of(*cases)
     early = releases.ejection_phase * cases[1] < 41.0  # the series costs its square
     assert np.count_nonzero(early) > 30
     for i in np.flatnonzero(early):
         release = [values[i] for values in releases]
-        assert_exact(closed_form.FirstRelease(*release), *(float(case[i]) for case in cases))
+        assert_exact(FirstRelease(*release), *(float(case[i]) for case in cases))
 
 
 @pytest.mark.parametrize(
@@ -139,7 +128,7 @@ def test_releases_agree_with_the_laplace_series(gravity):
     ],
 )
 def test_release_is_exact_at_extremes(case):
-    release = release_of(*case)
+    release = releases_of(*case)
     phase, energy_transfer = exact_release_near(release.ejection_phase, *case)
     assert release.ejection_phase == pytest.approx(float(phase), rel=1e-12)
     assert release.energy_transfer == pytest.approx(float(energy_transfer), rel=1e-9, abs=1e-12)
@@ -148,17 +137,15 @@ def test_release_is_exact_at_extremes(case):
 # By the same recursion with 40 digits: beyond, rounding would spoil alpha, as for the first of the
 # cases that are refused by 3.5e-9
 def test_release_of_a_heavy_projectile_is_exact_or_refused():
-    release = release_of(1e6, 1e3)
+    release = releases_of(1e6, 1e3)
     assert release.ejection_phase == pytest.approx(0.862696177487173, rel=0.0, abs=1e-9)
     assert release.energy_transfer == pytest.approx(0.0206718118918653, rel=1e-9)
     for case in ((1e6, 1e4), (1e300, 1e300), (1.0, 1e300), (1e8, 1.0), (1e200, 10.0)):
-        with pytest.raises(ThrowUnresolvedError, match='is known to 1e-9 within') as refused:
-            release_of(*case)
-        assert f'mass_ratio {case[0]:.6g}, speed_ratio {case[1]:.6g}' in str(refused.value)
+        assert np.isnan(releases_of(*case)).all()
 
 
 def test_no_release_is_refused_in_the_promised_range():
-    releases = releases_of(random_cases(20_000, seed=6))
+    releases = releases_of(*random_cases(20_000, seed=6))
     assert np.isfinite(releases.ejection_phase).all()
 
 
@@ -181,7 +168,7 @@ def test_no_release_is_refused_in_the_promised_range():
     ],
 )
 def test_release_is_the_first_one_and_exact(case):
-    release = release_of(*case)
+    release = releases_of(*case)
     assert_exact(release, *case)
     weight = gravity_on(case[3], case[1], case[2])
     for time in np.linspace(1.0, release.ejection_phase * case[1], 200, endpoint=False)[1:]:
@@ -192,15 +179,12 @@ def test_release_is_the_first_one_and_exact(case):
     log_uniform(0.003, 100.0), log_uniform(0.15, 120.0), st.floats(0.0, 0.3), st.floats(0.0, 10.0)
 )
 def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, gravity_ratio):
-    free = release_of(mass_ratio, speed_ratio, damping_ratio)
+    free = releases_of(mass_ratio, speed_ratio, damping_ratio)
     assert 1.0 < free.ejection_phase * speed_ratio < math.inf
     assert 0.0 < free.energy_transfer < 5.0
-    try:
-        heavy = release_of(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
-    except ThrowUnresolvedError:
-        return
-    assert heavy.ejection_phase >= free.ejection_phase * (1.0 - 1e-14)
-    assert math.isfinite(heavy.speed)
+    heavy = releases_of(mass_ratio, speed_ratio, damping_ratio, gravity_ratio)
+    if not np.isnan(heavy.speed):
+        assert heavy.ejection_phase >= free.ejection_phase * (1.0 - 1e-14)
 
 
 @pytest.mark.parametrize(
@@ -211,39 +195,19 @@ def test_gravity_delays_the_release(mass_ratio, speed_ratio, damping_ratio, grav
         (100.0, 2000.0, 0.9, 0.0),  # rounding
     ],
 )
-def test_unresolved_release_raises_an_error(case):
-    with pytest.raises(ThrowUnresolvedError, match=f'gravity_ratio {case[3]:g}$'):
-        release_of(*case)
-    both = releases_of([np.array(pair) for pair in zip((1.0, 5.0, 0.0, 0.0), case, strict=True)])
+def test_unresolved_release_is_unknown_beside_a_known_one(case):
+    both = releases_of(*(np.array(pair) for pair in zip((1.0, 5.0, 0.0, 0.0), case, strict=True)))
     assert np.isnan(both).tolist() == [[False, True]] * 3
 
 
-def release_by_integration(q):
-    """Integrate a mass on a spring on a harmonic plate, time in periods, until the force is 0."""
-    omega = 2.0 * math.pi
-
-    def motion(t, state):
-        height, speed = state
-        return speed, (q * omega) ** 2 * (1.0 - math.cos(omega * t) - height)
-
-    def force(t, state):
-        return 1.0 - math.cos(omega * t) - state[0]
-
-    force.terminal = True
-    force.direction = -1.0
-    start = 1e-3 / (1.0 + q)  # z ~ (q w)^2 w^2 t^4 / 24 there, and the force is positive
-    height = (q * omega * omega) ** 2 * start**4 / 24.0
-    done = solve_ivp(
-        motion, (start, 2.0), (height, 4.0 * height / start), 'DOP853', events=force,
-        rtol=1e-11, atol=1e-13,
-    )
-    return done.t_events[0][0], done.y_events[0][0][1] / omega
-
-
-@pytest.mark.parametrize('q', [0.2, 0.7, 0.999, 1.0, 1.001, 1.62, 3.0, 9.0])
-def test_release_agrees_with_an_integration_of_the_motion(q):
+@pytest.mark.parametrize('q', [0.2, 0.7, 0.999, 1.001, 1.62, 3.0, 9.0])
+def test_spring_leaves_at_the_first_zero_of_its_force(q):
+    """The motion is 1 - (q^2 cos t - cos q t) / (q^2 - 1), that of the plate 1 - cos t."""
     release = spring_release(frequency_ratio=q)
-    time, speed = release_by_integration(q)
-    assert release.ejection_phase == pytest.approx(time, abs=1e-7)
-    assert release.speed == pytest.approx(speed, abs=1e-7)
-    assert release.energy_transfer == pytest.approx(speed**2, abs=1e-6)
+    t = 2.0 * math.pi * release.ejection_phase * np.linspace(0.0, 1.0, 101)[1:]
+    force = (np.cos(t) - np.cos(q * t)) / (q**2 - 1.0)
+    assert (force[:-1] > 0.0).all()
+    assert force[-1] == pytest.approx(0.0, abs=1e-12)
+    speed = (q**2 * np.sin(t[-1]) - q * np.sin(q * t[-1])) / (q**2 - 1.0)
+    assert release.speed == pytest.approx(speed, rel=1e-9)
+    assert release.energy_transfer == pytest.approx(speed**2, rel=1e-9)

@@ -13,23 +13,22 @@ from soft_throw_ros.core.batch import (
     leave_processors,
     run_batches,
     SearchCancelledError,
+    ThrowUnresolvedError,
     usable_processors,
 )
 from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
-from soft_throw_ros.core.closed_form import first_releases, ThrowUnresolvedError
+from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event
 from soft_throw_ros.core.throw import (
     ejections,
     HELD,
-    last_release,
     REFUSED,
     RELEASED,
     rig_with,
     simulate,
     throw_many,
-    ThrowUnfinishedError,
 )
 
 TIMES = np.arange(0.0, 0.05, 2e-4)
@@ -44,8 +43,7 @@ CHANGES = {
     'gravity': 5.0,
 }
 METHODS = {
-    'closed form': (Rig(engine=Engine(damping_ratio=0.0)), {}, 2 << 14),
-    'waves': (Rig(engine=Engine(amplitude=1e-4)), {'gravity': 9.81}, 3 * 256),
+    'closed form': (Rig(engine=Engine(damping_ratio=0.0)), {}, 3 * 256),
     'cells': (LOSSY, {}, 80),
     'steppers': (SHAKEN, {}, 24),
     'mixed': (Rig(), {'gravity': np.tile([0.0, 500.0], 40), 'loss_tangent': np.eye(8, 10).ravel()},
@@ -76,20 +74,14 @@ def test_projectile_reaches_its_predicted_apex():
 
 
 def test_fields_match_their_axes():
-    throw = simulate(Rig(), max_events=1)
-    fields = throw.fields(np.linspace(0.0, throw.ejection_time, 101), points=65)
-    assert fields.strain.shape == fields.velocity.shape == (101, 65)
+    throw = simulate(Rig())
+    fields = throw.trajectory(np.linspace(0.0, throw.ejection_time, 101), points=65)
+    assert fields.strain.shape == fields.layer_velocity.shape == (101, 65)
     assert fields.depth[-1] == throw.rig.layer.thickness
     stiffness = throw.rig.layer.youngs_modulus * throw.rig.layer.section
     weight = throw.rig.projectile.mass * throw.rig.gravity
     assert fields.strain[0] == pytest.approx(-weight / stiffness)
     assert np.abs(fields.strain).max() == pytest.approx(throw.peak_strain, rel=1e-2)
-
-
-@pytest.mark.parametrize(('amplitude', 'is_left'), [(1e-3, False), (3e-3, True)])
-def test_throw_beyond_the_linear_range_is_flagged(amplitude, is_left):
-    throw = simulate(Rig(engine=Engine(amplitude=amplitude)))
-    assert throw.leaves_linear_range is is_left is (throw.peak_strain > 0.15)
 
 
 @pytest.mark.parametrize(
@@ -105,23 +97,22 @@ def test_throw_beyond_the_linear_range_is_flagged(amplitude, is_left):
     ],
 )
 def test_every_throw_ends(rig):
-    assert simulate(rig, max_events=2).ejections
     assert simulate(rig).end_time > 0.0
 
 
 def test_throw_without_a_release_raises_an_error():
-    with pytest.raises(ThrowUnfinishedError, match=r'0\.001'):
+    with pytest.raises(ThrowUnresolvedError, match=r'0\.001'):
         simulate(Rig(), until=1e-3)
-    with pytest.raises(ThrowUnresolvedError):
-        last_release(Rig(engine=Engine(frequency=1.0, amplitude=1e-3)))
+    with pytest.raises(ThrowUnresolvedError, match='below gravity'):
+        simulate(Rig(engine=Engine(frequency=1.0, amplitude=1e-3)))
 
 
 @pytest.mark.parametrize(
     ('compute', 'rig', 'name', 'value'),
     [
-        (simulate, Rig(), 'until', -1.0), (simulate, Rig(), 'max_events', 0),
-        (simulate, Rig(), 'cells', 64), (throw_many, LOSSY, 'threads', 0),
-        (throw_many, LOSSY, 'threads', 1.5), (throw_many, LOSSY, 'cells', 7),
+        (simulate, Rig(), 'until', -1.0), (simulate, Rig(), 'cells', 64),
+        (throw_many, LOSSY, 'threads', 0), (throw_many, LOSSY, 'threads', 1.5),
+        (throw_many, LOSSY, 'cells', 7),
         (CellStepper, Rig(), 'cells', 0), (CellStepper, Rig(), 'cells', MAX_CELLS + 1),
         (CellStepper, Rig(), 'cells', 64.0),
     ],
@@ -177,11 +168,11 @@ def test_status_says_what_became_of_a_throw(method):
     ],
 )
 def test_release_and_loads_agree_with_a_simulated_throw(rig):
-    throw = simulate(rig, max_events=1)
+    throw = simulate(rig)
     throws = throw_many(rig, loads=True)
     expected = (
         throw.ejection_time, throw.ejection_speed, throw.energy_transfer, throw.peak_strain,
-        throw.loads.acceleration, throw.loads.plate_force, throw.energies.plate_work, RELEASED,
+        throw.loads.acceleration, throw.loads.plate_force, throw.plate_work, RELEASED,
     )
     assert throws == pytest.approx(expected, rel=1e-3 if rig.layer.needs_cells else 1e-4)
     assert throw_many(rig)[:2] == throws[:2]
@@ -195,27 +186,22 @@ def test_times_count_from_the_start_of_the_motion(start, layer):
         for offset in (0.0, start)
     )
     expected = pytest.approx(simulate(now).ejection_time, rel=1e-9)
-    assert simulate(later).ejection_time == last_release(later).time == expected
+    assert simulate(later).ejection_time == expected
     assert float(throw_many(later).ejection_time) == pytest.approx(expected.expected, rel=1e-3)
 
 
-def test_light_projectiles_under_strong_gravity_agree_with_the_closed_form():
-    """They may leave and be caught again between two steps of the waves."""
-    random = np.random.default_rng(4)
-    mu, kappa = np.exp(random.uniform(np.log([[4e-4], [20.0]]), np.log([[2e-3], [80.0]]), (2, 60)))
-    gravity = random.uniform(0.3, 1.5, 60)
-    exact = first_releases(mass_ratio=mu, speed_ratio=kappa, gravity_ratio=gravity)
+def test_light_projectile_under_strong_gravity_leaves_at_its_first_release():
+    """It is caught again between two steps of the waves."""
+    mu, kappa, gravity = 7.602e-4, 68.92, 0.5238
     engine = Engine(frequency=1.0, amplitude=0.25 / math.pi**2, damping_ratio=0.0)
-    throws = throw_many(
-        Rig(engine=engine), {
-            'thickness': 1.0 / kappa, 'wave_speed': 1.0, 'gravity': gravity,
-            'mass': mu * Layer(thickness=1.0).mass / kappa,
-        }, loads=True,
+    layer = Layer(thickness=1.0 / kappa, wave_speed=1.0)
+    rig = Rig(
+        engine=engine, layer=layer, projectile=Projectile(mass=mu * layer.mass), gravity=gravity
     )
-    is_released = ~np.isnan(exact.ejection_phase)
-    assert is_released.sum() > 30
-    assert throws.ejection_time[is_released] == pytest.approx(exact.ejection_phase[is_released])
-    assert np.isfinite(throws.plate_work[is_released]).all()
+    throws = throw_many(rig, loads=True)
+    assert throws.ejection_time == pytest.approx(0.0726, abs=1e-4)
+    assert throws.ejection_speed / engine.speed_scale == pytest.approx(0.351, abs=1e-3)
+    assert np.isfinite(throws.plate_work)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +226,7 @@ def test_ratios_of_the_closed_form_are_broadcast_or_refused():
 
 
 @pytest.mark.parametrize(
-    ('compute', 'loss'), [(throw_many, 1e-3), (last_release, 1e-3), (last_release, 0.0)]
+    ('compute', 'loss'), [(throw_many, 1e-3), (simulate, 1e-3), (simulate, 0.0)]
 )
 def test_single_throw_looks_at_the_flag_several_times(compute, loss):
     """A stiff layer takes many cells or steps."""
@@ -261,26 +247,6 @@ def test_changes_agree_with_another_rig(rig):
     assert len(changed.layer.parts) == len(rig.layer.parts)
     throws, expected = throw_many(rig, CHANGES), throw_many(changed)
     assert throws[:3] == pytest.approx(expected[:3], rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    'rigs',
-    [
-        [Rig(), Rig(gravity=5.0), Rig(layer=Layer(thickness=0.01, loss_tangent=0.1))],
-        [rig_with(SHAKEN, {'frequency': f}) for f in (50.0, 70.0)],
-    ],
-    ids=['engine', 'motions'],
-)
-def test_different_rigs_agree_with_changes_of_one_rig(rigs):
-    together = np.transpose(throw_many(rigs, loads=True))
-    for throw, rig in zip(together, rigs, strict=True):
-        assert throw == pytest.approx(np.array(throw_many(rig, loads=True)), rel=1e-12)
-
-
-def test_rigs_that_differ_in_more_than_values_are_refused():
-    for rigs in ([Rig(), Rig(layer=Layer(stress_strain_law='neo_hookean'))], []):
-        with pytest.raises(ValueError, match=f'got {len(rigs)} kinds'):
-            throw_many(rigs)
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@
 
 import numpy as np
 import pytest
-from rendering import CONTRAST, disc, exposed, picture
+from reference.pictures import CONTRAST, disc, exposed, picture
 from scipy.ndimage import gaussian_filter
 from soft_throw_ros.identification.spots import follow_spots
 from soft_throw_ros.identification.tracks import TrackError

@@ -6,7 +6,7 @@ import io
 from pathlib import Path
 import re
 
-from damage import accepted, texts
+from bags import accepted, texts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -32,7 +32,7 @@ def test_rig_changes_with_a_throw_or_reset_and_requests_are_known_before() -> No
     twin.go(1500)
     twin.session.change({'layer.thickness': 0.01})
     journal = read(twin)
-    assert (journal.rig, journal.wanted_rig.layer.thickness) == (Rig(), 0.01)
+    assert (journal.rig, journal.wanted['layer.thickness']) == (Rig(), 0.01)
     twin.go(1000)
     assert read(twin).rig.layer.thickness == 0.01
     twin.session.change({'layer.thickness': 0.012})

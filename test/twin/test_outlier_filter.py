@@ -12,14 +12,14 @@ from soft_throw_ros.twin.outlier_filter import OutlierFilter
 from twin_runs import PLATE
 
 NOISE = 5e-6  # [m]
-INTERVAL = 2e-4  # of samples [s]
+INTERVAL = 200_000  # of samples [ns]
 
 
 def find(heights, *, noise=NOISE, stamp_error=0.0) -> list[int]:
     """Return the indices of the outliers of the plate."""
-    times = INTERVAL * np.arange(len(heights))
+    stamps = INTERVAL * np.arange(len(heights))
     both = np.stack([heights, np.full(len(heights), math.nan)], axis=1)
-    is_outlier = OutlierFilter(PLATE, noise, stamp_error).find(times, both)
+    is_outlier = OutlierFilter(PLATE, noise, stamp_error).find(stamps, both)
     assert not is_outlier[:, 1].any()
     return np.flatnonzero(is_outlier[:, 0]).tolist()
 
@@ -27,7 +27,8 @@ def find(heights, *, noise=NOISE, stamp_error=0.0) -> list[int]:
 @pytest.mark.parametrize('sign', [-1.0, 1.0])
 def test_noise_of_a_throw_is_no_outlier_and_a_large_deviation_is(sign) -> None:
     random = np.random.default_rng(1)
-    heights = PLATE.position(INTERVAL * np.arange(-50, 200)) + NOISE * random.standard_normal(250)
+    heights = PLATE.position(1e-9 * INTERVAL * np.arange(-50, 200))
+    heights += NOISE * random.standard_normal(250)
     assert find(heights) == []
     for index in range(3, 250, 7):
         changed = heights.copy()
@@ -36,7 +37,7 @@ def test_noise_of_a_throw_is_no_outlier_and_a_large_deviation_is(sign) -> None:
 
 
 def test_stamp_error_counts_as_noise_of_a_moving_body() -> None:
-    moving = 0.7 * INTERVAL * np.arange(60.0)
+    moving = 0.7e-9 * INTERVAL * np.arange(60.0)
     moving[40] += 0.7 * 1e-4  # of a stamp
     assert find(moving) == [40]
     assert find(moving, stamp_error=3e-5) == []
@@ -63,9 +64,9 @@ def test_batches_find_the_same_outliers() -> None:
     heights = NOISE * random.standard_normal((400, 2))
     heights[random.random((400, 2)) < 0.05] += 1e-3
     heights[random.random((400, 2)) < 0.05] = math.nan
-    times = INTERVAL * np.arange(400.0)
-    expected = OutlierFilter(PLATE, NOISE, 0.0).find(times, heights)
+    stamps = INTERVAL * np.arange(400)
+    expected = OutlierFilter(PLATE, NOISE, 0.0).find(stamps, heights)
     assert expected.any(axis=0).all()
     outliers = OutlierFilter(PLATE, NOISE, 0.0)
-    batches = [outliers.find(times[n:n + 7], heights[n:n + 7]) for n in range(0, 400, 7)]
+    batches = [outliers.find(stamps[n:n + 7], heights[n:n + 7]) for n in range(0, 400, 7)]
     np.testing.assert_array_equal(np.concatenate(batches), expected)

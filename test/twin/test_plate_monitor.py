@@ -1,26 +1,28 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of the start of a measured throw."""
+"""Detection of the start of a measured throw, and of faults of the sensor."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.plate_estimator import Onset, SampleCounts
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
-from soft_throw_ros.twin.sample_buffer import Sample, Samples
+from soft_throw_ros.twin.sample_buffer import Onset, Sample, SampleCounts, Samples
 from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
+
+CROSSING = 2e-3  # [s]
 
 
 def detect(samples: list[Sample]) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
-    monitor = PlateMonitor(MEASUREMENT, SampleCounts())
+    monitor = PlateMonitor(MEASUREMENT, CROSSING, SampleCounts())
     for count, sample in enumerate(samples, 1):
-        monitor.estimator.add_samples(Samples.of([sample]), sample.stamp_ns)
-        _, onset = monitor.advance(sample.stamp_ns)
+        monitor.buffer.add(Samples.of([sample]), sample.stamp_ns)
+        onset = monitor.advance(sample.stamp_ns)
         if onset is not None:
             return onset, count
     return None, len(samples)
@@ -67,3 +69,56 @@ def test_start_is_found_as_well_as_the_noise_allows() -> None:
     bound = 5e-6 * math.sqrt(np.linalg.inv(sensitivity.T @ sensitivity)[0, 0])
     assert np.mean(errors) == pytest.approx(0.0, abs=4e-6)
     assert np.std(errors) < 1.5 * bound
+
+
+def watch(
+    *, rate: float = 5000.0, noise: float = 1e-6, crossing: float = CROSSING,
+    frequency: float = PLATE.frequency, count: int = 100,
+) -> PlateMonitor:
+    """Return a monitor of a plate at rest, after a number of samples."""
+    config = replace(MEASUREMENT, plate=replace(PLATE, frequency=frequency))
+    monitor = PlateMonitor(config, crossing, SampleCounts())
+    feed(monitor, noise * np.random.default_rng(3).standard_normal(count), rate)
+    return monitor
+
+
+def feed(monitor: PlateMonitor, heights: np.ndarray, rate: float) -> None:
+    """Feed heights to a monitor at once, after those that it has."""
+    first_ns = max(monitor.buffer.newest_ns, 0)
+    samples = [
+        Sample(first_ns + round((n + 1) * SECOND / rate), height)
+        for n, height in enumerate(heights.tolist())
+    ]
+    monitor.buffer.add(Samples.of(samples), samples[-1].stamp_ns)
+    monitor.advance(samples[-1].stamp_ns)
+
+
+def test_sensor_without_faults_is_not_reported() -> None:
+    monitor = watch(rate=2100.0, count=20)
+    assert not monitor.is_armed
+    assert monitor.faults() == ()
+    feed(monitor, np.zeros(100), 1980.0)  # 2 kHz, with stamps that jitter
+    assert monitor.is_armed
+    assert monitor.faults() == ()
+
+
+def test_noise_at_rest_is_reported_once_with_its_values() -> None:
+    monitor = watch(noise=4.0 * MEASUREMENT.position_noise)
+    (fault,) = monitor.faults()
+    assert float(fault.partition(' times')[0].split()[-1]) == pytest.approx(4.0, rel=0.3)
+    feed(monitor, 1e-4 * np.sin(np.arange(100.0) ** 2), 5000.0)
+    assert monitor.faults() == ()
+
+
+@pytest.mark.parametrize(
+    ('request_', 'least', 'reason'),
+    [
+        ({'crossing': 1e-4}, '30000 Hz', 'crossing of the wave'),
+        ({'rate': 1500.0}, '2000 Hz', 'smoothing_window'),
+        ({'frequency': 300.0}, '6000 Hz', 'period of the plate'),
+    ],
+)
+def test_rate_that_is_too_low_is_reported_with_the_reason(request_, least, reason) -> None:
+    (fault,) = watch(**request_).faults()
+    assert least in fault
+    assert reason in fault

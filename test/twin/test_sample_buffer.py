@@ -1,51 +1,101 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of a rig in the order of their stamps."""
+"""Samples of a rig that arrive in any order, late, twice, or with impossible values."""
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
+from dataclasses import replace
+import math
 
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.twin.sample_buffer import Sample, SampleBuffer, Samples
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.twin.sample_buffer import (
+    FUTURE,
+    PAST,
+    Sample,
+    SampleBuffer,
+    SampleCounts,
+    Samples,
+)
+from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT
 
-BEGIN = 1_700_000_000 * SECOND
+
+def run(buffer: SampleBuffer, samples: list[Sample], *, batch: int = 5) -> list[list[float]]:
+    """Feed samples to a buffer in batches; return those that were completed, as rows."""
+    completed = []
+    for first in range(0, len(samples), batch):
+        now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
+        buffer.add(Samples.of(samples[first:first + batch]), now_ns)
+        new = buffer.complete(now_ns)
+        completed += np.column_stack((new.stamps, new.heights)).tolist()
+    return completed
 
 
-def to_list(samples: Samples) -> list[Sample]:
-    rows = zip(samples.stamps.tolist(), samples.heights.tolist(), strict=True)
-    return [Sample(stamp_ns, *heights) for stamp_ns, heights in rows]
+@given(
+    seed=st.integers(0, 10_000),
+    batch=st.integers(1, 30),
+    doubled=st.sets(st.integers(0, 99), max_size=10),
+)
+def test_order_of_arrival_within_the_latency_changes_nothing(seed, batch, doubled) -> None:
+    config = replace(MEASUREMENT, latency_ns=2_000_000)
+    samples = make_samples(onset=0.008, noise=5e-6)
+    samples[40] = samples[40]._replace(plate=0.31)
+    samples[45] = samples[45]._replace(projectile=0.6)
+    delays = np.random.default_rng(seed).uniform(0.0, config.latency_ns, len(samples))
+    delays[0] = 0.0
+    order = np.argsort([sample.stamp_ns - BEGIN for sample in samples] + delays).tolist()
+    shuffled = [samples[k] for k in order]
+    for k in doubled:
+        shuffled.insert(shuffled.index(samples[k]) + 1, samples[k])
+    ordered, mixed = (SampleBuffer(config, SampleCounts()) for _ in range(2))
+    np.testing.assert_array_equal(run(ordered, samples), run(mixed, shuffled, batch=batch))
+    assert mixed.counts.refused == ({'doubled': len(doubled)} if doubled else {})
+    assert ordered.counts.refused == {}
+    assert (ordered.outliers, ordered.counts.taken) == (2, 100)
+    assert (np.diff(mixed.samples.stamps) > 0).all()
+    begin, end = samples[50].stamp_ns, samples[60].stamp_ns
+    assert ordered.between(begin, end).stamps.tolist() == list(range(begin, end, INTERVAL))
+    assert math.isnan(ordered.between(samples[45].stamp_ns).projectile[0])
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_buffer_agrees_with_a_sorted_list(seed) -> None:
-    random = np.random.default_rng(seed)
-    buffer, expected, newest = SampleBuffer(Samples.of([])), [], BEGIN
-    for _ in range(1000):
-        batch = []
-        for _ in range(random.integers(0, 5)):
-            newest += int(random.integers(1, 1000))
-            late = int(random.integers(0, 5000)) if random.uniform() < 0.2 else 0
-            sample = Sample(newest - late, float(random.uniform()), 0.5)
-            if sample.stamp_ns not in {other.stamp_ns for other in expected[-50:]}:
-                batch.append(sample)
-                insort(expected, sample)
-        buffer.add(Samples.of(batch))
-        if random.uniform() < 0.1:
-            oldest = newest - int(random.integers(100_000, 300_000))
-            buffer.drop_before(oldest)
-            del expected[: bisect_left(expected, (oldest,))]
-        if random.uniform() < 0.05 and len(expected) > 20:
-            first = len(expected) - 15
-            marks = random.uniform(size=10) < 0.3
-            buffer.remove(first, marks)
-            pairs = zip(expected[first:], marks, strict=False)
-            kept = [sample for sample, is_removed in pairs if not is_removed]
-            expected[first:] = kept + expected[first + 10:]
-        assert len(buffer) == len(expected)
-    assert to_list(buffer.samples) == expected
-    begin, end = expected[10].stamp_ns, expected[-10].stamp_ns
-    assert to_list(buffer.between(begin, end)) == expected[10:-10]
-    assert to_list(buffer.between(begin + 1)) == expected[11:]
+def test_late_samples_are_refused_and_change_nothing() -> None:
+    samples = make_samples(noise=5e-6)
+    late = samples.pop(50)
+    without, with_late = (SampleBuffer(MEASUREMENT, SampleCounts()) for _ in range(2))
+    completed = run(with_late, samples[:60])
+    assert not with_late.add(Samples.of([late]), samples[59].stamp_ns)
+    assert completed + run(with_late, samples[60:]) == run(without, samples)
+    assert with_late.counts.refused == {'late': 1}
+
+
+@pytest.mark.parametrize(
+    ('sample', 'reason'),
+    [
+        (Sample(BEGIN, math.nan), 'not finite'),
+        (Sample(BEGIN, math.inf), 'not finite'),
+        (Sample(BEGIN, 0.0, -math.inf), 'not finite'),
+        (Sample(BEGIN, 100.1), 'out of range'),
+        (Sample(BEGIN, 0.0, 1e300), 'out of range'),
+        (Sample(BEGIN + FUTURE + 1, 0.0), 'future'),
+        (Sample(BEGIN - PAST - 1, 0.0), 'past'),
+        (Sample(0, 0.0), 'past'),
+    ],
+)
+def test_bad_samples_are_refused_with_a_reason(sample, reason) -> None:
+    buffer = SampleBuffer(MEASUREMENT, SampleCounts())
+    assert not buffer.add(Samples.of([sample]), BEGIN)
+    assert buffer.counts.refused == {reason: 1}
+    assert not buffer.complete(BEGIN)
+
+
+def test_old_samples_are_dropped_and_gaps_are_measured() -> None:
+    samples = [sample for k, sample in enumerate(make_samples(1000)) if k % 5 and k < 996]
+    buffer = SampleBuffer(MEASUREMENT, SampleCounts())
+    run(buffer, samples, batch=7)
+    assert buffer.gap == pytest.approx(4e-4)
+    assert buffer.rate() == pytest.approx(5000.0)
+    assert samples[-1].stamp_ns - buffer.samples.stamps[0] == pytest.approx(32e6, abs=INTERVAL)
+    assert buffer.missing_since(BEGIN) == 32
+    assert buffer.complete(samples[-1].stamp_ns).stamps.size == buffer.gap == 0
