@@ -178,13 +178,10 @@ def _summary(usages: list[tuple[float, ...]]) -> tuple[float, ...]:
 
 def _late_ticks(bag: Path, states: processes.RecordedStates) -> tuple[int, int, int, int]:
     """Return the numbers of late and of unreported ticks, and of skipped ones twice."""
-    rows: dict[int, dict[str, str]] = {}
-    for published, name, values in processes.recorded_statuses(bag):
-        if name in ('/twin: timing', '/twin: load'):
-            rows[published] = rows.get(published, {}) | values
     reports: NDArray[np.float64] = np.array([
         (time, float(row['lateness_max']) + float(row['compute_max']), float(row['ticks_skipped']))
-        for time, row in rows.items()
+        for time, name, row in processes.recorded_statuses(bag)
+        if name == '/twin: timing'
     ])
     end = reports[-1, 0]  # no report covers later states
     late = states.published - states.stamps > MAX_UNREPORTED_LATENESS

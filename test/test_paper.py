@@ -24,7 +24,6 @@ pytest.importorskip('matplotlib', reason='the extra [plot]')
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
 import comparison  # noqa: E402, I100
-import fits  # noqa: E402
 import limits  # noqa: E402
 from models import best_ratios, SERIES  # noqa: E402
 

@@ -29,7 +29,8 @@ RECORDER = Table(
         row('buffer', 256_000_000, 'Data that may wait for the disk before messages are dropped',
             unit='byte', low=1_000_000, high=16_000_000_000),
         row('rerun.sink', 'none',
-            'Sink of a viewer of the recorded topics; `file` writes a recording beside the bag',
+            'Sink of a viewer that is started with the recorder and shows its topics; `file` '
+            'writes a recording beside the bag',
             choices=('none', 'viewer', 'serve', 'file'), is_fixed=True),
     ),
 )

@@ -19,12 +19,12 @@ from functools import partial
 import math
 import threading
 import traceback
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.client import Client
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
     resolve,
@@ -39,17 +39,16 @@ from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.flight import flight_speed, motion_delay
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
-from soft_throw_ros.identification.tracks import ThrowTracks, Track
+from soft_throw_ros.identification.tracks import ThrowTracks
 from soft_throw_ros.nodes.conversions import (
     msg_to_motion,
     msg_to_throw_result,
     msg_to_time,
-    msg_to_values,
 )
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
-from soft_throw_ros.nodes.service_calls import call, get_parameters, set_parameters
+from soft_throw_ros.nodes.service_calls import call, RemoteParameters
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.twin.results import ThrowResult
@@ -74,8 +73,8 @@ class MeasuredThrow(NamedTuple):
     """A throw whose projectile was measured in flight."""
 
     speed: Estimate  # at the release, with the error by the scatter of the heights [m/s]
-    common_error: float  # of the speeds of all such throws [m/s]
     peak_plate_speed: float  # [m/s]
+    common_error: float  # of the speeds of all such throws [m/s]
 
 
 class Calibrator(RunnableNode):
@@ -90,16 +89,13 @@ class Calibrator(RunnableNode):
         self._measured = MeasuredPositions(self, twin, self._joints)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
         self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
-        command = TWIN_TOPICS.plate_trajectory.at(twin)
-        create_subscription(self, command, self._on_command)
-        self._get_of_twin = self.create_client(GetParameters, f'{twin}/get_parameters')
-        self._set_of_twin = self._make_setter(twin)
-        self._set_of_rig = self._make_setter(full_name(self, rig)) if rig else None
+        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
+        self._twin = RemoteParameters(self, twin)
+        self._rig = RemoteParameters(self, full_name(self, rig)) if rig else None
         apply = resolve(TWIN_SERVICES.apply_recommendation.name, twin)
         self._apply = self.create_client(Trigger, apply)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
-        self._make_status = partial(self._outgoing.status, 'identification')
-        self._status = self._make_status('nothing has been identified yet')
+        self._status = self._outgoing.status('identification', 'nothing has been identified yet')
         self._ended: tuple[ThrowResult, int] | None = None  # last throw and its stamp, until used
         self._rig_of_throws: Rig | None = None  # of the collected throws
         self._mispredicted: list[ThrowTracks] = []  # in a row
@@ -113,9 +109,19 @@ class Calibrator(RunnableNode):
         self.create_steady_timer(READ_PERIOD, self._read_measurements)
         self.create_steady_timer(1.0, self._publish_status)
 
-    def _make_setter(self, name: str) -> Client:
-        """Return a client that sets parameters of a node."""
-        return self.create_client(SetParametersAtomically, f'{name}/set_parameters_atomically')
+    def _publish_status(self) -> None:
+        self._outgoing.report(CALIBRATOR_TOPICS.diagnostics, [self._status])
+
+    def _report(
+        self, message: str, values: Settings = MappingProxyType({}), *, warn: bool = False
+    ) -> None:
+        """Publish a message, then log it: a user who has seen the line may end the node."""
+        self._status = self._outgoing.status('identification', message, values, warn=warn)
+        self._publish_status()
+        if warn:
+            self.get_logger().warning(message)
+        else:
+            self.get_logger().info(message)
 
     # Executor thread
 
@@ -127,7 +133,7 @@ class Calibrator(RunnableNode):
             try:
                 result = msg_to_throw_result(status)
             except ValueError as error:
-                self._warn_of_throw(msg_to_values(status).get('throw', ''), error)
+                self.get_logger().warning(f'a result cannot be used: {error}')
                 continue
             if result.stage == 'final' and not self._is_busy:
                 self._ended = result, msg_to_time(msg.header.stamp)
@@ -152,10 +158,7 @@ class Calibrator(RunnableNode):
             elif result.is_valid and result.accuracy is None:
                 self._on_commanded_throw(self._commanded, result, stamp_ns)
         except ValueError as error:  # of the tracks, or a command
-            self._warn_of_throw(result.throw, error)
-
-    def _warn_of_throw(self, number: object, error: Exception) -> None:
-        self.get_logger().warning(f'throw {number} cannot be used: {error}')
+            self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
 
     def _on_measured_throw(self, result: ThrowResult, begin_ns: int, end_ns: int) -> None:
         """Collect a throw; identify the rig, or command a motion, after enough of them."""
@@ -201,10 +204,7 @@ class Calibrator(RunnableNode):
         delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
         throws.append(self._measure_flight(result, release_ns + delay_ns))
         if len(throws) == self.parameters.settings['throws']:
-            message, values = describe_gain(self._predicted, throws)
-            self.get_logger().info(message)
-            self._status = self._make_status(message, values)
-            self._publish_status()  # at once: a user who has seen the message may end the node
+            self._report(*describe_gain(self._predicted, throws))
             self._predicted, self._commanded = [], None
 
     def _measure_flight(self, result: ThrowResult, release_ns: int) -> MeasuredThrow:
@@ -217,15 +217,12 @@ class Calibrator(RunnableNode):
         tracks = self._measured.between(release_ns, end_ns)
         assert tracks.projectile is not None
         speed = flight_speed(tracks.projectile, gravity=gravity)
-        return MeasuredThrow(speed, gravity * _RELEASE_TIME_ERROR, result.peak_plate_speed)
+        return MeasuredThrow(speed, result.peak_plate_speed, gravity * _RELEASE_TIME_ERROR)
 
     def _submit(self, task: Callable[[], None], reason: str) -> None:
         self.get_logger().info(reason)
         self._is_busy = True
         self._worker.submit(task)
-
-    def _publish_status(self) -> None:
-        self._outgoing.report(CALIBRATOR_TOPICS.diagnostics, [self._status])
 
     # Worker thread
 
@@ -236,34 +233,28 @@ class Calibrator(RunnableNode):
         except Exception as error:  # noqa: BLE001  later throws must still be used
             if not isinstance(error, (RequestRejected, ValueError)):
                 self.get_logger().error(traceback.format_exc())
-            message = f'nothing has been changed: {str(error) or repr(error)}'
             if not self._closing.is_set():
-                self.get_logger().warning(message)
-            self._status = self._make_status(message, warn=True)
+                self._report(f'nothing has been changed: {str(error) or repr(error)}', warn=True)
             self._predicted = []
         self._is_busy = False
 
     def _command_motion(self) -> None:
         """Make the twin command the best motion of the plate, or leave its parameters."""
-        before = get_parameters(self._get_of_twin, _OF_COMMAND)
+        before = self._twin.get(_OF_COMMAND)
         try:
-            set_parameters(self._set_of_twin, {'recommendation.vary': 'motion'})
+            self._twin.set({'recommendation.vary': 'motion'})
             applied = self._apply_recommendation()
-            set_parameters(self._set_of_twin, {'engine.command': True})
+            self._twin.set({'engine.command': True})
         except RequestRejected:
-            set_parameters(self._set_of_twin, before)
+            self._twin.set(before)
             raise
         self.get_logger().info(f'commanded: {applied}')
         self._commanded = []
 
     def _identify(self, tracks: list[ThrowTracks], rig: Rig) -> None:
         """Identify the rig and apply the result."""
-        stamp_error = get_parameters(self._get_of_twin, [_STAMP_ERROR])[_STAMP_ERROR]
-
-        def with_error(track: Track) -> Track:
-            return replace(track, stamp_error=float(stamp_error))
-
-        throws = [item.apply(with_error) for item in tracks]
+        stamp_error = float(self._twin.get([_STAMP_ERROR])[_STAMP_ERROR])
+        throws = [item.apply(partial(replace, stamp_error=stamp_error)) for item in tracks]
         self._apply_fit(fit_rig(throws, rig, _DESCRIPTION))
 
     def _apply_fit(self, rig_fit: RigFit) -> None:
@@ -276,24 +267,17 @@ class Calibrator(RunnableNode):
         if not fit.is_converged:
             raise ValueError('the fit stopped at its limit before it converged')
         values = {name: rig_fit.estimate(name) for name in DEFAULT_FREE}
-        set_parameters(self._set_of_twin, {name: each.value for name, each in values.items()})
+        self._twin.set({name: each.value for name, each in values.items()})
         words = (f'{name} {each.value:.5g} +- {each.error:.1g}' for name, each in values.items())
-        message = f'identified: {", ".join(words)}'
-        self.get_logger().info(message)
         outliers = sum(len(residual.outliers) for residual in fit.residuals)
-        rows = {
-            **{name: str(value) for name, value in rig_fit.estimates().items()},
-            'outliers': str(outliers),
-            **{f'warning {n}': text for n, text in enumerate(warnings, 1)},
-        }
-        self._status = self._make_status(message, rows, warn=bool(warnings))
-        if self._set_of_rig is not None:
-            before = get_parameters(self._get_of_twin, _LAYER)
+        texts = {f'warning {number}': text for number, text in enumerate(warnings, 1)}
+        rows = {**rig_fit.estimates(), 'outliers': outliers, **texts}
+        self._report(f'identified: {", ".join(words)}', rows, warn=bool(warnings))
+        if self._rig is not None:
+            before = self._twin.get(_LAYER)
             self.get_logger().info(f'recommended: {self._apply_recommendation()}')
-            after = get_parameters(self._get_of_twin, _LAYER)
-            changes = {name: after[name] for name in after if after[name] != before[name]}
-            if changes:
-                set_parameters(self._set_of_rig, changes)
+            if changes := dict(self._twin.get(_LAYER).items() - before.items()):
+                self._rig.set(changes)
 
     def _apply_recommendation(self) -> str:
         """Request that the twin applies its recommendation; return the answer of the service."""
@@ -308,9 +292,26 @@ class Calibrator(RunnableNode):
 
 def describe_gain(
     by_engine: Sequence[MeasuredThrow], commanded: Sequence[MeasuredThrow]
-) -> tuple[str, dict[str, str]]:
-    """Return the gain of the commanded motion as a sentence, and its values."""
-    values = _means('engine', by_engine) | _means('commanded', commanded)
+) -> tuple[str, dict[str, object]]:
+    """
+    Return the gain of the commanded motion as a sentence, and its values.
+
+    The errors have the larger scatter, among or within throws, and the common errors.
+    """
+    values: dict[str, object] = {}
+    for name, throws in (('engine', by_engine), ('commanded', commanded)):
+        speeds, errors = np.transpose([throw.speed for throw in throws])
+        scatter = math.sqrt(float(np.mean(errors**2)))
+        if speeds.size > 1:
+            scatter = max(scatter, float(speeds.std(ddof=1)))
+        speed = float(speeds.mean())
+        error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].common_error)
+        alpha = (speed / float(np.mean([throw.peak_plate_speed for throw in throws]))) ** 2
+        values |= {
+            f'{name}.ejection_speed': Estimate(speed, error),
+            f'{name}.energy_transfer': Estimate(alpha, 2.0 * alpha * error / speed),
+            f'{name}.throws': speeds.size,
+        }
     message = (
         f'measured gain by the commanded motion: ejection speed '
         f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
@@ -318,25 +319,6 @@ def describe_gain(
         f'{values["commanded.energy_transfer"]}'
     )
     return message, values
-
-
-def _means(prefix: str, throws: Sequence[MeasuredThrow]) -> dict[str, str]:
-    """Return mean results, with the larger scatter, among or within throws, and common errors."""
-    speeds, errors = np.transpose([throw.speed for throw in throws])
-    plate_speed = float(np.mean([throw.peak_plate_speed for throw in throws]))
-    speed = float(speeds.mean())
-    scatter = math.sqrt(float(np.mean(errors**2)))
-    if speeds.size > 1:
-        scatter = max(scatter, float(speeds.std(ddof=1)))
-    error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].common_error)
-    energy_transfer = (speed / plate_speed) ** 2
-    return {
-        f'{prefix}.ejection_speed': str(Estimate(speed, error)),
-        f'{prefix}.energy_transfer': str(
-            Estimate(energy_transfer, 2.0 * energy_transfer * error / speed)
-        ),
-        f'{prefix}.throws': str(speeds.size),
-    }
 
 
 main = partial(run, 'calibrator', Calibrator)

@@ -5,13 +5,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from functools import partial
-import math
+from collections.abc import Callable
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
-from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.realtime import Ticker
 from soft_throw_ros.nodes.texts import comparison_text
@@ -27,111 +25,75 @@ class Diagnostics:
     """Summary of a session, its ticks, its measurements and `compared` throws, once a second."""
 
     def __init__(
-        self, session: Session, ticker: Ticker, measurement: Measurement, *, node_name: str
+        self,
+        session: Session,
+        ticker: Ticker,
+        measurement: Measurement,
+        make_status: Callable[..., DiagnosticStatus],
     ) -> None:
         self._session = session
         self._ticker = ticker
         self._measurement = measurement
-        self._node_name = node_name
-        self._status = partial(status_to_msg, node_name)
+        self._status = make_status
         self.compared: ThrowResult | None = None  # the last one
         self._time = time.monotonic()
         self._ticks: Counter[str] = Counter()
         self._measured: Counter[str] = Counter()
 
-    def statuses(
-        self, result: ThrowResult | None, *, duplicate_nodes: int = 0
-    ) -> list[DiagnosticStatus]:
-        """
-        Return the statuses for the time since the last call.
-
-        `result` is that of the last throw; `duplicate_nodes` other nodes have the same name.
-        """
+    def statuses(self) -> list[DiagnosticStatus]:
+        """Return the statuses for the time since the last call."""
         pending = self._session.pending
+        text = f'{len(pending)} parameter changes wait for the next throw or ~/reset'
         statuses = [
-            *self._timing_and_load(),
-            self._status(
-                'parameters',
-                f'{len(pending)} parameter changes wait for the next throw or ~/reset',
-                {'pending': len(pending), **pending},
-            ),
-            self._layer(result),
-            self._status(
-                'name',
-                duplicate_name_warning(self._node_name) if duplicate_nodes else 'unique',
-                {'duplicate_nodes': duplicate_nodes},
-                warn=duplicate_nodes > 0,
-            ),
+            self._timing(),
+            self._status('parameters', text, {'pending': len(pending), **pending}),
         ]
         if self._session.is_measured:
             statuses += [self._measurements(), self._model()]
         return statuses
 
-    def _timing_and_load(self) -> list[DiagnosticStatus]:
-        """Return the statuses of the lateness and of the processor time of the ticks."""
-        session, ticker, now = self._session, self._ticker, time.monotonic()
-        times = ticker.take_times()
-        lateness, compute = [late for late, _ in times], [duration for _, duration in times]
+    def _timing(self) -> DiagnosticStatus:
+        """Return the status of the lateness and of the processor time of the ticks."""
+        ticker, now = self._ticker, time.monotonic()
+        times = np.array(ticker.take_times() or [(0, 0)]) / SECOND  # lateness and duration
         passed, self._time = now - self._time, now
         ticks = ticker.counts.copy()
         new, self._ticks = ticks - self._ticks, ticks
-        late, skipped = new['ticks_late'], new['ticks_skipped']
-        is_bad = skipped > 0 or late > _MAX_LATE_SHARE * len(lateness)
-        text = f'{late} ticks late, {skipped} skipped'
+        late, skipped, share = new['ticks_late'], new['ticks_skipped'], times[:, 1].sum() / passed
+        text = f'{late} ticks late, {skipped} skipped; {100.0 * share:.1f} % of the time'
+        is_bad = skipped > 0 or late > _MAX_LATE_SHARE * len(times) or share > _MAX_COMPUTE_SHARE
         if not new['ticks']:
-            is_bad, text = True, f'no tick since the last status: {ticker.stall_reason()}'
-        share = sum(compute) / SECOND / passed
-        load = {
-            **_percentiles('compute', compute),
+            is_bad = True
+            text = 'no tick since the last status: no processor time, or /clock stands still'
+        percentiles = np.percentile(times, (50, 99, 100), axis=0).T.ravel()
+        names = [f'{of}_{nth}' for of in ('lateness', 'compute') for nth in ('p50', 'p99', 'max')]
+        values = {
+            **dict(zip(names, percentiles.tolist(), strict=True)),
+            **ticks,
             'compute_part': share,
-            'real_time_factor': new['ticks'] * session.time_scale / (session.rate * passed),
-            'time_scale': session.time_scale,
-            'rate': session.rate,
+            'rate': self._session.rate,
+            'scheduler': ticker.scheduler,
         }
-        timing = {**_percentiles('lateness', lateness), **ticks, 'scheduler': ticker.scheduler}
-        is_loaded = share > _MAX_COMPUTE_SHARE
-        return [
-            self._status('timing', text, timing, warn=is_bad),
-            self._status('load', f'{100.0 * share:.1f} % of the time', load, warn=is_loaded),
-        ]
-
-    def _layer(self, result: ThrowResult | None) -> DiagnosticStatus:
-        """Return whether the strain of the last throw stayed within the linear range."""
-        if result is None:
-            return self._status('layer', 'no throw yet')
-        return self._status(
-            'layer',
-            f'strain of {100.0 * result.peak_strain:.1f} % in throw {result.throw}, the linear '
-            f'range ends at {100.0 * result.max_strain:.3g} %',
-            {name: getattr(result, name) for name in ('throw', 'peak_strain', 'max_strain')},
-            warn=not result.is_linear,
-        )
+        return self._status('timing', text, values, warn=is_bad)
 
     def _measurements(self) -> DiagnosticStatus:
-        """Return the status of the received samples and of the prediction lead."""
+        """Return the status of the received samples."""
         measurement, clock = self._measurement, self._measurement.clock
         counts = measurement.count()
         new = {name: count - self._measured[name] for name, count in counts.items()}
         self._measured = counts
-        leads, measurement.leads = measurement.leads, []
-        lead = min(leads) / SECOND if leads else math.nan
         is_lossy = not new['samples'] or new['samples_refused'] or new['messages_lost']
-        problems = [clock.problem] if clock.problem else []
-        if lead <= 0.0:
-            problems.append(f'prediction {-1e3 * lead:.2f} ms behind the tick')
         text = (
             f'{new["samples"]} samples, {new["messages_lost"]} lost, '
-            f'{new["samples_refused"]} refused'
+            f'{new["samples_refused"]} refused' + (clock.problem and f'; {clock.problem}')
         )
         values = {
             'at_rest': self._session.is_at_rest,
             **{name: count for name, count in new.items() if count or '.' not in name},
             'clock_offset': clock.offset_ns / SECOND,
             'age': measurement.age_ns / SECOND,
-            'lead_min': lead,
         }
-        is_bad = bool(is_lossy or problems)
-        return self._status('measurement', '; '.join([text, *problems]), values, warn=is_bad)
+        return self._status('measurement', text, values, warn=bool(is_lossy or clock.problem))
 
     def _model(self) -> DiagnosticStatus:
         """Return how well the model predicted the last throw."""
@@ -144,18 +106,3 @@ class Diagnostics:
             {'throw': result.throw, **known_values(result.comparison)},
             warn=not result.comparison.is_within_threshold,
         )
-
-
-def duplicate_name_warning(node_name: str) -> str:
-    """Return the warning that another node has the same name, with the remedy."""
-    return (
-        f'another node is named {node_name}, and both publish on the same topics: '
-        'start one of them with -r __ns:=/NAMESPACE or -r __node:=NAME'
-    )
-
-
-def _percentiles(name: str, values: list[int]) -> dict[str, float]:
-    """Return median, 99th percentile and maximum of times [ns], in seconds; zeros if none."""
-    names = (f'{name}_{statistic}' for statistic in ('p50', 'p99', 'max'))
-    percentiles = np.percentile(values or [0], (50, 99, 100)) / SECOND
-    return dict(zip(names, percentiles.tolist(), strict=True))

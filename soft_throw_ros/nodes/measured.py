@@ -9,10 +9,10 @@ There are thousands of messages per second; draining the queue costs a tenth of 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.configuration.interface import Topic, TWIN_TOPICS
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.sensor_clock import SensorClock
@@ -27,15 +27,60 @@ MAX_DATA_RATE = 16e6
 """Largest data rate, about 100,000 samples per second, which bounds a tick [bytes/s]."""
 
 
+class HeightReader:
+    """
+    A `subscription` of a node to joint states, which reads the heights of plate and projectile.
+
+    `joints` are their names. A message that is damaged, lacks the plate, or is larger than
+    `MAX_MESSAGE_SIZE` is counted in `refused` as 'unreadable', 'names' or 'too large'.
+    """
+
+    def __init__(
+        self, node: RunnableNode, topic: Topic, joints: tuple[str, str], refused: Counter[str]
+    ) -> None:
+        self.subscription = RawSubscription.of(node, topic)
+        node.add_cleanup(self.subscription.close)
+        self._joints = joints
+        self._refused = refused
+        self._logger = node.get_logger()
+        self._reader = JointStateReader()
+
+    def read(self, max_size: float) -> list[Samples]:
+        """Return the heights in the messages that have arrived, up to a total size [bytes]."""
+        datas = [message.data for message in self.subscription.drain(max_size)]
+        small = [data for data in datas if len(data) <= MAX_MESSAGE_SIZE]
+        if len(small) < len(datas):
+            self._refused['too large'] += len(datas) - len(small)
+        return self._decode(small) if small else []
+
+    def _decode(self, datas: list[bytes]) -> list[Samples]:
+        """Decode messages, all alike at once; refuse and count those that are not valid."""
+        try:
+            values = self._reader.read_all(datas)
+        except MessageError:
+            if len(datas) > 1:
+                return [samples for data in datas for samples in self._decode([data])]
+            self._refused['unreadable'] += 1
+            return []
+        samples = to_samples(values, self._joints)
+        if samples is not None:
+            return [samples]
+        self._refused['names'] += len(datas)
+        self._logger.warning(
+            f'measured messages have the joints {list(values.names)!r:.200}, and the heights of '
+            f'joint_names.plate {self._joints[0]!r} are missing',
+            once=True,
+        )
+        return []
+
+
 class Measurement:
     """
-    Subscription of a node to the measurements of a rig, which passes them to a session.
+    The measurements of a rig, passed to a session that follows its plate.
 
-    A message that is damaged, lacks the plate, or is larger than `MAX_MESSAGE_SIZE` is refused and
-    counted as 'unreadable', 'names' or 'too large'. A constant error of the sensor's `clock` is
-    removed and logged. `joints` are the names of plate and projectile, `now` returns the time on
-    the clock of the ticks [ns]. `age_ns` is the time from the stamp of the newest sample to its
-    arrival, `leads` are the prediction leads of the steps of a throw [ns].
+    A constant error of the sensor's `clock` is removed and logged. `joints` are the names of plate
+    and projectile, `now` returns the time on the clock of the ticks [ns]. `age_ns` is the time
+    from the stamp of the newest sample to its arrival.
     """
 
     def __init__(
@@ -46,20 +91,15 @@ class Measurement:
         *,
         now: Callable[[], int],
     ) -> None:
-        self.leads: list[int] = []
         self.age_ns = 0
         self.clock = SensorClock()
         self._arrival_ns = 0  # latest time of the clock at which samples arrived [ns]
         self._arrived: list[int] = []  # their stamps [ns]
         self._session = session
-        self._joints = joints
         self._now = now
         self._logger = node.get_logger()
-        self._is_warned = False
-        self._names: tuple[str, ...] = ()  # of a message without the plate
-        self._subscription = RawSubscription.of(node, TWIN_TOPICS.measured_joint_states)
-        node.add_cleanup(self._subscription.close)
-        self._reader = JointStateReader()
+        topic, refused = TWIN_TOPICS.measured_joint_states, session.sample_counts.refused
+        self._reader = HeightReader(node, topic, joints, refused)
 
     def read_messages(self) -> None:
         """
@@ -67,29 +107,28 @@ class Measurement:
 
         If the session is not measured, drop the messages.
         """
-        messages = self._subscription.drain(MAX_DATA_RATE / self._session.rate)
-        if self._session.is_measured:
-            for samples in self._samples([message.data for message in messages]):
+        for samples in self._reader.read(MAX_DATA_RATE / self._session.rate):
+            if self._session.is_measured:
                 self._correct_stamps(samples)
                 self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
-            if not self._is_warned and self._session.sample_counts.refused['out of range']:
-                self._is_warned = True
-                self._logger.warning(
-                    f'heights of the samples are beyond {FARTHEST:g} m: if they are in '
-                    'millimetres, divide them by 1000'
-                )
 
     def count(self) -> Counter[str]:
         """Return the numbers of messages and samples so far, by their treatment."""
-        self._subscription.poll_losses()
-        counts = self._session.sample_counts
+        subscription, counts = self._reader.subscription, self._session.sample_counts
+        subscription.poll_losses()
         refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
+        if refused.get('out of range'):
+            self._logger.warning(
+                f'heights of the samples are beyond {FARTHEST:g} m: if they are in millimetres, '
+                'divide them by 1000',
+                once=True,
+            )
         return Counter({
             'samples': counts.taken,
             'samples_out_of_order': counts.out_of_order,
             'samples_jumped': counts.outliers,
-            'messages': self._subscription.received,
-            'messages_lost': self._subscription.lost,
+            'messages': subscription.received,
+            'messages_lost': subscription.lost,
             'samples_refused': sum(refused.values()),
             **{f'refused.{why}': count for why, count in refused.items()},
         })
@@ -116,36 +155,8 @@ class Measurement:
         if self.clock.observe(self._arrived, arrival):
             self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
 
-    def _samples(self, datas: list[bytes]) -> Iterator[Samples]:
-        """Decode messages, all alike at once; refuse and count those that are not valid."""
-        refused = self._session.sample_counts.refused
-        small = [data for data in datas if len(data) <= MAX_MESSAGE_SIZE]
-        if len(small) < len(datas):
-            refused['too large'] += len(datas) - len(small)
-        try:
-            batches = [self._reader.read_all(small)] if small else []
-        except MessageError:
-            batches = []
-            for data in small:
-                try:
-                    batches.append(self._reader.read_all([data]))
-                except MessageError:
-                    refused['unreadable'] += 1
-        for values in batches:
-            samples = _to_samples(values, self._joints)
-            if samples is None:
-                refused['names'] += len(values.stamps)
-                if values.names != self._names:  # log the joints of refused messages once
-                    self._names = values.names
-                    self._logger.warning(
-                        f'measured messages have the joints {list(values.names)!r:.200}, and the '
-                        f'heights of joint_names.plate {self._joints[0]!r} are missing'
-                    )
-            else:
-                yield samples
 
-
-def _to_samples(values: JointStates, joints: tuple[str, str]) -> Samples | None:
+def to_samples(values: JointStates, joints: tuple[str, str]) -> Samples | None:
     """Return the samples in messages; None without the plate, the first of the joints."""
     names, position = values.names, values.position
     if joints[0] not in names or position.shape[1] != len(names):

@@ -15,8 +15,6 @@ from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
-_LOG_PERIOD = 0.5  # time between two logs of changes, long for a slider [s]
-
 
 class NodeParameters:
     """
@@ -47,9 +45,6 @@ class NodeParameters:
         self._on_changed = on_changed
         self._check = check
         self._results: dict[str, Value] = {}  # the present ones
-        self._lines: dict[str, str] = {}  # of the log that wait, by parameter
-        node.create_steady_timer(_LOG_PERIOD, self._log_changes)
-        node.add_cleanup(self._log_changes)
         overrides = parameter_overrides(node)
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
         sources = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
@@ -103,9 +98,6 @@ class NodeParameters:
                     setter = 'set by the twin' if entry.is_result else 'set at the start'
                     raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}')
                 passed.append(parameter)
-            elif name in request:
-                both = f'{quote(request[name])} and {quote(value)}'
-                raise ParameterError(f'{name} is given twice, {both}')
             else:
                 request[name] = value
         changes = self._table.change(self.settings, request)
@@ -123,15 +115,8 @@ class NodeParameters:
             self.settings = {**self.settings, **changes}
             self.checked = self._candidate
             self._on_changed(changes)
-            self._lines |= {
-                name: f'{name} is now {shown(value)}' for name, value in changes.items()
-            }
-
-    def _log_changes(self) -> None:
-        """Log the last change of each parameter, so that a storm of changes gives few lines."""
-        lines, self._lines = self._lines, {}
-        for line in lines.values():
-            self._node.get_logger().info(line)
+            for name, value in changes.items():
+                self._node.get_logger().info(f'{name} is now {shown(value)}')
 
 
 def shown(value: object) -> str:

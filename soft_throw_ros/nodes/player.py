@@ -53,12 +53,7 @@ class Player(RunnableNode):
         self._reader = reader
         self._is_paused_first = paused
         self._is_damaged = False  # set while playing
-        self._clock_period = round(SECOND / clock) if clock else 0
-        self._clock_due = math.inf  # time of the next message on /clock [ns]
         self._outlets: dict[Channel, Publisher] = {}
-        if clock:
-            row = REPLAY_TOPICS.clock
-            self._clock_publisher = self.create_publisher(Clock, row.name, qos_profile(row))
         for channel in reader.channels:
             is_clock = bool(clock) and channel.topic == REPLAY_TOPICS.clock.name
             if not is_clock and (not topics or channel.topic in topics):
@@ -72,10 +67,13 @@ class Player(RunnableNode):
             is_looping=loop,
         )
         self._lock = threading.Lock()  # guards the schedule and publishing
-        self._woken = threading.Event()
         self._is_stopping = False
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
         self.add_cleanup(self._stop)
+        if clock:
+            row = REPLAY_TOPICS.clock
+            self._clock_publisher = self.create_publisher(Clock, row.name, qos_profile(row))
+            self.create_steady_timer(1.0 / clock, self._on_clock)
         pause, resume = self._schedule.pause, self._schedule.resume
         create_service(self, REPLAY_SERVICES.pause, lambda: self._switch(pause, 'paused'))
         create_service(self, REPLAY_SERVICES.resume, lambda: self._switch(resume, 'playing'))
@@ -84,11 +82,8 @@ class Player(RunnableNode):
         """Start playing after `_DISCOVERY_TIME`."""
         for channel, reason in self.skipped.items():
             self.get_logger().warning(f'{channel.topic} is skipped: {reason}')
-        begin = time.monotonic_ns() + round(_DISCOVERY_TIME * SECOND)
-        if self._clock_period:
-            self._clock_due = begin
         if not self._is_paused_first:
-            self._schedule.resume(begin)
+            self._schedule.resume(time.monotonic_ns() + round(_DISCOVERY_TIME * SECOND))
         self._thread.start()
 
     def close(self) -> None:
@@ -98,7 +93,6 @@ class Player(RunnableNode):
 
     def _stop(self) -> None:
         self._is_stopping = True
-        self._woken.set()
         if self._thread.is_alive():
             self._thread.join(STOP_TIMEOUT)
 
@@ -134,39 +128,30 @@ class Player(RunnableNode):
         wake_on_time()
         set_priority(PRIORITY)
         while not (self._is_stopping or self._schedule.is_over):
-            pause = (self._play_due() - time.monotonic_ns()) / SECOND
-            if pause > 0.0:
-                self._woken.wait(min(pause, POLL))
-                self._woken.clear()
-        self._wait_for_acknowledgement()
+            with self._lock:
+                self._play_due(time.monotonic_ns())
+                deadline = self._schedule.deadline()
+            pause = math.inf if deadline is None else (deadline - time.monotonic_ns()) / SECOND
+            time.sleep(max(min(pause, POLL), 0.0))
+        end = time.monotonic() + _DRAIN_TIMEOUT
+        for publisher in self._outlets.values():
+            if not self._is_stopping:
+                publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
         if not self._is_stopping:
             self.exit_code = int(self._is_damaged or not self._outlets)
 
-    def _play_due(self) -> float:
-        """Publish the due messages; return the time of the next one [ns]."""
+    def _play_due(self, now: int) -> None:
+        """Publish the messages that are due at a time [ns]."""
+        while not self._is_stopping and (message := self._schedule.next_due(now)) is not None:
+            self._outlets[message.channel].publish(message.data)
+            self.played += 1
+
+    def _on_clock(self) -> None:
+        """Publish the time after the messages up to it, so that followers have received them."""
         with self._lock:
             now = time.monotonic_ns()
-            schedule = self._schedule
-            while (message := schedule.next_due(now)) is not None:
-                self._outlets[message.channel].publish(message.data)
-                self.played += 1
-                if self._is_stopping:
-                    break
-            # Publish the time after the messages up to it, so that followers have received them
-            if now >= self._clock_due:
-                self._clock_publisher.publish(Clock(clock=time_to_msg(schedule.time(now))))
-                missed = (now - self._clock_due) // self._clock_period
-                self._clock_due += (missed + 1) * self._clock_period
-            deadline = schedule.deadline()
-        return min(math.inf if deadline is None else deadline, self._clock_due)
-
-    def _wait_for_acknowledgement(self) -> None:
-        """Wait until subscribers have acknowledged all messages, at most `_DRAIN_TIMEOUT`."""
-        end = time.monotonic_ns() + round(_DRAIN_TIMEOUT * SECOND)
-        for publisher in self._outlets.values():
-            is_done = False
-            while not is_done and not self._is_stopping and time.monotonic_ns() < end:
-                is_done = publisher.wait_for_all_acked(Duration(nanoseconds=SECOND // 20))
+            self._play_due(now)
+            self._clock_publisher.publish(Clock(clock=time_to_msg(self._schedule.time(now))))
 
     def _switch(self, act: Callable[[int], None], state: str) -> str:
         """Pause or resume the schedule, and return the state."""
@@ -174,7 +159,6 @@ class Player(RunnableNode):
             now = time.monotonic_ns()
             act(now)
             passed = self._schedule.time(now) - self._reader.start_time
-        self._woken.set()
         length = self._reader.end_time - self._reader.start_time
         return f'{state} at {passed / SECOND:.3f} s of {length / SECOND:.3f} s'
 

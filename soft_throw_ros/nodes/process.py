@@ -42,8 +42,6 @@ STOP_TIMEOUT = 0.3
 
 _REFUSAL_LOG_PERIOD = 1.0  # shortest time between two log lines about exceptions [s]
 
-_MORE = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
-
 
 class RunnableNode(Node):
     """
@@ -102,6 +100,13 @@ class RunnableNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         return self.create_timer(seconds, callback, clock=steady)
 
+    def log(self, text: str, *, is_error: bool) -> None:
+        """Log at level ERROR or INFO; rclpy allows one level per line of code."""
+        if is_error:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().info(text)
+
     def add_cleanup(self, callback: Callable[..., object], *args: object) -> None:
         """Register a function to call when the node is destroyed, in reverse order."""
         self._cleanups.callback(callback, *args)
@@ -132,7 +137,8 @@ def run(
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
         title = (sys.modules[make.__module__].__doc__ or '').strip().partition('\n')[0]
-        argparse.ArgumentParser(usage=usage, description=title, epilog=_MORE).print_help()
+        more = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
+        argparse.ArgumentParser(usage=usage, description=title, epilog=more).print_help()
         return 0
     is_stopping = threading.Event()
 

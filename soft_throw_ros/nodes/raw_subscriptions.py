@@ -9,19 +9,19 @@ every few milliseconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from itertools import islice
 import math
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import ROSClock
-from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from soft_throw_ros.configuration.interface import find_topic, Topic
-from soft_throw_ros.nodes import rclpy_internals
 from soft_throw_ros.nodes.conversions import profile_to_dict
+from soft_throw_ros.nodes.rclpy_internals import LossEvent, take_messages
 from soft_throw_ros.nodes.topics import load_type, make_profile, qos_profile
 from soft_throw_ros.recording.loss_counter import LossCounter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
@@ -55,7 +55,6 @@ class RawSubscription:
         self.publishers: set[bytes] = set()
         self._node = node
         self._counter = LossCounter()
-        self._reported = 0  # losses that the middleware has reported
         self._type = load_type(channel.type)
         self._subscription = node.create_subscription(
             self._type,
@@ -66,9 +65,7 @@ class RawSubscription:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
-        self._loss_event = rclpy_internals.open_event(
-            self._subscription.handle, QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
-        )
+        self._loss_event = LossEvent(self._subscription)
 
     @classmethod
     def of(cls, node: Node, topic: Topic) -> RawSubscription:
@@ -85,8 +82,8 @@ class RawSubscription:
         """Return the next messages: at most `_DEPTH`, and none beyond a total size [bytes]."""
         messages: list[Message] = []
         size = 0
-        waiting = rclpy_internals.take_messages(self._subscription, self._type)
-        for data, info in islice(waiting, _DEPTH):  # a publisher may be faster than the loop
+        waiting = islice(take_messages(self._subscription, self._type), _DEPTH)
+        for data, info in waiting:  # a publisher may be faster than this loop
             number = info['publication_sequence_number']
             number = None if number == _UNKNOWN else number
             gid = info.get('publisher_gid')  # None before Kilted
@@ -107,26 +104,22 @@ class RawSubscription:
 
         Return the reason if nothing comes from a new publisher, empty otherwise.
         """
-        event = rclpy_internals.take_event(self._loss_event)
-        if event is not None:
-            self._reported = event.total_count
-        publishers = self._node.get_publishers_info_by_topic(self.channel.topic)
-        found = {bytes(item.endpoint_gid): item for item in publishers}
-        self._counter.update(found, self._reported)
-        reason = ''
-        for item in (found[gid] for gid in found.keys() - self.publishers):
+        infos = self._node.get_publishers_info_by_topic(self.channel.topic)
+        new = [item for item in infos if bytes(item.endpoint_gid) not in self.publishers]
+        self.publishers = {bytes(item.endpoint_gid) for item in infos}
+        self._counter.update(self.publishers, self._loss_event.count())
+        for item in new:
             _, text = qos_check_compatible(item.qos_profile, self.profile)
             if item.topic_type != self.channel.type:
-                reason = f'its messages are {item.topic_type}'
-            elif 'ERROR: ' in text:
-                reason = text.replace('ERROR: ', ' ').strip() + ' start again to receive all'
-        self.publishers = set(found)
-        return reason
+                return f'its messages are {item.topic_type}'
+            if 'ERROR: ' in text:
+                return f"{text.replace('ERROR: ', ' ').strip()} start again to receive all"
+        return ''
 
     def close(self) -> None:
         """Unsubscribe."""
         self.poll_losses()
-        rclpy_internals.close_event(self._loss_event)
+        self._loss_event.close()
         self._node.destroy_subscription(self._subscription)
 
 
@@ -213,14 +206,17 @@ class RawSubscriptions:
         if len(types) > 1:
             raise ValueError(f'it has messages of several types, {", ".join(types)}')
         schema = find_schema(types[0], installed_prefixes())
+        profiles = [publisher.qos_profile for publisher in publishers]
+        qos = dump_yaml([_offered(topic, types[0], profile) for profile in profiles])
         channel = Channel(
-            topic=topic,
-            type=types[0],
-            schema=schema.text,
-            type_hash=schema.type_hash,
-            qos=dump_yaml([_offered(topic, types[0], publisher) for publisher in publishers]),
+            topic=topic, type=types[0], schema=schema.text, type_hash=schema.type_hash, qos=qos
         )
-        return RawSubscription(self._node, channel, fitting_profile(publishers))
+        fitting = make_profile(  # the strictest request that is compatible with all offers
+            _DEPTH,
+            is_reliable=all(p.reliability is ReliabilityPolicy.RELIABLE for p in profiles),
+            is_latched=all(p.durability is DurabilityPolicy.TRANSIENT_LOCAL for p in profiles),
+        )
+        return RawSubscription(self._node, channel, fitting)
 
 
 def is_wanted(topic: str, wanted: Collection[str]) -> bool:
@@ -231,11 +227,9 @@ def is_wanted(topic: str, wanted: Collection[str]) -> bool:
 
     Examples
     --------
-    >>> is_wanted('/twin/layer/strain', ['/twin']), is_wanted('/twins', ['/twin'])
-    (True, False)
-    >>> is_wanted('/rosout', ['/']), is_wanted('/twin/_hidden', ['/'])
-    (True, False)
-    >>> is_wanted('/twin/phase', ['/twin/']), is_wanted('/_hidden', ['/_hidden'])
+    >>> [is_wanted(topic, ['/twin']) for topic in ('/twin/phase', '/twins', '/twin/_hidden')]
+    [True, False, False]
+    >>> is_wanted('/rosout', ['/']), is_wanted('/_hidden', ['/_hidden'])
     (True, True)
 
     """
@@ -243,19 +237,9 @@ def is_wanted(topic: str, wanted: Collection[str]) -> bool:
     return topic in wanted or (is_inside and '/_' not in topic)
 
 
-def fitting_profile(publishers: Iterable[TopicEndpointInfo]) -> QoSProfile:
-    """Return the strictest request that is compatible with the offers of all publishers."""
-    profiles = [publisher.qos_profile for publisher in publishers]
-    return make_profile(
-        _DEPTH,
-        is_reliable=all(item.reliability is ReliabilityPolicy.RELIABLE for item in profiles),
-        is_latched=all(item.durability is DurabilityPolicy.TRANSIENT_LOCAL for item in profiles),
-    )
-
-
-def _offered(topic: str, kind: str, publisher: TopicEndpointInfo) -> dict[str, object]:
+def _offered(topic: str, kind: str, offer: QoSProfile) -> dict[str, object]:
     """Return the profile of a publisher; an unknown history is taken from our own topics."""
-    profile = profile_to_dict(publisher.qos_profile)
+    profile = profile_to_dict(offer)
     known = find_topic(topic, kind)
     if profile['history'] == 'unknown' and known is not None:
         profile.update(history='keep_last', depth=known[1].depth)

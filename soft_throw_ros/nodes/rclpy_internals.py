@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 from typing import Any
 
+from rclpy.event_handler import QoSSubscriptionEventType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -28,25 +29,30 @@ def take_messages(
             yield message
 
 
-def open_event(handle: Any, kind: Any) -> Any:
+class LossEvent:
     """
-    Return an event of a subscription, to be polled by `take_event`.
+    The losses of a subscription that the middleware reports, for polling.
 
     An executor that waits for events wakes for every message as well.
     """
-    with handle:
-        return rclpy_implementation.EventHandle(handle, kind)
 
+    def __init__(self, subscription: Subscription) -> None:
+        kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
+        with subscription.handle:
+            self._event = rclpy_implementation.EventHandle(subscription.handle, kind)
+        self._count = 0
 
-def take_event(event: Any) -> Any:
-    """Return the status of an event that occurred since the last call, or None."""
-    with event:
-        return event.take_event()
+    def count(self) -> int:
+        """Return the number of all lost messages so far."""
+        with self._event:
+            status = self._event.take_event()
+        if status is not None:
+            self._count = status.total_count
+        return self._count
 
-
-def close_event(event: Any) -> None:
-    """Release an event, which would keep its subscription."""
-    event.destroy_when_not_in_use()
+    def close(self) -> None:
+        """Release the event, which would keep its subscription."""
+        self._event.destroy_when_not_in_use()
 
 
 def parameter_overrides(node: Node) -> list[Parameter]:

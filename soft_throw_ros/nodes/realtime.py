@@ -1,22 +1,35 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The tick thread: it waits for each deadline, advances a session, and counts late ticks."""
+"""
+Base class of the nodes `twin` and `rig`: a thread advances a session by the clock.
+
+The tick thread waits for each deadline, advances the session, and counts late ticks.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 import ctypes
+import gc
 import math
 import os
+import subprocess
+import sys
 import threading
 import time
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
+from soft_throw_ros.commands.warm_up import load_kernels, missing_parts
+from soft_throw_ros.configuration import Settings
+from soft_throw_ros.nodes.process import RunnableNode, STOP_TIMEOUT
+from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.message import SECOND
+from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
+from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -27,15 +40,19 @@ PRIORITY = 10
 """Real-time priority (SCHED_FIFO) of the tick thread [-]."""
 
 _FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [s]
+_SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
+_SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
+_STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
+_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'clock_jumps')
 
 
 class SystemClock:
     """
     The time of day; it advances steadily between calls of `adjust`.
 
-    Every clock for ticks has three attributes. `epoch` changes when the clock is set, so that
-    times before and after cannot be compared. After a stall, at most `max_catch_up` is caught up
-    and the remaining steps are skipped. A tick later than `tolerance` counts as late. [ns]
+    `epoch` changes when the clock is set, so that times before and after cannot be compared. After
+    a stall, at most `max_catch_up` is caught up and the remaining steps are skipped. A tick later
+    than `tolerance` counts as late. [ns]
     """
 
     max_catch_up = SECOND // 10
@@ -112,9 +129,6 @@ class NodeClock:
 
 Clock: TypeAlias = SystemClock | NodeClock
 
-_STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
-_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'ticks_caught_up', 'clock_jumps')
-
 
 class Ticker:
     """
@@ -151,12 +165,6 @@ class Ticker:
         times, self._times = self._times, []
         return times
 
-    def stall_reason(self) -> str:
-        """Return the reason why there are no ticks."""
-        if isinstance(self._clock(), NodeClock):
-            return 'the twin follows /clock (use_sim_time), which stands still'
-        return 'the tick thread gets no processor time'
-
     def start(self) -> None:
         """Start the thread."""
         self._thread.start()
@@ -182,19 +190,16 @@ class Ticker:
         due = schedule.deadline(session.step)
         if self.scheduler == 'fifo' and now - due > _STALL * clock.max_catch_up:
             self._stalled = time.monotonic()
-        done = 0
         while due <= now:
             begin = time.perf_counter_ns()
             self._on_tick(due)
             self._times.append((now - due, time.perf_counter_ns() - begin))
+            counts['ticks'] += 1
             counts['ticks_late'] += now - due > clock.tolerance
-            done += 1
             if session.rate != schedule.rate:
                 schedule.change_rate(step=session.step - 1, rate=session.rate)
                 session.set_tick_schedule(schedule)
             due = schedule.deadline(session.step)
-        counts['ticks'] += done
-        counts['ticks_caught_up'] += max(done - 1, 0)
         return due
 
     def _schedule_of(self, clock: Clock, now: int) -> TickSchedule | None:
@@ -235,3 +240,75 @@ def set_priority(priority: int) -> str:
     except OSError:
         return 'other'
     return 'fifo' if priority else 'other'
+
+
+class RealTimeNode(RunnableNode):
+    """
+    Abstract node that advances a session at the deadlines of its steps, in a thread of its own.
+
+    A subclass declares its parameters with the check `prepare`, creates its publishers, and calls
+    `attach_session` last. `system_clock` is the clock, unless the node follows `/clock`.
+    """
+
+    session: Session
+    ticker: Ticker
+
+    def __init__(
+        self, name: str, *, system_clock: SystemClock | None = None, **kwargs: Any
+    ) -> None:
+        super().__init__(name, **kwargs)
+        self._system_clock = system_clock or SystemClock()
+
+    def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
+        """Return the rig of complete settings of a twin, after kernels are compiled at first."""
+        if before is None and missing_parts():
+            self._compile_kernels()
+        return prepare(settings, before)
+
+    def _compile_kernels(self) -> None:
+        """Compile in a child process, because numba suppresses exceptions of signal handlers."""
+        self.get_logger().info('compiling the kernels, once for this installation')
+        subprocess.run(  # kills the process when a signal comes: files are complete at any time
+            bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C reaches only the node
+            check=False,
+        )
+
+    def attach_session(self, session: Session) -> None:
+        """Attach the session that the node advances after its start."""
+        self.session = session
+        self._node_clock = NodeClock(self)
+        self.add_cleanup(self._node_clock.close)
+        self.ticker = Ticker(session, self.on_tick, self._current_clock)
+        self.add_cleanup(session.close)
+        self.add_cleanup(self.ticker.stop, STOP_TIMEOUT)
+        self.create_steady_timer(1.0, self.on_second)
+
+    def on_tick(self, due: int) -> None:
+        """Advance by one step, in the tick thread; `due` is its deadline [ns]."""
+        self.on_step(self.session.advance(), due)
+
+    def on_step(self, outputs: Outputs, due: int) -> None:
+        """Publish the outputs of a step, in the tick thread; `due` is its deadline [ns]."""
+        raise NotImplementedError
+
+    def on_second(self) -> None:
+        """Follow adjustments of the system clock; runs in the executor's thread."""
+        self._system_clock.adjust()
+        self._set_switch_interval()  # the rate may have changed
+
+    def start(self) -> None:
+        """Load all kernels, freeze the garbage collector, and start the ticks."""
+        load_kernels(say=self.get_logger().info)
+        self._set_switch_interval()
+        gc.collect()  # now, since it would delay ticks
+        gc.freeze()
+        self.ticker.start()
+        self.get_logger().info('ready')
+
+    def _set_switch_interval(self) -> None:
+        sys.setswitchinterval(max(_SWITCH_INTERVAL, _SWITCH_FRACTION / self.session.rate))
+
+    def _current_clock(self) -> Clock:
+        return self._node_clock if self._node_clock.is_active else self._system_clock

@@ -22,6 +22,7 @@ from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.atomic_file import atomic_file
+from soft_throw_ros.twin.session import RequestRejected
 
 _RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
 """Attributes of an answer that `recommended.*` shows."""
@@ -35,11 +36,6 @@ class RecommendationState:
     best: RequestResult | None = None
     reason: str = ''
 
-    @property
-    def rig(self) -> Rig:
-        """The rig of the recommendation."""
-        return self.config.rig
-
     def is_for(self, settings: Settings) -> bool:
         """Return whether the recommendation is valid for these settings."""
         return all(
@@ -52,7 +48,7 @@ class RecommendationState:
         """Return the changes that apply the recommendation; a motion is saved to a file."""
         best = self.best
         if best is None:
-            return {}
+            raise RequestRejected(self.describe())
         if isinstance(best, MotionDesign):
             return {motions.PARAMETER: str(_save_motion(best))}
         if isinstance(best, Aim):
@@ -70,15 +66,13 @@ class RecommendationState:
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""
-        if self.best is None:
-            return f'no recommendation: {self.reason}'
-        return self.best.summary
+        return self.best.summary if self.best else f'no recommendation: {self.reason}'
 
     def to_status(self, node_name: str) -> DiagnosticStatus:
         """Return a diagnostic status with the recommendation and its rig."""
         values = {} if self.best is None else self.best.values()
         level = DiagnosticStatus.ERROR if self.best is None else None
-        values |= rig_values(self.rig)
+        values |= rig_values(self.config.rig)
         return status_to_msg(node_name, 'recommendation', self.describe(), values, level=level)
 
 

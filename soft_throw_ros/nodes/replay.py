@@ -33,8 +33,9 @@ def main(args: list[str] | None = None) -> int:
     damaged, cannot be played, or differs from its repetition; 2 for a wrong argument, or if the
     bag is missing, or has no messages to play or to check; 130 after Ctrl-C during a check.
     """
-    own, of_ros = _split(sys.argv[1:] if args is None else args)
-    options = _parse(own)
+    arguments = sys.argv[1:] if args is None else args
+    end = arguments.index('--ros-args') if '--ros-args' in arguments else len(arguments)
+    options, of_ros = _parse(arguments[:end]), arguments[end:]
     path, is_check = options.pop('bag'), options.pop('check')
     try:
         with BagReader(path) as reader:
@@ -44,15 +45,6 @@ def main(args: list[str] | None = None) -> int:
         return 1 if isinstance(error, UnfinishedError) else 2
     except KeyboardInterrupt:
         return 130
-
-
-def _split(arguments: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
-    """Separate the arguments of this command from ROS arguments, between --ros-args and --."""
-    if '--ros-args' not in arguments:
-        return arguments, []
-    begin = arguments.index('--ros-args')
-    end = arguments.index('--', begin) if '--' in arguments[begin:] else len(arguments)
-    return [*arguments[:begin], *arguments[end + 1:]], arguments[begin:end]
 
 
 def _parse(arguments: Sequence[str]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
-from soft_throw_ros.nodes.realtime_node import RealTimeNode
+from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
@@ -32,22 +32,17 @@ _LINE_INTERVAL = 5.0  # shortest time between two log lines about commanded thro
 
 class SimulatedRig(RealTimeNode):
     """
-    A simulated rig that publishes the measurements of its sensors.
+    A session of a twin with its own parameters, measured by faulty sensors.
 
-    The node runs a session of a twin with its own parameters, and publishes positions as faulty
-    sensors would measure them. Effects that no model of the core has, such as a plate that rings,
-    are computed before the throw as `Deviations` and added.
-
-    A trajectory of the plate replaces the motion of the engine, from the first step after its
-    stamp on. Periodic throws and the imperfections of the rig then stop; the faults of the sensors
-    continue.
+    Effects that no model of the core has, such as a plate that rings, are computed before the
+    throw as `Deviations` and added. A trajectory of the plate replaces the motion of the engine,
+    from the first step after its stamp on; periodic throws and `Deviations` then stop.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('rig', **kwargs)
         self._chances = chances_one_by_one(np.random.default_rng(0))
-        self._throws = 0
-        self._start = 0  # step at which the last throw began
+        self._throws = self._start = 0  # number of throws, and step at which the last one began
         self._is_worn = False
         self._commanded: list[JointTrajectoryPoint] = []  # the last motion
         self._motions = 0  # number of different commanded motions
@@ -59,10 +54,10 @@ class SimulatedRig(RealTimeNode):
             check=lambda settings, before: self.prepare(to_twin(settings), before),
             arguments=arguments,
         )
-        self._joints = joint_names(self.parameters.settings)
-        outgoing = Publishers(self, RIG_TOPICS, self._joints)
-        self.send = outgoing.sender(RIG_TOPICS.measured_joint_states)
         settings = self.parameters.settings
+        self._joints = joint_names(settings)
+        publishers = Publishers(self, RIG_TOPICS, self._joints)
+        self.send = partial(publishers.send, RIG_TOPICS.measured_joint_states)
         self._played = self.parameters.checked.config.settings
         self._faults = _faults_of(SensorFaults, settings)
         self._deviations = self._next_deviations = self._find_deviations()
@@ -89,31 +84,25 @@ class SimulatedRig(RealTimeNode):
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
             self._deviations = self._next_deviations
-        rate = self.session.rate
-        time = outputs.step / rate
-        deviation = self._deviation(outputs.step, rate)
+        time = outputs.step / self.session.rate
         plate, projectile, plate_velocity, projectile_velocity = outputs.state[:4]
+        of_plate, of_projectile = self._deviation((outputs.step - self._start) / self.session.rate)
         sample = self._faults.measure(
             time,
-            lambda moment: plate + deviation[0] + (moment - time) * plate_velocity,
-            lambda moment: projectile + deviation[1] + (moment - time) * projectile_velocity,
+            lambda moment: plate + of_plate + (moment - time) * plate_velocity,
+            lambda moment: projectile + of_projectile + (moment - time) * projectile_velocity,
             next(self._chances),
         )
         if sample.is_received:
             self.send(due + round(1e9 * (sample.stamp - time)), (sample.plate, sample.projectile))
 
-    def _deviation(self, step: int, rate: float) -> tuple[float, float]:
-        """Return the deviations of plate and projectile from the model [m]."""
-        deviations = self._deviations
-        if deviations is None:
+    def _deviation(self, since: float) -> tuple[float, float]:
+        """Return the deviations of plate and projectile from the model [m] since a throw [s]."""
+        deviations, period = self._deviations, self.parameters.settings['throw.period']
+        is_before_next = period and deviations and since > period + deviations.start  # it rings
+        if deviations is None or not (self._throws or is_before_next):
             return 0.0, 0.0
-        since = (step - self._start) / rate
-        period = self.parameters.settings['throw.period']
-        if period and since > period + deviations.start:  # ringing before the next throw
-            since -= period
-        elif not self._throws:
-            return 0.0, 0.0
-        return deviations.at(since)
+        return deviations.at(since - period if is_before_next else since)
 
     # Executor thread
 
@@ -141,37 +130,30 @@ class SimulatedRig(RealTimeNode):
     def _on_trajectory(self, message: JointTrajectory) -> None:
         """Prepare a commanded motion, and start it at its stamp."""
         start_ns, now_ns = msg_to_time(message.header.stamp), self._current_clock().now()
+        refusal = ''
         try:
             motion = msg_to_motion(message, self._joints[0])
         except ValueError as error:
-            self.get_logger().warning(f'a commanded motion is refused: {error}')
-            return
+            refusal = str(error)
         if start_ns < now_ns:
-            self.get_logger().warning(
-                f'a commanded motion is refused: it started {1e-6 * (now_ns - start_ns):.0f} ms '
-                'ago; increase engine.command_lead of the twin'
-            )
+            late = f'{1e-6 * (now_ns - start_ns):.0f} ms'
+            refusal = f'it started {late} ago; increase engine.command_lead of the twin'
+        if refusal:
+            self.get_logger().warning(f'a commanded motion is refused: {refusal}')
             return
         if message.points != self._commanded:
             self._commanded, self._next_deviations = message.points, None
             self._motions += 1
-            self.session.change(
-                {
-                    'engine.motion': 'file',
-                    MOTION_FILE: f'commanded motion {self._motions}',
-                    'throw.period': 0.0,
-                },
-                motion_of=lambda _path: motion,
-            )
+            name = f'commanded motion {self._motions}'
+            changes = {'engine.motion': 'file', MOTION_FILE: name, 'throw.period': 0.0}
+            self.session.change(changes, motion_of=lambda _path: motion)
             self.session.reset()  # otherwise the first throw would return to rest before it starts
         self._start_ns = start_ns
 
     def _find_deviations(self) -> Deviations | None:
         """Return the effect of the imperfections, computed in about 0.3 s; None without any."""
-        imperfections = _faults_of(Imperfections, self.parameters.settings)
-        if not imperfections.are_present:
-            return None
-        return Deviations(self.parameters.checked.rig, imperfections)
+        faults = _faults_of(Imperfections, self.parameters.settings)
+        return Deviations(self.parameters.checked.rig, faults) if faults.are_present else None
 
 
 def _faults_of(kind: Any, settings: Settings) -> Any:

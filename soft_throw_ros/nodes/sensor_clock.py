@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 from soft_throw_ros.storage.message import SECOND
 
@@ -33,13 +33,11 @@ class SensorClock:
         self._whole = 0  # stamps of whole seconds
         self._least_ns = 0
 
-    def observe(self, stamps: Iterable[int], now_ns: int) -> bool:
+    def observe(self, stamps: Sequence[int], now_ns: int) -> bool:
         """Observe stamps that have just arrived; return whether `problem` has changed."""
-        newest_ns = -1
-        for stamp_ns in stamps:
-            self._count += 1
-            self._whole += stamp_ns % SECOND == 0
-            newest_ns = max(newest_ns, stamp_ns)
+        self._count += len(stamps)
+        self._whole += sum(stamp_ns % SECOND == 0 for stamp_ns in stamps)
+        newest_ns = max(stamps)
         delay_ns = now_ns - newest_ns
         if self._begin_ns is None:
             self._begin_ns, self._least_ns = now_ns, delay_ns
@@ -63,10 +61,10 @@ class SensorClock:
             return
         if abs(least_ns) <= TOLERATED:
             self.offset_ns, self.problem = 0, ''
-            return
-        size, side = abs(least_ns) / SECOND, 'behind' if least_ns > 0 else 'ahead of'
-        self.offset_ns = least_ns
-        self.problem = (
-            f'stamps of the samples are {1e3 * size:.1f} ms {side} the clock of the twin, '
-            'which is taken off'
-        )
+        else:
+            size, side = abs(least_ns) / SECOND, 'behind' if least_ns > 0 else 'ahead of'
+            self.offset_ns = least_ns
+            self.problem = (
+                f'stamps of the samples are {1e3 * size:.1f} ms {side} the clock of the twin, '
+                'which is taken off'
+            )

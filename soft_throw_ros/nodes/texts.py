@@ -9,11 +9,6 @@ from collections.abc import Iterator
 from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
 
 
-def count_of(number: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
-
-
 def throw_text(result: ThrowResult) -> str:
     """Return the release of a throw with warnings, or the reason why the throw is invalid."""
     if not result.is_valid:
@@ -32,7 +27,7 @@ def throw_text(result: ThrowResult) -> str:
     if result.accuracy is not None:
         text += f' +- {result.accuracy.energy_transfer_error:.3f}'
     if result.last is not None and result.recontacts:
-        recontacts = count_of(result.recontacts, 're-contact')
+        recontacts = f'{result.recontacts} re-contact{"s" * (result.recontacts > 1)}'
         text += f' ({result.last.energy_transfer:.3f} after {recontacts})'
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
@@ -57,13 +52,6 @@ def comparison_text(result: ThrowResult) -> str:
         f'measured.residual_threshold {threshold:.3g} um: '
         + (causes or 'the layer has aged or slipped, or the parameters are wrong')
     )
-
-
-def lead_text(result: ThrowResult) -> str:
-    """Return how long before or after the release the first prediction was available."""
-    lead = 1e3 * (result.lead or 0.0)
-    side = 'before' if result.is_ahead else 'after'
-    return f'prediction available {abs(lead):.2f} ms {side} release'
 
 
 def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:

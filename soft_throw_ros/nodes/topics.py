@@ -56,11 +56,6 @@ def full_name(node: Node, name: str) -> str:
     return name if name.startswith('/') else f'{node.get_namespace().rstrip("/")}/{name}'
 
 
-def frame_of(node: Node) -> str:
-    """Return the frame of the rig in the namespace of a node."""
-    return full_name(node, FRAME).lstrip('/')
-
-
 def create_subscription(node: Node, topic: Topic, on_message: Callable[..., None]) -> None:
     """Subscribe a node to a topic."""
     node.create_subscription(load_type(topic.type), topic.name, on_message, qos_profile(topic))
@@ -95,18 +90,14 @@ class Publishers:
             topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
         }
 
-    def sender(self, topic: Topic) -> Callable[..., None]:
+    def send(self, topic: Topic, *values: object) -> None:
         """
-        Return the function that publishes on a topic.
+        Publish on a topic.
 
         Joint states take a stamp [ns] and the values of one quantity after another, or one array
         per quantity where there are many joints. Diagnostics take a stamp and statuses, clouds a
         stamp and points, trajectories a start [ns] and a motion, other types a number or a text.
         """
-        return self._senders[topic.name]
-
-    def send(self, topic: Topic, *values: object) -> None:
-        """Publish once; `sender` describes the values."""
         self._senders[topic.name](*values)
 
     def report(self, topic: Topic, statuses: Sequence[DiagnosticStatus]) -> None:
@@ -123,7 +114,7 @@ class Publishers:
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=not topic.is_latched),
         )
         publish = publisher.publish
-        frame, plate = frame_of(node), self._joints[JOINTS[0]]
+        frame, plate = full_name(node, FRAME).lstrip('/'), self._joints[JOINTS[0]]
         if topic.type == interface.JOINT_STATE:
             names = [self._joints.get(name, name) for name in topic.joints]
             encoder = JointStateEncoder(frame, names, series=len(topic.quantities))

@@ -39,12 +39,8 @@ def discovery_range() -> str:
 def describe_discovery() -> str:
     """Return which machines can reach a node of this process, and how to limit them."""
     reach = discovery_range()
-    if reach in _LOCAL:
-        return f'discovery range {reach}: other machines do not reach this node'
-    return (
-        f'discovery range {reach}: other machines may reach this node; '
-        f'{_RANGE}=LOCALHOST limits it to this machine'
-    )
+    verb = 'do not' if reach in _LOCAL else f'may, unless {_RANGE}=LOCALHOST,'
+    return f'discovery range {reach}: other machines {verb} reach this node'
 
 
 def use_transport_profile() -> None:

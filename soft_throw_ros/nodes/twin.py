@@ -21,25 +21,20 @@ from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
-from soft_throw_ros.nodes.diagnostics import Diagnostics, duplicate_name_warning
+from soft_throw_ros.nodes.conversions import throw_result_to_msg
+from soft_throw_ros.nodes.diagnostics import Diagnostics
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
-from soft_throw_ros.nodes.realtime_node import RealTimeNode
+from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.recommendations import (
     affects_recommendation,
     recommend_for,
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.texts import (
-    comparison_text,
-    count_of,
-    lead_text,
-    throw_text,
-)
-from soft_throw_ros.nodes.topics import create_service, frame_of, Publishers
+from soft_throw_ros.nodes.texts import comparison_text, throw_text
+from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
@@ -49,6 +44,7 @@ PHASES = tuple(Phase)
 """Phases, each at the index that `~/phase_change` publishes."""
 
 _LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
+_NAME_WARNING_PERIOD = 10.0  # between two errors about another node of the same name [s]
 _RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
 
 
@@ -61,22 +57,18 @@ class Twin(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
-        self.add_cleanup(self._log_end)  # the first one is called last
         self.recommendation: RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
-        self._last_result: ThrowResult | None = None
+        self._throw = 0  # number of the throw of the last result
         self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
-        self._duplicate_nodes = 0
         self.parameters = NodeParameters(
             self, TWIN, self._on_changed, check=self.prepare, arguments=arguments
         )
         self._joints = joint_names(self.parameters.settings)
-        self._serialize_command()
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
-        self._send_state = self.outgoing.sender(TWIN_TOPICS.joint_states)
         session = Session(
             self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
         )
@@ -86,7 +78,7 @@ class Twin(RealTimeNode):
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
         self._diagnostics = Diagnostics(
-            session, self.ticker, self.measurement, node_name=self.get_fully_qualified_name()
+            session, self.ticker, self.measurement, self.outgoing.status
         )
         self._worker = LatestOnlyWorker(self._recommend, interval=_RECOMMENDATION_INTERVAL)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
@@ -104,19 +96,17 @@ class Twin(RealTimeNode):
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the messages of every tick, and hand the others over to the executor."""
-        self._send_state(due, outputs.state)
         send = self.outgoing.send
+        send(TWIN_TOPICS.joint_states, due, outputs.state)
         if outputs.layer is not None:
             send(TWIN_TOPICS.layer_joint_states, due, outputs.layer)
         prediction, residual = outputs.prediction, outputs.residual
         if prediction is not None:
-            self.measurement.leads.append(prediction.lead_ns)
-            send(TWIN_TOPICS.predicted_joint_states, prediction.stamp_ns, prediction[1:4])
+            send(TWIN_TOPICS.predicted_joint_states, prediction.stamp_ns, prediction[1:])
         if residual is not None:
             send(TWIN_TOPICS.residual, residual.stamp_ns, residual[1:])
-        if outputs.command is not None:
-            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
-        if outputs.phases or outputs.results or outputs.throw_field is not None:
+        others = outputs.phases, outputs.results, outputs.throw_field, outputs.command
+        if any(others):
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
     # Any thread
@@ -144,9 +134,8 @@ class Twin(RealTimeNode):
                 publish(recommended)
                 self._uncertainty = config.rig, uncertainty_values(config.rig, config.settings)
         except Exception as error:  # noqa: BLE001  later requests must still be answered
-            reason = f'the search has failed: {error!r}'
-            self.get_logger().error(f'{reason}\n{traceback.format_exc()}')
-            publish(RecommendationState(config=config, reason=reason))
+            self.get_logger().error(traceback.format_exc())
+            publish(RecommendationState(config=config, reason=f'the search has failed: {error!r}'))
 
     # Executor thread
 
@@ -158,6 +147,8 @@ class Twin(RealTimeNode):
     def _publish_outputs(self, outputs: Outputs, due: int) -> None:
         """Publish and log the outputs of a step other than the state."""
         send = self.outgoing.send
+        if outputs.command is not None:
+            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
         for phase, stamp_ns in outputs.phases:
             send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
         if outputs.phases:
@@ -171,44 +162,46 @@ class Twin(RealTimeNode):
 
     def _publish_result(self, result: ThrowResult, due: int) -> None:
         """Publish a result as one message, and the numbers of its first release, or NaN."""
-        last, self._last_result = self._last_result, result
+        is_first, self._throw = result.throw != self._throw, result.throw
         send = self.outgoing.send
         rig, uncertainty = self._uncertainty
         beside = uncertainty if rig == result.rig else {}
         status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first
-        if result.stage == 'release' or (result.stage == 'final' and first is None):
+        is_ejection = result.stage == 'release' or (result.stage == 'final' and first is None)
+        if is_ejection:
             for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
                 send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
         if result.stage == 'final' and result.comparison is not None:
             self._diagnostics.compared = result
-        if warning := self._warning_of(result, last):
+        if warning := self._warning_of(result, is_first=is_first):
             self.get_logger().warning(warning)
-        elif result.stage == 'release' or (result.stage == 'final' and first is None):
+        elif is_ejection:
             self._log_throw(result, due)
 
-    def _warning_of(self, result: ThrowResult, last: ThrowResult | None) -> str:
+    def _warning_of(self, result: ThrowResult, *, is_first: bool) -> str:
         """Return a warning of an invalid, late or mispredicted throw or a large strain, if any."""
-        is_first = last is None or last.throw != result.throw
-        comparison, rig = result.comparison, (result.rig, result.max_strain)
+        rig = result.rig, result.max_strain
         if not result.is_valid:
             return throw_text(result)
         if result.stage == 'predicted' and is_first and not result.is_ahead:
             age = self.measurement.age_ns / SECOND
-            cause = f'samples arrive {1e3 * age:.1f} ms after their stamps'
-            if age <= self.parameters.settings['measured.smoothing_window'] / 4.0:
-                cause = (
-                    'for an earlier prediction decrease measured.smoothing_window or '
-                    'measured.latency, or increase rate.state'
-                )
-            return f'throw {result.throw}: {lead_text(result)}; {cause}'
+            is_late = age > self.parameters.settings['measured.smoothing_window'] / 4.0
+            late = f'predicted {-1e3 * (result.lead or 0.0):.2f} ms after the release'
+            return f'throw {result.throw} is {late}; ' + (
+                f'samples arrive {1e3 * age:.1f} ms after their stamps'
+                if is_late
+                else 'for an earlier prediction decrease measured.smoothing_window or '
+                'measured.latency, or increase rate.state'
+            )
         if result.stage != 'predicted' and not result.is_linear and rig != self._rig_beyond_range:
             self._rig_beyond_range = rig
             return throw_text(result)
-        if result.stage == 'final' and comparison and not comparison.is_within_threshold:
-            return f'throw {result.throw}: {comparison_text(result)}'
-        return ''
+        if result.stage != 'final' or not result.comparison:
+            return ''
+        is_good = result.comparison.is_within_threshold
+        return '' if is_good else f'throw {result.throw}: {comparison_text(result)}'
 
     def _log_throw(self, result: ThrowResult, due: int) -> None:
         """Log a throw; one in ten seconds at level INFO, with a summary since the start."""
@@ -222,60 +215,21 @@ class Twin(RealTimeNode):
         self._last_line_ns = due
         self.get_logger().info(text)
 
-    def describe_start(self) -> str:
-        """Return the rig, rates and topics for the log line at the start."""
-        settings, rig = self.parameters.settings, self.parameters.checked.rig
-        name = self.get_fully_qualified_name()
-        motion, period = settings['engine.motion'], settings['throw.period']
-        engine = f'{rig.engine.frequency:.4g} Hz, {1e3 * rig.engine.amplitude:.4g} mm'
-        if motion == 'file':
-            engine = settings['engine.motion_file']
-        elif motion == 'measured':
-            engine = TWIN_TOPICS.measured_joint_states.at(name).name
-        throws = f'a throw every {period:.4g} s' if period else 'throws on request'
-        return (
-            f": layer {settings['layer.name']}, {1e3 * rig.layer.thickness:.4g} mm, "
-            f'{rig.layer.wave_speed:.4g} m/s; projectile {1e3 * rig.projectile.mass:.4g} g; '
-            f'plate {motion}, {engine}; '
-            f"{settings['rate.state']:.4g} Hz on {TWIN_TOPICS.joint_states.at(name).name}"
-            + ('' if motion == 'measured' else f', {throws}')
-        )
-
-    def _log_end(self) -> None:
-        """Log the number of throws and skipped ticks of a twin that has begun."""
-        if hasattr(self, 'ticker'):
-            skipped = self.ticker.counts['ticks_skipped']
-            self.get_logger().info(
-                f'stopped after {count_of(self.session.throws, "throw")} in '
-                f'{self.duration:.1f} s, {skipped} ticks skipped'
-            )
-
     def _publish_recommendation(self, recommended: RecommendationState) -> None:
         """Publish a recommendation, unless the rig has changed since its request."""
         if not recommended.is_for(self.parameters.settings):
             return
         self.recommendation = recommended
         self.parameters.set_results(recommended.results())
-        if recommended.best is None:
-            self.get_logger().warning(recommended.describe())
-        else:
-            self.get_logger().info(recommended.describe())
         status = recommended.to_status(self.get_fully_qualified_name())
         self.outgoing.report(TWIN_TOPICS.recommendation, [status])
+        self.log(status.message, is_error=recommended.best is None)
 
     def _on_changed(self, changes: Settings) -> None:
-        self._serialize_command()
         self.session.change(changes, self.parameters.checked)
         if any(affects_recommendation(name) for name in changes):
             self.recommendation = None
             self._worker.submit(self.parameters.checked.config)
-
-    def _serialize_command(self) -> None:
-        """Serialize the motion of a commanded plate in advance, which is too slow for a tick."""
-        config = self.parameters.checked.config
-        motion = config.rig.engine.motion
-        if config.command_lead is not None and motion is not None:
-            encode_command(0, motion, self._joints[0], frame_of(self))
 
     def _on_throw(self) -> str:
         number = self.session.request_throw()
@@ -287,12 +241,9 @@ class Twin(RealTimeNode):
         return 'resetting the rig'
 
     def _on_apply_recommendation(self) -> str:
-        recommended = self.recommendation
-        if recommended is None:
+        if self.recommendation is None:
             raise RequestRejected('the recommendation is being computed; ask again')
-        if recommended.best is None:
-            raise RequestRejected(recommended.describe())
-        changes = recommended.changes()
+        changes = self.recommendation.changes()
         if not changes:
             return 'the present layer is the best one and stays'
         self.parameters.apply(changes)
@@ -306,17 +257,13 @@ class Twin(RealTimeNode):
         for fault in self.session.diagnose_sensors():
             self.get_logger().warning(fault)
         name = self.get_fully_qualified_name()
-        before = self._duplicate_nodes
-        publishers = self.count_publishers(TWIN_TOPICS.journal.at(name).name)
-        self._duplicate_nodes = max(publishers - 1, 0)
-        if self._duplicate_nodes > before:
-            self.get_logger().error(duplicate_name_warning(name))
-        elif before and not self._duplicate_nodes:
-            self.get_logger().info('no other node has this name any more')
-        statuses = self._diagnostics.statuses(
-            self._last_result, duplicate_nodes=self._duplicate_nodes
-        )
-        self.outgoing.report(TWIN_TOPICS.diagnostics, statuses)
+        if self.count_publishers(TWIN_TOPICS.journal.at(name).name) > 1:
+            self.get_logger().error(
+                f'another node is named {name}, and both publish on the same topics: start one of '
+                'them with -r __ns:=/NAMESPACE or -r __node:=NAME',
+                throttle_duration_sec=_NAME_WARNING_PERIOD,
+            )
+        self.outgoing.report(TWIN_TOPICS.diagnostics, self._diagnostics.statuses())
 
 
 main = partial(run, 'twin', Twin)

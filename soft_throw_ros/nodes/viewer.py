@@ -19,9 +19,7 @@ from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name, Publishers
 from soft_throw_ros.recording import rerun_viewer
 
-DRAIN_PERIOD = 0.1
-"""Time between two updates of the drawing; shorter ones cost more of a core. [s]"""
-
+_DRAIN_PERIOD = 0.1  # time between two updates; shorter ones cost more of a core [s]
 _FLUSH_TIME = 0.7  # longest wait for viewers and disk at the end [s]
 _DISCOVERY_PERIOD = 0.2  # time between two searches for new topics [s]
 
@@ -55,13 +53,8 @@ class Viewer(RunnableNode):
             raise ParameterError(str(error)) from error
         self._scene = Scene(self._stream, is_live=True)
         self.create_steady_timer(_DISCOVERY_PERIOD, self.raw_subscriptions.discover)
-        self.create_steady_timer(DRAIN_PERIOD, self._drain)
+        self.create_steady_timer(_DRAIN_PERIOD, self._drain)
         self.create_steady_timer(1.0, self._report)
-
-    def start(self) -> None:
-        """Subscribe to the topics that are there."""
-        self.raw_subscriptions.discover()
-        self.get_logger().info('ready')
 
     def close(self) -> None:
         """Draw the last messages, and close the sink."""
@@ -92,8 +85,8 @@ class Viewer(RunnableNode):
     def _report(self) -> None:
         """Publish how many messages are not shown."""
         values = {'lost': self.raw_subscriptions.lost, 'damaged': self._scene.damaged}
-        missing = sum(values.values())
-        text = '; '.join(filter(None, [f'{missing} messages not shown', self._scene.damage]))
+        missing, damage = sum(values.values()), self._scene.damage
+        text = f'{missing} messages not shown' + (damage and f'; {damage}')
         status = self._outgoing.status('display', text, values, warn=missing > 0)
         self._outgoing.report(VIEWER_TOPICS.diagnostics, [status])
 

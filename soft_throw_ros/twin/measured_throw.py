@@ -146,7 +146,6 @@ class MeasuredThrow(OngoingThrow):
                 state.projectile_position,
                 state.projectile_velocity,
                 state.projectile_force,
-                stamp_ns - due_ns,
             ),
             residual=residual,
         )

@@ -68,40 +68,45 @@ class _PlateTracker:
     The height is a running mean, whose delay times the speed is its difference from the samples.
     """
 
-    stamp_ns: int = LONG_AGO  # of the last sample
+    config: MeasurementConfig
     height: float = 0.0  # [m]
+    stamp_ns: int = LONG_AGO  # of the last sample
     speed: float = 0.0  # [m/s]
     is_armed: bool = False  # whether the plate is at rest, so that a jump starts a throw
     moving_ns: int | None = None  # last time at which the plate was too fast for a rest
     quiet_ns: int = LONG_AGO  # last time at which it was slow enough
     begun_ns: int | None = None  # time at which it reached the speed of a start
 
+    def __post_init__(self) -> None:
+        config, start_speed = self.config, self.config.start_speed
+        self._lag = _LAG * config.smoothing_window
+        error = config.position_noise / self._lag
+        self._fast = max(start_speed, OUTLIER_SIGMAS * error)
+        self._slow = max(0.5 * start_speed, _REST_SIGMAS * error)
+
     def disarm(self) -> None:
         """Wait for another rest."""
         self.is_armed, self.moving_ns, self.begun_ns = False, None, None
 
-    def observe(self, stamp_ns: int, height: float, config: MeasurementConfig) -> None:
+    def observe(self, stamp_ns: int, height: float) -> None:
         """Observe the next height of the plate."""
-        lag, window_ns = _LAG * config.smoothing_window, config.smoothing_window_ns
-        since = (stamp_ns - self.stamp_ns) / SECOND
+        window_ns, since_ns = self.config.smoothing_window_ns, stamp_ns - self.stamp_ns
+        since = since_ns / SECOND
         self.stamp_ns = stamp_ns
-        self.height += since / (since + lag) * (height - self.height)
-        self.speed = (height - self.height) / lag
-        error, start_speed = config.position_noise / lag, config.start_speed
+        self.height += since / (since + self._lag) * (height - self.height)
+        self.speed = (height - self.height) / self._lag
         is_over = self.begun_ns is not None and stamp_ns >= self.begun_ns + window_ns
-        if since > config.smoothing_window or is_over:  # a gap, or it was no start
+        if since_ns > window_ns or is_over:  # a gap, or it was no start
             self.disarm()
         if self.moving_ns is None:
             self.moving_ns = stamp_ns
         elif self.begun_ns is not None:
             return
-        elif self.is_armed and config.direction * self.speed > max(
-            start_speed, OUTLIER_SIGMAS * error
-        ):
+        elif self.is_armed and self.config.direction * self.speed > self._fast:
             self.begun_ns = stamp_ns
-        elif abs(self.speed) > max(0.5 * start_speed, _REST_SIGMAS * error):
+        elif abs(self.speed) > self._slow:
             self.moving_ns = stamp_ns
-            self.is_armed &= stamp_ns - self.quiet_ns <= longest_rise(config) * SECOND
+            self.is_armed &= stamp_ns - self.quiet_ns <= longest_rise(self.config) * SECOND
         else:
             self.quiet_ns = stamp_ns
             self.is_armed |= stamp_ns - self.moving_ns >= REST_WINDOWS * window_ns
@@ -132,12 +137,10 @@ class PlateMonitor:
     ) -> None:
         self.buffer = SampleBuffer(config, counts, None if onset is None else onset.samples)
         self._crossing_time = crossing_time
-        self._plate = _PlateTracker()
-        self._rest = math.nan  # height of the plate [m]
-        self._projectile = 0.0, 0.0  # height [m] and speed [m/s], on a slow plate those of it
-        if onset is not None:
-            self._rest = self._plate.height = onset.rest.plate
-            self._projectile = onset.rest.plate, 0.0
+        self._rest = math.nan if onset is None else onset.rest.plate  # height of the plate [m]
+        self._plate = _PlateTracker(config, self._rest if onset else 0.0)
+        # height [m] and speed [m/s], on a slow plate those of the plate
+        self._projectile = self._plate.height, 0.0
         self._faults: dict[str, str] = {}  # by kind; empty once they are reported
         self._diagnosed_ns = LONG_AGO  # stamp of the newest sample at the last diagnosis
 
@@ -145,7 +148,7 @@ class PlateMonitor:
         """Wait for another rest before a throw, and use these parameters from now on."""
         if config != self.buffer.config:
             self.buffer = SampleBuffer(config, self.buffer.counts)
-            self._plate.stamp_ns = LONG_AGO
+            self._plate = _PlateTracker(config, self._plate.height)
         self._crossing_time = crossing_time
         self._plate.disarm()
 
@@ -160,7 +163,7 @@ class PlateMonitor:
         config, new = buffer.config, buffer.complete(now_ns)
         is_tried = False  # with all complete samples
         for stamp_ns, height in zip(new.stamps.tolist(), new.plate.tolist(), strict=True):
-            plate.observe(stamp_ns, height, config)
+            plate.observe(stamp_ns, height)
             if plate.begun_ns is not None and not is_tried:
                 onset, is_tried = find_onset(buffer, plate.begun_ns), True
                 if onset is not None:

@@ -247,7 +247,6 @@ class PredictedState(NamedTuple):
     position: float
     velocity: float
     force: float
-    lead_ns: int  # time from the step to the state [ns]
 
 
 class Residual(NamedTuple):

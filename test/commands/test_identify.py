@@ -60,7 +60,7 @@ def test_sample_gives_its_rig(sample_result):
     for name, expected in zip(DEFAULT_FREE, truth, strict=True):
         best, error = value(result, name)
         assert best == pytest.approx(expected, abs=3.5 * error)
-        assert error < 0.05 * expected
+        assert error < 0.06 * expected
     assert value(result, 'layer.thickness') == pytest.approx((12e-3, 1e-4), rel=0.05)
     assert result['held']['layer.density'] == 1000.0
     assert result['warnings'] == []
@@ -292,7 +292,7 @@ def test_bag_gives_its_throws(command, tmp_path):
     assert [each['start_time'] for each in result['throws']] == pytest.approx([0.2, 0.6], abs=1e-4)
     speed, error = value(result, 'layer.wave_speed')
     assert speed == pytest.approx(6.9, abs=4.0 * error)
-    assert error < 0.35
+    assert error < 0.5
 
 
 @pytest.mark.slow

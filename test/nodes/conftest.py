@@ -42,6 +42,7 @@ from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Top
 from soft_throw_ros.nodes.conversions import time_to_msg
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.topics import create_subscription
+from soft_throw_ros.nodes.transport import use_transport_profile
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.message import SECOND
@@ -129,9 +130,10 @@ class Ros:
         """Start a twin on a clock set by the test."""
         return self.node(DrivenTwin, ros_args=ros_args)
 
-    def listen_to(self, twin: Node | None = None) -> Listener:
-        """Make a listener of a node, or of `/twin` in another process."""
-        return self.node(Listener, self, twin.get_fully_qualified_name() if twin else '/twin')
+    def listen_to(self, node: Node | str) -> Listener:
+        """Make a listener of a node, which is named if it is in another process."""
+        name = node if isinstance(node, str) else node.get_fully_qualified_name()
+        return self.node(Listener, self, name)
 
     def remove(self, node: Node) -> None:
         """Destroy a node."""
@@ -375,6 +377,7 @@ def domain_id() -> Iterator[int]:
                     continue
                 patch.setenv('ROS_DOMAIN_ID', str(domain))
                 patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+                use_transport_profile()
                 yield domain
                 return
     raise RuntimeError('all 101 ROS domains are in use by other test processes')
@@ -436,8 +439,6 @@ class Process:
             **kwargs,
         )
         self.lines: list[str] = []
-        self._line_written = threading.Condition()
-        self._is_over = False
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
@@ -447,10 +448,10 @@ class Process:
 
     def wait_until(self, is_enough: Callable[[list[str]], bool]) -> None:
         """Wait until the lines written by the process meet a condition."""
-        with self._line_written:
-            self._line_written.wait_for(
-                lambda: self._is_over or is_enough(self.lines), PROCESS_TIMEOUT
-            )
+        deadline = time.monotonic() + PROCESS_TIMEOUT
+        while not is_enough(self.lines) and self._thread.is_alive():
+            assert time.monotonic() < deadline, '\n'.join(self.lines)
+            time.sleep(0.02)
         assert is_enough(self.lines), '\n'.join(self.lines)
 
     def end(self, number: int) -> int:
@@ -472,21 +473,14 @@ class Process:
     def close(self) -> None:
         self.process.kill()
         self.wait()
-        for pipe in (self.process.stdin, self.process.stdout):
-            if pipe is not None:
-                pipe.close()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
 
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            if OF_FAST_DDS.match(COLOURS.sub('', line)):
-                continue
-            with self._line_written:
+            if not OF_FAST_DDS.match(COLOURS.sub('', line)):
                 self.lines.append(line.rstrip())
-                self._line_written.notify_all()
-        with self._line_written:
-            self._is_over = True
-            self._line_written.notify_all()
 
 
 @pytest.fixture
@@ -522,33 +516,10 @@ def record(start_node: Callable[..., Process], tmp_path: Path) -> Callable[..., 
     return record
 
 
-def stop_waiting(pid: int) -> None:
-    """
-    Send SIGSTOP at a time at which all threads of a process wait in a system call.
-
-    A process that is stopped or killed while it takes a message from shared memory keeps the lock
-    of its queue: Fast DDS then blocks all senders for up to ten seconds, and drops their messages
-    (docs/record.md). A test of anything else must not meet this case by chance.
-    """
-    deadline = time.monotonic() + TIMEOUT
-    while True:
-        os.kill(pid, signal.SIGSTOP)
-        tasks = list(Path(f'/proc/{pid}/task').iterdir())
-        while not all(_is_stopped(task) for task in tasks):
-            time.sleep(1e-4)
-        if all(_is_waiting(task) for task in tasks):
-            return
-        assert time.monotonic() < deadline, f'process {pid} never waits'
-        os.kill(pid, signal.SIGCONT)
-        time.sleep(1e-3)
-
-
-def _is_stopped(task: Path) -> bool:
-    return (task / 'stat').read_text().rpartition(') ')[2].startswith('T')
-
-
-def _is_waiting(task: Path) -> bool:
-    """Return whether a stopped thread is in a system call that waits."""
+def _is_stopped_waiting(task: Path) -> bool:
+    """Wait until a thread is stopped, and return whether it was in a system call that waits."""
+    while not (task / 'stat').read_text().rpartition(') ')[2].startswith('T'):
+        time.sleep(1e-4)
     call, *arguments = (task / 'syscall').read_text().split()
     if call == _FUTEX:
         return int(arguments[1], 16) & 0x7F in _WAITING
@@ -557,5 +528,22 @@ def _is_waiting(task: Path) -> bool:
 
 @pytest.fixture
 def stop() -> Callable[[int], None]:
-    """Return a function that stops a process while it holds no lock."""
-    return stop_waiting
+    """
+    Return a function that stops a process while all of its threads wait in a system call.
+
+    A process that is stopped or killed while it takes a message from shared memory keeps the lock
+    of its queue: Fast DDS then blocks all senders for up to ten seconds, and drops their messages
+    (docs/record.md). A test of anything else must not meet this case by chance.
+    """
+
+    def stop(pid: int) -> None:
+        deadline = time.monotonic() + TIMEOUT
+        tasks = Path(f'/proc/{pid}/task')
+        os.kill(pid, signal.SIGSTOP)
+        while not all(_is_stopped_waiting(task) for task in tasks.iterdir()):
+            assert time.monotonic() < deadline, f'process {pid} never waits'
+            os.kill(pid, signal.SIGCONT)
+            time.sleep(1e-3)
+            os.kill(pid, signal.SIGSTOP)
+
+    return stop

@@ -7,15 +7,11 @@ from __future__ import annotations
 from collections import deque
 import contextlib
 from dataclasses import replace
-import itertools
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
-from rclpy.node import Node
 from soft_throw_ros.configuration import motions
-from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, Topic
+from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.least_squares import Estimate
@@ -23,24 +19,14 @@ from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
 from soft_throw_ros.nodes.calibrator import Calibrator, describe_gain, MeasuredThrow
+from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.measured_positions import MeasuredPositions
 from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.service_calls import set_parameters
-from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
 from twin_runs import measured_throw
 
 MILLISECOND = SECOND // 1000
-
-
-def listen(ros: Any, topic: Topic) -> list[DiagnosticStatus]:
-    """Return a list that receives all statuses on a topic."""
-    received: list[DiagnosticStatus] = []
-    node = ros.node(Node, f'listener_{len(ros.nodes)}')
-    kept = replace(topic, depth=1000)  # until this process spins
-    create_subscription(node, kept, lambda message: received.extend(message.status))
-    return received
 
 
 def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) -> None:
@@ -53,7 +39,7 @@ def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) 
     modes = []
 
     def apply() -> None:
-        set_parameters(calibrator._set_of_twin, file)
+        calibrator._twin.set(file)
         modes.append(twin.parameters.settings['engine.motion'])
 
     monkeypatch.setattr(calibrator, '_apply_recommendation', apply)
@@ -79,10 +65,10 @@ def test_calibrator_rejects_a_fit_that_is_wrong(ros, second_mode, is_converged, 
 
 
 def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> None:
-    ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
-    statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
-    ros.spin_until(lambda: len(statuses) > 0, 'the status')
-    assert statuses[0].name == '/calibrator: identification'
+    calibrator = ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
+    listener = ros.listen_to(calibrator)
+    listener.listen(CALIBRATOR_TOPICS.diagnostics)
+    listener.status(CALIBRATOR_TOPICS.diagnostics, 'identification')
 
 
 @pytest.mark.parametrize(
@@ -95,8 +81,8 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
         '-p', 'engine.motion:=measured', '-p', f'measured.stamp_error:={stamp_error}'
     )
     sensors = sensors_of(twin)
-    ros.node(Calibrator, ros_args=('-p', 'throws:=1'))
-    statuses = listen(ros, CALIBRATOR_TOPICS.diagnostics)
+    listener = ros.listen_to(ros.node(Calibrator, ros_args=('-p', 'throws:=1')))
+    listener.listen(CALIBRATOR_TOPICS.diagnostics)
     ros.spin_until(lambda: sensors.publisher.get_subscription_count() == 2, 'the calibrator')
     rig = Rig(engine=Engine(frequency=55.0), layer=Layer(wave_speed=7.3))
     for gap in (10 * MILLISECOND, 0):  # the first throw has no whole track
@@ -117,60 +103,38 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
     finals = [result for result in twin.results if result.stage == 'final']
     assert [final.ended_by for final in finals] == ['gap', 'reset']
 
-    def identified() -> list[DiagnosticStatus]:
-        return [item for item in statuses if item.message.startswith('identified')]
-
-    ros.spin_until(identified, 'the identification')
-    values = {item.key: item.value for item in identified()[0].values}
+    status = listener.status(
+        CALIBRATOR_TOPICS.diagnostics, 'identification', lambda s: s.message.startswith('identi')
+    )
+    values = msg_to_values(status)
     for name, value in (('engine.frequency', 55.0), ('layer.wave_speed', 7.3)):
-        assert float(values[name].split()[0]) == pytest.approx(value, rel=0.05)
+        assert float(str(values[name]).split()[0]) == pytest.approx(value, rel=0.05)
     assert capfd.readouterr().err.count('; identifying') == 1
 
 
-@pytest.fixture
-def positions(ros) -> MeasuredPositions:
+def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_still(
+    ros, sensors_of
+) -> None:
     node = ros.node(RunnableNode, 'calibrator')
-    return MeasuredPositions(node, '/twin', ('plate', 'projectile'))
-
-
-def test_measurements_are_found_again_after_their_clock_was_set_back(
-    ros, positions, sensors_of
-) -> None:
+    positions = MeasuredPositions(node, '/twin', ('plate', 'projectile'))
+    positions._batches = deque(maxlen=9)
     sensors = sensors_of()
-    for first_ns in (10 * SECOND, 2 * SECOND):
-        stamps = range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND)
-        for stamp_ns in stamps:
-            sensors.send(Sample(stamp_ns, 1e-9 * stamp_ns, 0.0))
 
-        def is_received(last_ns: int = stamps[-1]) -> bool:
-            positions.read_messages()
-            return positions.newest_ns == last_ns
-
-        ros.spin_until(is_received, 'the measurements')
-        start_ns = stamps[10]
-        plate = positions.between(start_ns, stamps[30]).plate
-        assert plate.time.size == 21
-        assert plate.position == pytest.approx(1e-9 * start_ns + plate.time)
-    with pytest.raises(TrackError):
-        positions.between(SECOND, 2 * SECOND)
-
-
-def test_measurements_whose_stamps_stand_still_are_forgotten(
-    ros, positions, sensors_of
-) -> None:
-    positions._batches = deque(maxlen=3)
-    sensors, heights = sensors_of(), itertools.count()
-
-    def oldest_height() -> float:
-        height = float(next(heights))
-        for since_ns in range(0, 100 * MILLISECOND, MILLISECOND):
-            sensors.send(Sample(SECOND + since_ns, height, 0.0))
+    def heights(first_ns: int, height: float) -> list[float]:
+        """Measure a tenth of a second, and return the last heights of that time."""
+        for stamp_ns in range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND):
+            sensors.send(Sample(stamp_ns, height, 0.0))
         positions.read_messages()
         with contextlib.suppress(TrackError):  # few have arrived
-            return float(positions.between(SECOND, 2 * SECOND).plate.position[0])
-        return 0.0
+            return positions.between(first_ns, first_ns + SECOND).plate.position.tolist()
+        return []
 
-    ros.spin_until(lambda: oldest_height() > 0.0, 'room for later measurements')
+    for first_ns, height in ((10 * SECOND, 1.0), (2 * SECOND, 2.0), (2 * SECOND, 3.0)):
+        ros.spin_until(
+            lambda f=first_ns, h=height: set(heights(f, h)) == {h}, 'the measurements'
+        )
+    with pytest.raises(TrackError):
+        positions.between(SECOND, 2 * SECOND)
 
 
 @pytest.mark.parametrize(
@@ -182,8 +146,8 @@ def test_measurements_whose_stamps_stand_still_are_forgotten(
     ],
 )
 def test_error_of_the_gain_has_the_larger_scatter_and_the_common_error(speeds, error, expected):
-    throws = [MeasuredThrow(Estimate(speed, error), 1e-3, 0.75) for speed in speeds]
+    throws = [MeasuredThrow(Estimate(speed, error), 0.75, 1e-3) for speed in speeds]
     _, values = describe_gain(throws, throws)
-    value, total = map(float, values['engine.ejection_speed'].split(' +- '))
+    value, total = map(float, str(values['engine.ejection_speed']).split(' +- '))
     assert value == pytest.approx(1.5, abs=1e-3)
     assert total == pytest.approx(np.hypot(expected if error else 0.0, 1e-3), rel=0.06)

@@ -67,7 +67,10 @@ def stroke() -> SampledMotion:
     ('motion_of', 'limits'),
     [
         (stroke, STROKE),
-        (lambda: design_motion(Rig(layer=Layer(thickness=5.6e-3))).motion, ENGINE),
+        pytest.param(
+            lambda: design_motion(Rig(layer=Layer(thickness=5.6e-3))).motion, ENGINE,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_commands_are_played_as_in_the_twin_and_within_the_limits(

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,7 +12,6 @@ import pytest
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2.metadata import dump_qos_v8, dump_qos_v9, parse_qos
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
-from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,
     msg_to_values,
@@ -23,53 +22,36 @@ from soft_throw_ros.nodes.conversions import (
 )
 from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.storage.bag_metadata import dump_yaml
-from soft_throw_ros.twin.results import Comparison, Release, ThrowResult
-
-RESULT = ThrowResult(
-    throw=3,
-    step=3123,
-    stage='final',
-    ended_by='period',
-    start_ns=1_700_000_000_123_456_789,
-    rig=Rig(engine=Engine(frequency=31.1), layer=Layer(thickness=2e-3)),
-    first=Release(
-        ejection_time=0.1 + 0.2, ejection_speed=1.0 / 3.0, energy_transfer=0.499, release_ns=7
-    ),
-    last=Release(
-        ejection_time=0.4, ejection_speed=2.0 / 3.0, energy_transfer=1.241, release_ns=2**62
-    ),
-    peak_plate_speed=0.72,
-    peak_strain=0.12,
-    max_strain=0.1,
-    peak_acceleration=1234.5,
-    peak_plate_force=1.5,
-    plate_work=2.5e-3,
-    apex_height=math.inf,
-    recontacts=1,
-    landings=4,
-)
-COMPARISON = Comparison(samples=7, position_rms=1e-5, position_max=1.0, threshold=0.1)
+from soft_throw_ros.twin.results import ThrowResult
+from twin_runs import Run
 
 
-@pytest.mark.parametrize(
-    ('changes', 'level'),
-    [
-        ({}, DiagnosticStatus.WARN),  # beyond the linear range
-        ({'peak_strain': 0.0999}, DiagnosticStatus.OK),
-        ({'peak_strain': 0.0, 'ended_by': 'gap'}, DiagnosticStatus.WARN),
-        ({'first': None, 'last': None, 'recontacts': 0}, DiagnosticStatus.WARN),
-        ({'lead': -1e-3, 'comparison': COMPARISON}, DiagnosticStatus.WARN),
-    ],
-)
-def test_throw_result_is_converted_back_and_has_its_warnings(changes, level) -> None:
-    result = dataclasses.replace(RESULT, **changes)
-    message = throw_result_to_msg(result, '/twin')
-    assert msg_to_throw_result(message) == result
-    assert message.level == level
+@pytest.fixture(scope='module')
+def results() -> list[ThrowResult]:
+    """Return the results of a measured throw."""
+    run = Run(engine__motion='measured')
+    run.measure(duration=0.1)
+    run.session.reset()
+    run.go(1)
+    return [result for stage in ('predicted', 'release', 'final') for result in run.results(stage)]
 
 
-def test_result_of_a_throw_with_a_missing_or_wrong_value_is_refused() -> None:
-    message = throw_result_to_msg(RESULT, '/twin')
+def test_results_are_converted_back_and_have_their_warnings(results) -> None:
+    final = results[-1]
+    assert final.comparison is not None
+    for result, is_warning in (
+        *((result, False) for result in results),
+        (replace(final, peak_strain=0.16), True),
+        (replace(final, ended_by='gap'), True),
+        (replace(final, first=None, last=None, recontacts=0, apex_height=math.inf), False),
+    ):
+        message = throw_result_to_msg(result, '/twin')
+        assert msg_to_throw_result(message) == result
+        assert (message.level == DiagnosticStatus.WARN) == is_warning
+
+
+def test_result_of_a_throw_with_a_missing_or_wrong_value_is_refused(results) -> None:
+    message = throw_result_to_msg(results[-1], '/twin')
     values = {item.key: item.value for item in message.values}
     refused = set()
     for name in values:

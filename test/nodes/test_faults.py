@@ -10,19 +10,16 @@ missing by their stamps. A short run of `make soak` follows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-import contextlib
 import os
 from pathlib import Path
 import re
 import signal
 import sys
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
+from bags import saved, wait_until
 from bench import processes, soak
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader
 import numpy as np
 import pytest
 import soft_throw_ros
@@ -31,7 +28,6 @@ from soft_throw_ros.commands import recover
 pytestmark = [pytest.mark.slow, pytest.mark.once, pytest.mark.timeout(180)]
 
 ROOT = Path(__file__).parents[2]
-SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 TIMEOUT = 90.0
 """Longest wait for an event. [s]"""
 
@@ -45,59 +41,32 @@ MILLISECOND = 1_000_000
 """One millisecond, the period of ticks. [ns]"""
 
 
-class Outcome(NamedTuple):
-    """Bags and counts after the end of a system."""
-
-    bags: list[processes.RecordedStates]  # read by the mcap library
-    missing: int  # states that the last bag lacks, as logged by its recorder
-    heard: np.ndarray  # stamps of the states that the last subscriber received [ns]
-    reported: int  # time of the last report of the twin [ns]
-    ticks_skipped: int  # in that report
-
-    @property
-    def published(self) -> np.ndarray:
-        """Stamps of all states received by the last recorder or subscriber [ns]."""
-        return np.union1d(self.bags[-1].stamps, self.heard)
-
-    @property
-    def ticks_missing(self) -> int:
-        """Number of ticks before the last report that neither received."""
-        steps = np.diff(self.published[self.published < self.reported]) / MILLISECOND
-        return int((np.round(steps) - 1).sum())
-
-
 class System:
     """A twin, a recorder, a viewer that draws into a file, and a subscriber."""
 
-    def __init__(self, start: Callable[..., Any], folder: Path) -> None:
+    def __init__(self, start: Any, start_node: Any, record: Any, folder: Path) -> None:
         self.bags: list[Path] = []
         self.running: dict[str, Any] = {}
-        self._start = start
         self._folder = folder
         self._heard = folder / 'heard'  # stamps written by the subscriber
+        self._start, self._start_node, self._record = start, start_node, record
         for name in NAMES:
             self.start(name)
         self.wait_for_states()
 
     def start(self, name: str) -> None:
         """Start or restart a process."""
-        if name == 'recorder':
-            self.bags.append(self._folder / f'bag{len(self.bags)}')
-            rules = (f'folder:={self._folder}', f'name:={self.bags[-1].name}')
-            words = [word for rule in rules for word in ('-p', rule)]
-            process = self._start(*SOFT_THROW, name, '--ros-args', *words)
-        elif name == 'subscriber':
-            self._heard = self._folder / f'heard{len(list(self._folder.glob("heard*")))}'
+        if name == 'subscriber':
+            self._heard.unlink(missing_ok=True)
             command = (sys.executable, '-m', 'bench.soak', '--subscribe', str(self._heard))
-            process = self._start(*command, cwd=ROOT)
-        elif name == 'viewer':
-            words = ['-p', 'sink:=file', '-p', f'file:={self._folder}/live.rrd']
-            process = self._start(*SOFT_THROW, name, '--ros-args', *words)
+            self.running[name] = self._start(*command, cwd=ROOT)
+        elif name == 'recorder':
+            self.bags.append(self._folder / f'bag{len(self.bags)}')
+            self.running[name] = self._record(self.bags[-1].name)
         else:
-            process = self._start(*SOFT_THROW, name)
-        if name != 'subscriber':
-            process.wait_for('ready')
-        self.running[name] = process
+            rules = ['sink:=file', f'file:={self._folder}/live.rrd'] if name == 'viewer' else []
+            self.running[name] = self._start_node(name, *rules)
+            self.running[name].wait_for('ready')
 
     def pids(self, name: str) -> list[int]:
         """Return the process numbers of a node, or of all."""
@@ -108,65 +77,50 @@ class System:
         """Wait until recorder and subscriber receive states published after the call."""
         start = time.time_ns()
         self.wait_for_heard(1250)
-        bag = self.bags[-1]
-        self._wait(lambda: _last_recorded_stamp(bag) >= start, 'no new states are recorded')
+        topic = processes.STATES
+        wait_until(
+            lambda: any(row[0] == topic and row[3] > start for row in saved(self.bags[-1])),
+            TIMEOUT,
+        )
 
     def wait_for_heard(self, count: int) -> None:
         """Wait until the subscriber has received a number of additional states."""
-        size = _size(self._heard) + 8 * count
-        self._wait(lambda: _size(self._heard) >= size, 'no states are received')
+        size = self._size() + 8 * count
+        wait_until(lambda: self._size() >= size, TIMEOUT)
 
-    def _wait(self, is_reached: Callable[[], bool], failure: str) -> None:
-        """Wait, or fail with the last lines of all processes."""
-        deadline = time.monotonic() + TIMEOUT
-        while not is_reached():
-            if time.monotonic() > deadline:
-                last = {name: process.lines[-5:] for name, process in self.running.items()}
-                pytest.fail(f'{failure}: {_size(self._heard)} bytes heard, {last}')
-            time.sleep(0.1)
+    def _size(self) -> int:
+        return self._heard.stat().st_size if self._heard.exists() else 0
 
-    def end(self) -> Outcome:
-        """End all processes, the twin first, and return the outcome."""
+    def end(self) -> tuple[list[processes.RecordedStates], Any, int, int]:
+        """
+        End all processes, the twin first, and check the counts of missing messages and ticks.
+
+        Return the states in the bags, the stamps of the states that the last subscriber received
+        [ns], the skipped ticks, and how many ticks neither it nor the last recorder received.
+        """
         time.sleep(SETTLING)
         for name in reversed(NAMES):
             self.running[name].end_well()
-        last = self.running['recorder'].lines[-1]
-        assert ' lost' in last
-        missing = sum(map(int, re.findall(r'(\d+) of /twin/joint_states', last)))
-        reports = processes.recorded_statuses(self.bags[-1])
-        reported, timing = [item[::2] for item in reports if item[1] == '/twin: timing'][-1]
-        return Outcome(
-            [processes.recorded_states(bag) for bag in self.bags],
-            missing,
-            np.fromfile(self._heard, dtype='<i8'),
-            reported,
-            int(timing['ticks_skipped']),
+        line = self.running['recorder'].lines[-1]
+        assert ' lost' in line
+        states = [processes.recorded_states(bag) for bag in self.bags]
+        steps = np.diff(states[-1].numbers)
+        assert (steps > 0).all()
+        counted = sum(map(int, re.findall(r'(\d+) of /twin/joint_states', line)))
+        assert int((steps - 1).sum()) == counted
+        heard = np.fromfile(self._heard, dtype='<i8')
+        *_, (reported, _, timing) = (
+            row for row in processes.recorded_statuses(self.bags[-1]) if row[1] == '/twin: timing'
         )
-
-
-def missing(states: processes.RecordedStates) -> int:
-    """Count missing sequence numbers of a twin from the first recorded one on."""
-    assert (np.diff(states.numbers) > 0).all()
-    return int(states.numbers[-1] - states.numbers[0]) + 1 - states.numbers.size
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
-
-
-def _last_recorded_stamp(bag: Path) -> int:
-    """Return the stamp of the last state in an unfinished bag, or 0 [ns]."""
-    stamp = 0
-    for path in sorted(bag.glob('*.mcap')):
-        with path.open('rb') as stream, contextlib.suppress(McapError):
-            reader = NonSeekingReader(stream)
-            for _, _, message in reader.iter_messages([processes.STATES], log_time_order=False):
-                stamp = processes.stamp_of(message.data)
-    return stamp
+        published = np.union1d(states[-1].stamps, heard)
+        ticks = np.round(np.diff(published[published < reported]) / MILLISECOND)
+        skipped = int(timing['ticks_skipped'])
+        assert int((ticks - 1).sum()) <= skipped
+        return states, heard, skipped, counted
 
 
 @pytest.fixture
-def system(request, start, tmp_path, monkeypatch):
+def system(request, start, start_node, record, tmp_path, monkeypatch):
     """Use UDP for stops: Fast DDS may lose the queue in shared memory of a stopped process."""
     pytest.importorskip('rerun')
     if 'stops' in request.fixturenames:
@@ -179,21 +133,7 @@ def system(request, start, tmp_path, monkeypatch):
         monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
         monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
         monkeypatch.setenv('ROS_STATIC_PEERS', '127.0.0.1')
-    return System(start, tmp_path)
-
-
-@pytest.fixture
-def kill(stop: Any) -> Callable[[Any, str], None]:
-    """Return a function that kills a process and starts it again."""
-
-    def kill(system: Any, name: str) -> None:
-        (pid,) = system.pids(name)
-        stop(pid)  # at a time at which it holds no lock of the middleware
-        os.kill(pid, signal.SIGKILL)
-        assert system.running[name].wait() == -signal.SIGKILL
-        system.start(name)
-
-    return kill
+    return System(start, start_node, record, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -217,34 +157,31 @@ def test_stopped_processes_resume_with_correct_counts(system, stop, stops, late,
         for pid in stopped:
             os.kill(pid, signal.SIGCONT)
         system.wait_for_states()
-    outcome = system.end()
-    (states,) = outcome.bags
-    assert missing(states) == outcome.missing
-    assert (states.lost > 1000) if is_lossy else (states.lost == 0)
-    assert outcome.ticks_missing <= outcome.ticks_skipped
-    assert outcome.ticks_skipped > 1000 * (late - 0.2 * len(stops)) or not late
-    first, *_, last = outcome.heard.tolist()
-    between = (outcome.published >= first) & (outcome.published <= last)
-    assert np.isin(outcome.published[between], outcome.heard).all()
+    (states,), heard, skipped, lost = system.end()
+    assert (lost > 1000) if is_lossy else (lost == 0)
+    assert skipped > 1000 * (late - 0.2 * len(stops)) or not late
+    published = states.stamps[(states.stamps >= heard[0]) & (states.stamps <= heard[-1])]
+    assert np.isin(published, heard).all()
 
 
-def test_killed_processes_are_started_again_and_nothing_else_is_lost(system, kill, tmp_path):
+def test_killed_processes_are_started_again_and_nothing_else_is_lost(system, stop, tmp_path):
+    killed_ns = {}
     for name in ('viewer', 'twin', 'subscriber', 'recorder'):
-        if name == 'twin':
-            killed_ns = time.time_ns()
-        kill(system, name)
+        (pid,) = system.pids(name)
+        stop(pid)  # at a time at which it holds no lock of the middleware
+        killed_ns[name] = time.time_ns()
+        os.kill(pid, signal.SIGKILL)
+        assert system.running[name].wait() == -signal.SIGKILL
+        system.start(name)
         if name != 'recorder':
             system.wait_for_states()
     killed, system.bags[0] = system.bags[0], tmp_path / 'recovered'
     recover.main([str(killed), '--to', str(system.bags[0])])
     system.wait_for_states()
-    outcome = system.end()
-    assert missing(outcome.bags[-1]) == outcome.missing
-    assert outcome.bags[-1].lost == 0
-    both = outcome.bags[0]  # has the states of two twins
-    for part in (both.stamps < killed_ns, both.stamps >= killed_ns):
+    (both, last), *_, lost = system.end()
+    assert lost == last.lost == 0
+    for part in (both.stamps < killed_ns['twin'], both.stamps >= killed_ns['twin']):  # two twins
         assert processes.RecordedStates(*(column[part] for column in both)).lost == 0
-    assert outcome.ticks_missing <= outcome.ticks_skipped
 
 
 @pytest.mark.timeout(300)

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from rcl_interfaces.msg import ParameterType
-from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.configuration.layers import default_file
 from soft_throw_ros.nodes.parameters import NodeParameters
@@ -39,22 +38,15 @@ def start(ros: Any) -> Any:
 
 @pytest.fixture
 def twin(start: Any) -> Watched:
-    """Start a twin with the default settings."""
     return start()
 
 
 @pytest.fixture
 def client(ros: Any, twin: Watched) -> Any:
-    """Return a client that sets and reads the parameters of the twin."""
     return ros.parameters(twin)
 
 
-def unchanged(twin: Watched) -> bool:
-    return not twin.changes and dict(twin.parameters.settings) == TWIN.defaults()
-
-
 def test_start_declares_the_whole_table_with_types_ranges_and_units(twin, client) -> None:
-    assert unchanged(twin)
     for entry in TWIN.entries:
         value = twin.get_parameter(entry.name).value
         value = value if isinstance(value, (str, float, int)) else tuple(value)
@@ -73,28 +65,27 @@ def test_start_declares_the_whole_table_with_types_ranges_and_units(twin, client
     assert 'gelatin_2.0mm' in client.describe('layer.name').additional_constraints
 
 
-@pytest.mark.parametrize(
-    ('name', 'request_', 'value'),
-    [
+def test_value_is_accepted_as_every_parameter_type(twin, client) -> None:
+    expected = TWIN.defaults()
+    for name, request, value in (
         ('layer.thickness', 0.01, 0.01),
         ('gravity', 0, 0.0),
-        ('measured.position_noise', '6e-06', 6e-6),  # as a tool that reads YAML 1.1 gives it
+        ('measured.position_noise', '7e-06', 7e-6),  # as a tool that reads YAML 1.1 gives it
         ('throw.max_events', '7', 7),
         ('recommendation.masses', ['1e-3', '2e-3'], (1e-3, 2e-3)),
-    ],
-)
-def test_value_is_accepted_as_every_parameter_type(twin, client, name, request_, value) -> None:
-    before = twin.parameters.settings
-    assert client.set(**{name.replace('.', '__'): request_}) == ['']
-    custom = {'layer.name': 'custom'} if name == 'layer.thickness' else {}
-    assert twin.changes == [{name: value, **custom}]
-    assert twin.parameters.settings == {**TWIN.defaults(), name: value, **custom}
-    received = client.get(name)
-    assert (tuple(received) if isinstance(value, tuple) else received) == value
-    assert before == TWIN.defaults()
+    ):
+        before = twin.parameters.settings
+        assert client.set(**{name.replace('.', '__'): request}) == ['']
+        changes = {name: value, **({'layer.name': 'custom'} if name == 'layer.thickness' else {})}
+        assert twin.changes[-1] == changes
+        assert before == expected
+        expected |= changes
+        assert twin.parameters.settings == expected
+        received = client.get(name)
+        assert (tuple(received) if isinstance(value, tuple) else received) == value
 
 
-def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
+def test_bad_value_is_refused_in_short_with_its_name_and_value(twin, client) -> None:
     for value in (math.nan, math.inf, -0.01, 0, 'soft', True, ['a'], None):
         (reason,) = client.set(layer__thickness=value)
         assert reason.startswith('layer.thickness must be ')
@@ -107,28 +98,17 @@ def test_bad_value_is_refused_with_its_name_and_value(twin, client) -> None:
         ({'gravity': 1.0, 'layer__thickness': -1.0}, '-1.0'),
         ({'use_sim_time': True, 'layer__thickness': -1.0}, '-1.0'),
         ({'joint_names__plate': 'carriage'}, "read-only, set at the start; got 'carriage'"),
+        ({'layer__stack': '8e-3 gelatin,' * 80_000}, '...'),
+        ({'x' * 100_000: 1.0}, '...'),
+        ({'gravity': [0.001] * 1_000_000}, '...'),
     ):
-        assert reason in client.set_atomically(**request)
+        given = client.set_atomically(**request)
+        assert reason in given
+        assert len(given) < 300
     assert client.get('gravity') == 9.81
     assert client.get('use_sim_time') is False
-    twice = [Parameter('gravity', value=1.0), Parameter('gravity', value=2.0)]
-    assert '1.0 and 2.0' in twin.set_parameters_atomically(twice).reason
-    assert unchanged(twin)
-
-
-@pytest.mark.parametrize(
-    ('name', 'value'),
-    [
-        ('layer__stack', '8e-3 gelatin,' * 80_000),
-        ('x' * 100_000, 1.0),
-        ('gravity', [0.001] * 1_000_000),
-    ],
-)
-def test_refusal_of_a_huge_value_is_short(twin, client, name, value) -> None:
-    reason = client.set_atomically(**{name: value})
-    assert '...' in reason
-    assert len(reason) < 300
-    assert unchanged(twin)
+    assert not twin.changes
+    assert dict(twin.parameters.settings) == TWIN.defaults()
 
 
 def test_check_of_the_node_can_refuse(ros) -> None:
@@ -177,10 +157,6 @@ def test_dump_with_results_starts_another_twin_and_is_loaded(ros, start, tmp_pat
     first = start('-p', 'engine.motion:=harmonic', '-p', 'measured.position_noise:=6.0e-06')
     first.parameters.set_results({'thickness': 0.04, 'density': 1})
     values = {name: first.get_parameter(name).value for name in TWIN.by_name}
-    values = {
-        name: value if isinstance(value, (str, float, int)) else list(value)
-        for name, value in values.items()
-    }
     assert (values['recommended.density'], values['recommended.layer']) == (1.0, '')
     assert math.isnan(values['recommended.wave_speed'])
     path = tmp_path / 'dump.yaml'
@@ -198,17 +174,3 @@ def test_dump_with_results_starts_another_twin_and_is_loaded(ros, start, tmp_pat
     assert refused.keys() == {'recommended.thickness', 'recommended.density'}
     assert 'read-only, set by the twin; got 0.04' in refused['recommended.thickness']
     assert third.parameters.settings == first.parameters.settings
-
-
-def test_file_for_several_nodes_starts_each_of_them(start, tmp_path: Path) -> None:
-    path = tmp_path / 'shared.yaml'
-    values = 'layer.thickness: 0.0123, folder: bags, start: False'
-    path.write_text(f'/**: {{ros__parameters: {{{values}}}}}')
-    twin = start('--params-file', str(path))
-    assert twin.parameters.settings['layer.thickness'] == 0.0123
-    recorder = start('--params-file', str(path), '-p', 'sync:=True', table=RECORDER)
-    expected = {'folder': 'bags', 'start': False, 'sync': True}
-    assert recorder.parameters.settings == {**RECORDER.defaults(), **expected}
-    path.write_text('/**/twin: {ros__parameters: {folder: bags}}')
-    with pytest.raises(ParameterError, match=r"shared\.yaml: .*'folder'"):
-        start('--params-file', str(path))

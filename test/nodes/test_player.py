@@ -27,7 +27,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 write = partial(bags.write, compression='none')
-PAUSE, RESUME = REPLAY_SERVICES
 EVERYTHING = QoSProfile(depth=5000)
 
 FAST = channel('/fast', depth=5000)
@@ -89,37 +88,34 @@ def finish(ros: Any, player: Player) -> int:
     return player.exit_code
 
 
-def test_bag_is_played_byte_by_byte(ros, listener, play, tmp_path, capfd) -> None:
+def test_bag_is_played_byte_by_byte_with_its_qualities_of_service(
+    ros, listener, play, tmp_path, capfd
+) -> None:
+    unknown = channel('/unknown', durability='transient_local', history='unknown', depth=0)
     made = messages()
+    made += [message._replace(channel=unknown) for message in made[:50]]
+    made.sort(key=lambda message: message.log_time)
     heard = {topic: listen(listener, topic) for topic in ('/fast', '/slow')}
-    player = play(write(tmp_path / 'bag', made), 2, rate=2.0)
+    player = play(write(tmp_path / 'bag', made), 2, rate=10.0)
     assert finish(ros, player) == 0
     for topic, received in heard.items():
         sent = datas(made, topic)
         ros.spin_until(lambda r=received, s=sent: len(r) == len(s), topic)
         assert received == sent
-    player.close()
-    assert f'{len(made)} messages of 3 topics played' in capfd.readouterr().err
-
-
-def test_quality_of_service_is_that_of_the_bag(ros, listener, play, tmp_path) -> None:
-    unknown = channel('/unknown', durability='transient_local', history='unknown', depth=0)
-    made = messages(500)
-    made += [message._replace(channel=unknown) for message in made[:50]]
-    made.sort(key=lambda message: message.log_time)
-    assert finish(ros, play(write(tmp_path / 'bag', made), rate=100.0)) == 0
-    profiles = {}
-    for topic in ('/fast', '/slow', '/lossy'):
+    for topic, is_latched, is_reliable in (
+        ('/fast', False, True), ('/slow', True, True), ('/lossy', False, False)
+    ):
         (information,) = listener.get_publishers_info_by_topic(topic)
-        profiles[topic] = information.qos_profile
-    assert profiles['/fast'].durability is DurabilityPolicy.VOLATILE
-    assert profiles['/fast'].reliability is ReliabilityPolicy.RELIABLE
-    assert profiles['/lossy'].reliability is ReliabilityPolicy.BEST_EFFORT
+        offer = information.qos_profile
+        assert (offer.durability is DurabilityPolicy.TRANSIENT_LOCAL) == is_latched
+        assert (offer.reliability is ReliabilityPolicy.RELIABLE) == is_reliable
     # Late subscribers get the publisher's history, or all messages if the bag has no history depth
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     slow, kept = listen(listener, '/slow', latched), listen(listener, '/unknown', latched)
     ros.spin_until(lambda: len(slow) == 3 and len(kept) == 50, 'receipt of latched messages')
     assert slow == datas(made, '/slow')[-3:]
+    player.close()
+    assert f'{len(made)} messages of 4 topics played' in capfd.readouterr().err
 
 
 def test_clock_topic_has_the_time_of_the_bag_instead_of_a_recorded_clock(
@@ -140,29 +136,26 @@ def test_clock_topic_has_the_time_of_the_bag_instead_of_a_recorded_clock(
     assert player.played == len(made) - 1
 
 
-@pytest.fixture
-def call(ros: Any, listener: Node) -> Callable[[Any], Trigger.Response]:
-    """Return a function that calls a service of the player."""
-    return lambda service: ros.call(
-        listener.create_client(Trigger, resolve(service.name, '/replay')), Trigger.Request()
-    )
-
-
 def test_paused_bag_is_resumed_and_only_requested_topics_are_played(
-    ros, listener, play, call, tmp_path
+    ros, listener, play, tmp_path
 ) -> None:
+    pause, resume = (
+        partial(ros.call, listener.create_client(Trigger, resolve(service.name, '/replay')),
+                Trigger.Request())
+        for service in REPLAY_SERVICES
+    )
     fast, slow = listen(listener, '/fast'), listen(listener, '/slow')
     path = write(tmp_path / 'bag', messages(300))
     player = play(path, 1, paused=True, topics=['/fast'], rate=0.5)
-    assert '0.000 s of 0.299 s' in call(PAUSE).message
+    assert '0.000 s of 0.299 s' in pause().message
     assert (player.played, player.exit_code) == (0, None)
-    assert call(RESUME).success
+    assert resume().success
     ros.spin_until(lambda: player.played > 10, 'start of playback')
-    assert call(PAUSE).success
+    assert pause().success
     played = player.played
-    assert call(PAUSE).success  # no message arrived during the call
+    assert pause().success  # no message arrived during the call
     assert player.played == played
-    assert call(RESUME).success
+    assert resume().success
     assert finish(ros, player) == 0
     ros.spin_until(lambda: len(fast) == 300, 'receipt of all messages')
     assert fast == [text(f'fast {number}') for number in range(300)]
@@ -208,7 +201,7 @@ def test_damaged_bag_is_played_up_to_the_damage(
     (file,) = write(tmp_path / 'bag', made).glob('*.mcap')
     file.write_bytes(file.read_bytes().replace(b'fast 2500', b'fast 25oo'))
     heard = listen(listener, '/fast')
-    player = play(tmp_path / 'bag', 1, rate=5.0)
+    player = play(tmp_path / 'bag', 1, rate=20.0)
     assert finish(ros, player) == 1
     assert str(file) in capfd.readouterr().err
     assert player.played == 2000

@@ -19,19 +19,10 @@ SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
-def test_nodes_end_well_by_a_signal(start) -> None:
-    fast = ('--ros-args', '-p', 'throw.period:=0.05')
-    expected = (
-        ('twin', INT, 'throw 1: released'),  # while it throws
-        ('rig', HUP, 'ready'),
-        ('calibrator', TERM, 'ready'),
-    )
-    started = [
-        start(*SOFT_THROW, name, *(fast if name == 'twin' else ())) for name, *_ in expected
-    ]
-    for process, (_, number, line) in zip(started, expected, strict=True):
-        process.wait_for(line)
-        process.end_well(number)
+def test_twin_that_throws_ends_well_by_a_signal(start_node) -> None:
+    twin = start_node('twin', 'throw.period:=0.05')
+    twin.wait_for('throw 1: released')
+    twin.end_well(INT)
 
 
 def test_twin_that_is_still_compiling_ends_well_by_a_signal(start, tmp_path) -> None:
@@ -97,13 +88,13 @@ sys.exit(process.run('ending', Ending, []))
 """
 
 
-@pytest.mark.parametrize('state', ['working', 'hanging', 'dying'])
+@pytest.mark.parametrize(('state', 'number'), [('working', HUP), ('hanging', TERM), ('dying', 0)])
 def test_node_ends_in_the_documented_order_although_threads_die_and_the_middleware_hangs(
-    start, state
+    start, state, number
 ) -> None:
     node = start(sys.executable, '-c', NODE, state)
     node.wait_for('started')
-    code = node.wait() if state == 'dying' else node.end(TERM)
+    code = node.end(number) if number else node.wait()
     assert code == (state == 'dying')
     ends = [line for line in node.lines if line in ('close', 'first', 'second')]
     assert ends == ['close', 'second', 'first']

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-import re
+from types import SimpleNamespace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -18,17 +18,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
-from soft_throw_ros.configuration import rig_of, rig_values, TWIN
+from soft_throw_ros.configuration import rig_of, rig_values
 from soft_throw_ros.configuration.interface import (
     ENERGIES,
     FRAME,
     TWIN_SERVICES,
     TWIN_TOPICS,
 )
-from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.recommendation import recommend
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes import twin as twin_module
 from soft_throw_ros.nodes.conversions import (
@@ -39,7 +36,6 @@ from soft_throw_ros.nodes.conversions import (
     values_to_rig,
 )
 from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.recommendations import recommend_for
 from soft_throw_ros.nodes.topics import create_service
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.storage.message import SECOND
@@ -50,38 +46,29 @@ from std_srvs.srv import Trigger
 PUBLISHED = [topic for topic in TWIN_TOPICS if not topic.is_input]
 NAME = '/thrown/twin'
 MILLISECOND = SECOND // 1000
-README = Path(__file__).parents[2] / 'README.md'
-
-
-class Thrown:
-    """A twin that has thrown once, and a listener with all its messages since the start."""
-
-    def __init__(self, ros: Any) -> None:
-        self.ros = ros
-        # Its own namespace keeps it, for the whole module, apart from the other twins
-        self.twin = ros.start_twin('-r', '__ns:=/thrown', '-p', 'throw.period:=0.0')
-        self.listener = ros.listen_to(self.twin)
-        self.listener.listen(*PUBLISHED)
-        self.parameters = ros.parameters(self.twin)
-        request = {'uncertainty__wave_speed': 0.6, 'uncertainty__mass': 0.0}
-        assert self.parameters.set_atomically(throw__max_events=1, **request) == ''
-        settled(ros, self.twin)
-        self.listener.trigger(TWIN_SERVICES.throw)
-        self.twin.go(700)
-        self.listener.hear(TWIN_TOPICS.throw_result, 2)
-        self.listener.hear(TWIN_TOPICS.joint_states, 700)
-
-    def heard(self, topic: Any) -> list[Any]:
-        return self.listener.heard[topic.name]
 
 
 @pytest.fixture(scope='module')
-def thrown(module_ros: Any) -> Thrown:
-    return Thrown(module_ros)
+def thrown(module_ros: Any) -> SimpleNamespace:
+    """Return a twin that has thrown once, and a listener with all its messages since the start."""
+    # Its own namespace keeps it, for the whole module, apart from the other twins
+    twin = module_ros.start_twin('-r', '__ns:=/thrown', '-p', 'throw.period:=0.0')
+    listener, parameters = module_ros.listen_to(twin), module_ros.parameters(twin)
+    listener.listen(*PUBLISHED)
+    request = {'uncertainty__wave_speed': 0.6, 'uncertainty__mass': 0.0}
+    assert parameters.set_atomically(throw__max_events=1, **request) == ''
+    settled(module_ros, twin)
+    listener.trigger(TWIN_SERVICES.throw)
+    twin.go(700)
+    listener.hear(TWIN_TOPICS.throw_result, 2)
+    listener.hear(TWIN_TOPICS.joint_states, 700)
+    return SimpleNamespace(
+        ros=module_ros, twin=twin, listener=listener, heard=listener.heard, parameters=parameters
+    )
 
 
-def test_every_tick_has_a_message_with_its_stamp(thrown) -> None:
-    messages = thrown.heard(TWIN_TOPICS.joint_states)[:700]
+def test_every_tick_and_phase_has_a_message_with_its_stamp(thrown) -> None:
+    messages = thrown.heard[TWIN_TOPICS.joint_states.name][:700]
     assert [msg_to_time(message.header.stamp) for message in messages] == [
         SECOND + step * MILLISECOND for step in range(1, 701)
     ]
@@ -98,6 +85,12 @@ def test_every_tick_has_a_message_with_its_stamp(thrown) -> None:
         assert message.effort[0] == pytest.approx(-state.plate_force, abs=1e-9)
     stamps = [msg_to_time(message.header.stamp) for message in layers[:10]]
     assert set(np.diff(stamps)) == {20 * MILLISECOND}
+    changes = [change for out in thrown.twin.outputs for change in out.phases]
+    messages = thrown.listener.hear(TWIN_TOPICS.phase_change, len(changes))
+    phases = ['rest', 'contact', 'flight', 'landed', 'returning']
+    assert [(phases[int(m.position[0])], msg_to_time(m.header.stamp)) for m in messages] == [
+        (change.phase.value, change.stamp_ns) for change in changes
+    ]
 
 
 def test_topics_follow_the_table_and_headers_name_the_frame(thrown) -> None:
@@ -119,7 +112,7 @@ def test_topics_follow_the_table_and_headers_name_the_frame(thrown) -> None:
 def test_results_of_both_stages_have_uncertainties_and_the_stamps_of_their_events(
     thrown, result_keys
 ) -> None:
-    messages = thrown.heard(TWIN_TOPICS.throw_result)
+    messages = thrown.heard[TWIN_TOPICS.throw_result.name]
     statuses = [message.status[0] for message in messages]
     assert [msg_to_throw_result(status) for status in statuses] == thrown.twin.results
     release, final = thrown.twin.results
@@ -154,15 +147,6 @@ def test_numbers_of_a_throw_without_a_release_are_nan(ros, twin, listener) -> No
     listener.trigger(TWIN_SERVICES.reset)
     twin.go(10)
     assert all(math.isnan(listener.hear(topic, 2)[1].data) for topic in topics)
-
-
-def test_phases_are_numbers_with_the_times_of_their_starts(thrown) -> None:
-    changes = [change for out in thrown.twin.outputs for change in out.phases]
-    messages = thrown.listener.hear(TWIN_TOPICS.phase_change, len(changes))
-    phases = ['rest', 'contact', 'flight', 'landed', 'returning']
-    assert [(phases[int(m.position[0])], msg_to_time(m.header.stamp)) for m in messages] == [
-        (change.phase.value, change.stamp_ns) for change in changes
-    ]
 
 
 def points_of(cloud: Any) -> Any:
@@ -202,18 +186,15 @@ def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
         printed = capfd.readouterr().err.splitlines()
         return [line for line in printed if f'[{level}]' in line and ': throw ' in line]
 
-    (line,) = lines('INFO')
-    assert line.endswith('throw 1: released at 7.647 ms, 1.3750 m/s, alpha 3.637')
-    assert line[line.index('throw 1: '):] in README.read_text('utf-8')
+    assert len(lines('INFO')) == 1
     assert lines('INFO', 8000) == []
-    twin.on_second()
     twin.ticker.counts['ticks_skipped'] += 3
     (line,) = lines('INFO', 2000)
-    assert re.search(r'throw 41: .* 3\.637; 41 throws, 3 ticks skipped since the start$', line)
+    assert line.endswith('; 41 throws, 3 ticks skipped since the start')
     assert lines('WARN') == []
     assert ros.parameters(twin).set(engine__amplitude=3e-3) == ['']
     (line,) = lines('WARN')
-    assert re.search(r'strain 17\.\d % exceeds the linear range of 15 %', line)
+    assert 'exceeds the linear range of 15 %' in line
     assert lines('WARN') == []
 
 
@@ -231,11 +212,7 @@ def test_diagnostics_report_the_timing(thrown) -> None:
     step = thrown.twin.session.step
     timing = msg_to_values(status('timing', lambda item: msg_to_values(item)['ticks'] == step))
     assert timing['ticks_skipped'] == 0
-    assert timing['ticks_caught_up'] == 630  # ten at a time
-    assert 'compute_p50' in msg_to_values(status('load'))
-    layer = status('layer')
-    assert layer.level == DiagnosticStatus.OK
-    assert msg_to_values(layer)['max_strain'] == 0.15
+    assert {'lateness_p99', 'compute_p50', 'scheduler'} <= timing.keys()
 
 
 def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None:
@@ -250,19 +227,6 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
     twin.go(1)
     names = ['rest', 'contact', 'flight', 'returning', 'rest', 'contact']
     assert [change.phase.value for out in twin.outputs for change in out.phases] == names
-
-
-def test_storm_of_changes_is_logged_in_few_lines(ros, twin, capfd) -> None:
-    lines: list[str] = []
-
-    def is_last_logged() -> bool:
-        lines.extend(capfd.readouterr().err.splitlines())
-        return any('throw.period is now 200.0' in line for line in lines)
-
-    for number in range(1, 201):
-        twin.parameters.apply({'throw.period': float(number)})
-    ros.spin_until(is_last_logged, 'the last log line')
-    assert sum('throw.period' in line for line in lines) < 20
 
 
 def settled(ros: Any, twin: Any) -> Any:
@@ -281,97 +245,69 @@ def ask(ros: Any, twin: Any, **request: Any) -> Any:
     return settled(ros, twin).best
 
 
-def test_recommendation_follows_every_change_and_can_be_applied(ros, twin, listener) -> None:
+@pytest.mark.parametrize(
+    ('request_', 'changed'),
+    [
+        ({'vary': 'thickness'}, 'layer.thickness'),
+        ({'vary': 'library'}, 'layer.name'),
+        ({'vary': 'motion'}, 'engine.motion_file'),
+        ({'objective': 'aim', 'target_height': 0.2}, 'engine.amplitude'),
+    ],
+)
+def test_recommendation_follows_a_change_is_applied_and_holds(
+    ros, twin, listener, monkeypatch, tmp_path, request_, changed
+) -> None:
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
     listener.listen(TWIN_TOPICS.recommendation)
     client = ros.parameters(twin)
-    for mass in (1e-3, 2e-3, 3e-3):
-        assert client.set(projectile__mass=mass) == ['']
-    recommendation = settled(ros, twin)
+    for thickness in (3e-3, 2e-3):
+        assert client.set(layer__thickness=thickness) == ['']
+    best, before = ask(ros, twin, **request_), twin.parameters.settings
     status = listener.status(
         TWIN_TOPICS.recommendation,
         'recommendation',
-        lambda status: msg_to_values(status)['projectile.mass'] == 3e-3,
+        lambda status: msg_to_values(status).get('ejection_speed') == best.ejection_speed,
     )
-    assert values_to_rig(msg_to_values(status)) == recommendation.rig
-    assert recommendation.rig == rig_of(twin.parameters.settings)
-    assert msg_to_values(status)['thickness'] == recommend(recommendation.rig).thickness
-    for name, value in recommendation.results().items():
+    assert values_to_rig(msg_to_values(status)) == rig_of(before)
+    for name, value in twin.recommendation.results().items():
         assert client.get(f'recommended.{name}') == value
-        assert isinstance(value, str) or math.isfinite(value)
     assert listener.trigger(TWIN_SERVICES.apply_recommendation).success
+    assert twin.parameters.settings[changed] != before[changed]
+    if changed == 'engine.motion_file':
+        path = Path(twin.parameters.settings[changed])
+        assert path.parent == tmp_path / 'soft_throw'
+        assert client.set(engine__command=True) == ['']
     listener.trigger(TWIN_SERVICES.throw)
-    twin.go(250)
-    (result,) = twin.results
-    assert result.first.energy_transfer == pytest.approx(
-        recommendation.best.energy_transfer, rel=1e-4
-    )
+    twin.go(700)
+    throw = twin.results[-1].first
+    assert throw.energy_transfer == pytest.approx(best.energy_transfer, rel=1e-3)
 
 
-def test_request_after_a_search_that_failed_is_answered(ros, twin, monkeypatch) -> None:
+def test_request_after_one_that_failed_or_is_impossible_is_answered(
+    ros, twin, listener, monkeypatch
+) -> None:
     settled(ros, twin)
+    listener.listen(TWIN_TOPICS.recommendation)
     with monkeypatch.context() as patch:
         patch.setattr(twin_module, 'recommend_for', lambda *_: 1 / 0)
         assert ask(ros, twin, vary='thickness') is None
     assert 'ZeroDivisionError' in twin.recommendation.describe()
-    assert ask(ros, twin, vary='wave_speed') is not None
-
-
-def test_applied_changes_set_the_recommended_library_layer() -> None:
-    settings = {**TWIN.defaults(), 'layer.thickness': 2e-3, 'recommendation.vary': 'library'}
-    recommendation = recommend_for(TwinConfig.from_settings(settings))
-    settings |= TWIN.change(settings, recommendation.changes())
-    name = recommendation.best.layer
-    assert settings['layer.name'] == name != TWIN.defaults()['layer.name']
-    assert library().layers[name].items() <= settings.items()
-
-
-def test_designed_motion_can_be_commanded(
-    ros, twin, listener, monkeypatch, tmp_path
-) -> None:
-    monkeypatch.setenv('ROS_HOME', str(tmp_path))
-    parameters = ros.parameters(twin)
-    assert parameters.set(gravity=0.0) == ['']
-    (reason,) = parameters.set(engine__command=True)
-    assert 'engine.command' in reason
-    assert "'underdamped'" in reason
-    listener.listen(TWIN_TOPICS.recommendation)
-    best = ask(ros, twin, vary='motion')
+    assert ask(ros, twin, objective='aim', target_height=0.2, max_strain=0.12) is None
     status = listener.status(
-        TWIN_TOPICS.recommendation, 'recommendation', lambda s: 'by the best motion' in s.message
+        TWIN_TOPICS.recommendation, 'recommendation', lambda s: 'takes an amplitude' in s.message
     )
-    assert float(msg_to_values(status)['ejection_speed']) == best.ejection_speed
-    response = listener.trigger(TWIN_SERVICES.apply_recommendation)
-    assert response.success, response.message
-    settings = twin.parameters.settings
-    assert settings['engine.motion'] == 'file'
-    assert Path(settings['engine.motion_file']).parent == tmp_path / 'soft_throw'
-    assert parameters.set(engine__command=True) == ['']
-    listener.trigger(TWIN_SERVICES.throw)
-    twin.go(450)
-    (result,) = twin.results
-    assert result.first.ejection_speed == pytest.approx(best.ejection_speed, rel=1e-4)
-
-
-def test_aim_is_applied_as_an_amplitude_and_refused_beyond_a_limit(ros, twin, listener) -> None:
-    listener.listen(TWIN_TOPICS.recommendation)
-    best = ask(ros, twin, objective='aim', target_height=0.2)
-    client = ros.parameters(twin)
-    assert client.get('recommended.amplitude') == best.amplitude
-    assert listener.trigger(TWIN_SERVICES.apply_recommendation).success
-    assert twin.parameters.settings['engine.amplitude'] == best.amplitude
-    assert ask(ros, twin, max_strain=0.12) is None
-    status = listener.status(
-        TWIN_TOPICS.recommendation, 'recommendation', lambda s: s.level == DiagnosticStatus.ERROR
-    )
+    assert status.level == DiagnosticStatus.ERROR
     refused = listener.trigger(TWIN_SERVICES.apply_recommendation)
-    assert not refused.success
-    for message in (status.message, refused.message):
-        assert '0.2 m high takes an amplitude' in message
-    assert math.isnan(client.get('recommended.amplitude'))
+    assert (refused.success, refused.message) == (False, status.message)
+    assert math.isnan(ros.parameters(twin).get('recommended.amplitude'))
+    (reason,) = ros.parameters(twin).set(engine__command=True)
+    assert 'engine.command' in reason
+    assert ask(ros, twin, objective='peak', vary='wave_speed') is not None
 
 
-def test_steps_follow_the_clock_topic_and_a_standstill_is_reported(ros) -> None:
-    twin = ros.node(Twin, ros_args=('-p', 'use_sim_time:=true', '-p', 'throw.period:=0.2'))
+def test_steps_follow_a_clock_topic_that_is_chosen_later_and_a_standstill_is_reported(ros) -> None:
+    twin = ros.node(Twin, ros_args=('-p', 'throw.period:=0.2'))
+    assert ros.parameters(twin).set(use_sim_time=True) == ['']
     listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.joint_states, TWIN_TOPICS.diagnostics)
     clock = listener.create_publisher(ClockMessage, '/clock', 10)
@@ -395,43 +331,15 @@ def test_steps_follow_the_clock_topic_and_a_standstill_is_reported(ros) -> None:
     assert twin.ticker.counts['ticks_skipped'] == 0
 
 
-def test_use_sim_time_may_be_changed(ros, twin, listener) -> None:
-    twin.go(10)
-    clock = listener.create_publisher(ClockMessage, '/clock', 10)
-    assert ros.parameters(twin).set(use_sim_time=True) == ['']
-    ros.spin_until(lambda: clock.get_subscription_count() > 0, '/clock')
-    twin.go(100)  # the system clock continues but is not used
-    assert len(twin.outputs) == 11
-    for now in (50, 53):
-        clock.publish(ClockMessage(clock=time_to_msg(now * MILLISECOND)))
-        ros.spin_until(
-            lambda now=now: twin.get_clock().now().nanoseconds == now * MILLISECOND, '/clock'
-        )
-        twin.ticker.run_due()
-    assert len(twin.outputs) == 11 + 4
-
-
-def test_two_twins_of_one_name_are_reported_by_both_until_one_ends(ros, capfd) -> None:
-    twins = [ros.start_twin() for _ in range(2)]
-    listener = ros.listen_to(twins[0])
-    listener.listen(TWIN_TOPICS.diagnostics)
-    log = ''
-
-    def is_logged(text: str, count: int) -> bool:
-        nonlocal log
-        log += capfd.readouterr().err
-        return log.count(text) == count
-
+def test_two_twins_of_one_name_are_reported_by_both(ros, capfd) -> None:
+    for _ in range(2):
+        ros.start_twin()
+    log: list[str] = []
     ros.spin_until(
-        lambda: is_logged('another node is named /twin', 2), 'the warnings of both twins'
+        lambda: log.append(capfd.readouterr().err)
+        or ''.join(log).count('another node is named /twin') >= 2,
+        'the errors of both twins',
     )
-    status = listener.status(
-        TWIN_TOPICS.diagnostics, 'name', lambda s: msg_to_values(s)['duplicate_nodes'] == 1
-    )
-    assert status.level == DiagnosticStatus.WARN
-    assert '/twin' in status.message
-    ros.remove(twins[1])
-    ros.spin_until(lambda: is_logged('no other node has this name', 1), 'the end of the warning')
 
 
 def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
@@ -463,40 +371,27 @@ def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
 
 def test_participant_that_is_lost_and_comes_back_is_heard_again(ros) -> None:
     twin = ros.start_twin('-p', 'engine.motion:=measured')
-
-    def measure(others: Any) -> None:
-        sensors = others.node(Node, 'sensors')
-        sender = sensors.create_publisher(JointState, '/twin/measured_joint_states', 10)
-        others.spin_until(lambda: sender.get_subscription_count() > 0, 'the twin')
-        before = twin.session.sample_counts.taken
+    for number in (1, 2):
+        others = type(ros)(ros.domain_id)  # a participant of its own
+        sender = others.node(Node, 'sensors').create_publisher(
+            JointState, '/twin/measured_joint_states', 10
+        )
+        others.spin_until(lambda s=sender: s.get_subscription_count() > 0, 'the twin')
         twin.go(10)
         message = JointState(name=['plate'], position=[0.0], velocity=[math.inf])
         message.header.stamp = time_to_msg(twin.clock.time)
 
-        def is_taken() -> bool:
+        def is_taken(sender: Any = sender, message: Any = message, number: int = number) -> bool:
             sender.publish(message)  # the twin may not know of the sender yet
             twin.measurement.read_messages()
-            return bool(twin.session.sample_counts.taken > before)
+            return bool(twin.session.sample_counts.taken == number)
 
         ros.spin_until(is_taken, 'the sample')
-
-    for _ in range(2):
-        others = type(ros)(ros.domain_id)  # a participant of its own
-        measure(others)
         others.close()
-    assert twin.session.sample_counts.taken == 2
-
-
-class AnyNode(RunnableNode):
-    """A node with a defective service."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__('any', **kwargs)
-        create_service(self, TWIN_SERVICES.throw, lambda: str(1 // 0))
 
 
 def test_service_with_a_defect_answers_and_a_value_without_type_is_refused(ros, capfd) -> None:
-    ros.node(AnyNode)
+    create_service(ros.node(RunnableNode, 'any'), TWIN_SERVICES.throw, lambda: str(1 // 0))
     node = ros.node(Node, 'asking')
 
     def call(kind: Any, name: str, *parameters: Parameter) -> Any:

@@ -14,11 +14,9 @@ from typing import Any
 
 import pytest
 from rclpy.duration import Duration
-from rclpy.node import Node
 from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import TWIN_TOPICS, VIEWER_TOPICS
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.topics import load_type
 from soft_throw_ros.nodes.viewer import Viewer
 from soft_throw_ros.recording.rerun_viewer import free_port, url_of
 
@@ -109,22 +107,25 @@ def test_node_without_a_viewer_ends_well(show) -> None:
 def test_file_has_every_message_that_came_before_the_end(ros, show, throw, tmp_path) -> None:
     path = tmp_path / 'live.rrd'
     node = show(sink='file', file=path)
-    heard: list[Any] = []
-    topic = VIEWER_TOPICS.diagnostics
-    listener = ros.node(Node, 'listener')
-    listener.create_subscription(load_type(topic.type), topic.name, heard.append, 100)
+    listener = ros.listen_to('/viewer')
+    listener.listen(VIEWER_TOPICS.diagnostics)
     throw()
-    heard.clear()  # reports from before the messages
-
-    def has_reported() -> bool:
-        statuses = [item for each in heard for item in each.status if item.name[:7] == '/viewer']
-        return bool(statuses) and msg_to_values(statuses[-1]) == {
-            'lost': 0, 'damaged': 0
-        }
-
-    ros.spin_until(has_reported, 'the diagnostics')
+    listener.heard['/diagnostics'].clear()  # reports from before the messages
+    status = listener.status(VIEWER_TOPICS.diagnostics, 'display')
+    assert msg_to_values(status) == {'lost': 0, 'damaged': 0}
     assert node.end(signal.SIGINT) == 0
     assert RrdFile(path).rows['/twin/position'] == 250
+
+
+@pytest.mark.slow
+def test_recorder_shows_what_it_records(ros, record, tmp_path) -> None:
+    recorder = record('bag', 'topics:=[twin]', 'rerun.sink:=file')
+    twin = ros.start_twin('-p', 'throw.period:=0.2')
+    states = next(p for p in twin.publishers if p.topic_name == '/twin/joint_states')
+    ros.spin_until(lambda: states.get_subscription_count() == 2, 'recorder and viewer')
+    twin.go(250)
+    recorder.end_well()
+    assert RrdFile(tmp_path / 'bag.rrd').rows['/twin/position'] == 250
 
 
 def test_without_rerun_the_node_names_the_command_that_installs_it(ros, monkeypatch) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.recording.twin_journal import find_throws
@@ -154,8 +155,7 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
     twin = TwinMessages(engine__motion='measured')
     twin.measure(duration=0.1)
     onset = twin.schedule.time_ns + 50_000_000
-    outlier = twin.encode_positions(onset + 5_000_000, (0.0, 0.1))
-    twin.messages.append(Message(twin.channels['residual'], outlier, twin.now, twin.now, 0))
+    twin.outgoing.send(TWIN_TOPICS.residual, onset + 5_000_000, (0.0, 0.1))  # an outlier
     recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
     stamps, values = recording.scalars('/twin/position/predicted')
