@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import struct
 
 import numpy as np
-from soft_throw_ros.configuration.interface import find_topic, JOINTS, NodeTopic, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import find_topic, JOINTS, TWIN_TOPICS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
 from soft_throw_ros.storage.message import BagError, Message
@@ -94,11 +94,11 @@ class CheckResult:
 
 def check_bag(reader: BagReader) -> list[CheckResult]:
     """Check every twin in a bag, which is read twice for each; CheckError if there is none."""
-    topics = [find_topic(item.topic, item.type) for item in reader.channels]
+    topics = [item for channel in reader.channels
+              if (item := find_topic(channel.topic, channel.type)) is not None]
     nodes = dict.fromkeys(
-        item.node for item in topics
-        if item is not None and item.topic == TWIN_TOPICS.journal
-        and NodeTopic(item.node, TWIN_TOPICS.joint_states) in topics
+        node for node, topic in topics
+        if topic == TWIN_TOPICS.journal and (node, TWIN_TOPICS.joint_states) in topics
     )
     if not nodes:
         raise CheckError(
