@@ -18,7 +18,6 @@ from models import (
     releases_at,
     SERIES,
     Series,
-    THICKNESSES,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,6 @@ from soft_throw_ros.core.closed_form import first_releases, spring_release
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig, scales_of, STANDARD_GRAVITY, values_of
 from soft_throw_ros.core.wave_stepper import throw_batch
-from soft_throw_ros.design.prediction import predict
 
 Floats = NDArray[np.float64]
 
@@ -219,22 +217,6 @@ def optima() -> list[tuple[str, str]]:
         )
         for zeta, layer in layers.items()
     ]
-
-
-def throws_of_the_rig() -> list[tuple[str, ...]]:
-    """Return the results of six layers in three series, with damping and without gravity."""
-    rows = []
-    for thickness in THICKNESSES:
-        throws = [predict(series.rig(thickness, damping_ratio=DAMPING_RATIO)) for series in SERIES]
-        columns = zip(*(
-            (
-                f'{1e3 * throw.ejection_time:.2f}', f'{throw.ejection_speed:.3f}',
-                f'{throw.energy_transfer:.2f}', f'{100.0 * throw.peak_strain:.1f}',
-            )
-            for throw in throws
-        ), strict=True)
-        rows.append((f'{1e3 * thickness:.1f}', *(', '.join(column) for column in columns)))
-    return rows
 
 
 def _range(values: Floats) -> tuple[float, float]:

@@ -13,21 +13,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-FRAME = 'rig'
-"""Frame of all messages with a header, below the namespace of the node: z points up from the
-plate's rest position."""
-
-JOINTS = ('plate', 'projectile')
-"""Joints of the rig, by their default names; `joint_names.*` of a node replaces them."""
-
-FIELD_POINTS = 64
-"""Number of published points of the layer, evenly spaced from plate to top."""
-
-ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')
-"""Columns of `~/throw_energies`."""
-
+FRAME = 'rig'  # of all messages with a header, below the namespace of the node
+JOINTS = ('plate', 'projectile')  # default names, which `joint_names.*` of a node replaces
+FIELD_POINTS = 64  # published points of the layer, evenly spaced from plate to top
 LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
-"""Joints of the layer, from plate to top."""
+ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')  # axes of `~/throw_energies`
 
 ARRAY = 'diagnostic_msgs/msg/DiagnosticArray'
 JOINT_STATE = 'sensor_msgs/msg/JointState'
@@ -134,8 +124,7 @@ class TwinTopics(NamedTuple):
         '~/throw/energy_transfer', NUMBER, 'Energy transfer factor alpha of this release',
         is_latched=True)
     recommendation: Topic = Topic(
-        '~/recommendation', ARRAY, 'Best layer for the rig, after every change',
-        is_latched=True)
+        '~/recommendation', ARRAY, 'Best layer for the rig, after every change', is_latched=True)
     journal: Topic = Topic(
         '~/journal', TEXT, 'All data needed to repeat the run, as lines of JSON',
         depth=_OF_A_JOURNAL, is_latched=True)
@@ -218,8 +207,7 @@ class TwinServices(NamedTuple):
     reset: Service = Service(
         '~/reset', TRIGGER, 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
-        '~/apply_recommendation', TRIGGER,
-        'Apply the recommended layer, amplitude or motion')
+        '~/apply_recommendation', TRIGGER, 'Apply the recommended layer, amplitude or motion')
 
 
 class RecorderServices(NamedTuple):

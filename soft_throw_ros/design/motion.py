@@ -81,7 +81,6 @@ _FINER = 2  # times per pulse at which the layer has to push the projectile
 _HEIGHTS = 9  # points of the layer, from plate to projectile, whose strain is limited
 _WAITING_GAIN = 1e-3  # relative gain of speed that does not justify a later release [-]
 _STRAIN_TOLERANCE = 2e-3  # relative excess of a strain that adds a limit to the programme [-]
-_STRAIN_STRIDE = 4  # of the pulses that get a limit of the strain, beside the maxima
 _MAX_ROUNDS = 12  # programmes in turn while limits of the strain are added; 3 to 6 are enough
 _SMOOTHING_LOSS = 5e-4  # relative loss of speed for a motion without brief pulses [-]
 _SCALINGS = 5  # most simulations that scale a motion down to the limits of its loads
@@ -92,7 +91,6 @@ _KEPT_SPEED = 0.93  # share of the speed that a motion keeps on other rigs [-]
 _PROGRAMME_ERROR = 0.01  # relative deficit of the simulated speed against the programme [-]
 _TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # of the time of release, tried in turn
 _PROGRAMME_TIME = 60.0  # limit of the time of a programme, which takes a second [s]
-_ROUNDING = 1e-12  # relative room below the limits of the plate [-]
 _RETURN_SHARE = 0.25  # peak speed and acceleration of the way back, over the motion's [-]
 
 
@@ -165,8 +163,7 @@ class Pulses(NamedTuple):
             np.abs(np.diff(np.pad(self.heights, 1))).max() / (limits.acceleration * self.step),
             np.ptp(np.cumsum(np.pad(self.heights, 1))) * self.step / limits.travel,
         )
-        excess = max(1.0, (1.0 + _ROUNDING) * max(excesses))
-        return self._replace(heights=self.heights / excess)
+        return self._replace(heights=self.heights / max(1.0, *excesses))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -433,10 +430,7 @@ class _Programme:
                 result = self._smoothest(result, goal @ rise, rows @ rise, bounds)
             pulses = limits.speed * (rise @ result)
             strain = np.abs(strains @ pulses + self._static_strains[:, None])
-            around = np.pad(strain, ((0, 0), (1, 1)))
-            new = (strain >= around[:, :-2]) & (strain >= around[:, 2:])
-            new[:, ::_STRAIN_STRIDE] = True
-            new &= strain > (1.0 + _STRAIN_TOLERANCE) * self._loads.max_strain
+            new = strain > (1.0 + _STRAIN_TOLERANCE) * self._loads.max_strain
             if not (new & ~exceeded).any():
                 break
             exceeded |= new

@@ -40,6 +40,10 @@ PRIORITY = 10
 """Real-time priority (SCHED_FIFO) of the tick thread [-]."""
 
 _FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [s]
+_SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
+_SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
+_STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
+_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'clock_jumps')
 
 
 class SystemClock:
@@ -124,11 +128,6 @@ class NodeClock:
 
 
 Clock: TypeAlias = SystemClock | NodeClock
-
-_SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
-_SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
-_STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
-_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'clock_jumps')
 
 
 class Ticker:

@@ -78,13 +78,6 @@ def test_bad_file_is_refused_with_line_and_value(write, text, message):
     assert refused.value.names == ('engine.motion_file',)
 
 
-def test_missing_file_is_refused(tmp_path):
-    with pytest.raises(ParameterError, match=r'nosuch\.csv: No such file'):
-        settings_with(tmp_path / 'nosuch.csv')
-    with pytest.raises(ParameterError, match=r"'file' needs engine\.motion_file"):
-        TWIN.change(TWIN.defaults(), {'engine.motion': 'file'})
-
-
 @pytest.mark.parametrize(
     ('start', 'jitter'), [(0.0, 0.0), (0.02, 0.0), (0.02003, 0.0), (0.0201, 0.0), (0.02017, 0.25)]
 )

@@ -95,17 +95,6 @@ def test_every_point_agrees_with_a_throw_of_its_rig(name):
             assert landscape.coordinates_of(rig) == (first, second)
 
 
-# Maxima that the paper reports or should have, computed with 40 digits: those of the paper's
-# equal densities, those of its rig, and with damping.
-def test_optimum_is_at_its_known_position():
-    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
-    near = {'x': np.linspace(0.68, 0.97, 141), 'C': np.linspace(5.6, 8.0, 141)}
-    optimum = compute_landscape(rig, near).optimum
-    assert optimum.coordinates == pytest.approx((0.847336, 6.983917), rel=3e-3)
-    assert optimum.ejection_phase == pytest.approx(0.399440, abs=1e-3)
-    assert optimum.energy_transfer == pytest.approx(4.123215, rel=1e-5)
-
-
 def test_last_release_agrees_with_a_throw_after_its_recontacts():
     rig = replace(HARMONIC, engine=Engine(frequency=31.1, damping_ratio=0.0))
     axes = {'layer.thickness': [2e-3, 9.5e-3], 'layer.wave_speed': [7.8]}
@@ -140,11 +129,9 @@ MOVED = Rig(engine=Engine(motion=SampledMotion(
     [
         ({'x': [0.5], 'C': [math.nan]}, {}, 'C must be .* got nan'),
         ({'x': [0.5], 'C': [2.0, 1.0]}, {}, r'C must be increasing .* got \[2\. 1\.\]'),
-        ({'x': ['wide'], 'C': [1.0]}, {}, 'x must be numbers, got .*wide'),
         ({'x': [0.5], 'mu': [1.0]}, {}, 'x and mu are not independent'),
         ({'mu': [1.0], 'layer.thickness': [0.01]}, {}, 'combined with .*, got mu and layer'),
         ({'layer.thickness': [0.01, 0.2], 'gravity': [5.0]}, {}, r'thickness .* 0.1 m, got 0\.2'),
-        ({'mu': [1.0], 'kappa': [8.0]}, {'release': 'second'}, "got 'second'"),
         ({'gravity': [0.0], **THICKNESS}, {'rig': STACK, 'release': 'last'}, 'layer.stack'),
         ({'engine.damping_ratio': [0.1], **THICKNESS}, {'rig': MOVED}, 'by a file'),
     ],

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -47,35 +48,27 @@ NAME = '/thrown/twin'
 MILLISECOND = SECOND // 1000
 
 
-class Thrown:
-    """A twin that has thrown once, and a listener with all its messages since the start."""
-
-    def __init__(self, ros: Any) -> None:
-        self.ros = ros
-        # Its own namespace keeps it, for the whole module, apart from the other twins
-        self.twin = ros.start_twin('-r', '__ns:=/thrown', '-p', 'throw.period:=0.0')
-        self.listener = ros.listen_to(self.twin)
-        self.listener.listen(*PUBLISHED)
-        self.parameters = ros.parameters(self.twin)
-        request = {'uncertainty__wave_speed': 0.6, 'uncertainty__mass': 0.0}
-        assert self.parameters.set_atomically(throw__max_events=1, **request) == ''
-        settled(ros, self.twin)
-        self.listener.trigger(TWIN_SERVICES.throw)
-        self.twin.go(700)
-        self.listener.hear(TWIN_TOPICS.throw_result, 2)
-        self.listener.hear(TWIN_TOPICS.joint_states, 700)
-
-    def heard(self, topic: Any) -> list[Any]:
-        return self.listener.heard[topic.name]
-
-
 @pytest.fixture(scope='module')
-def thrown(module_ros: Any) -> Thrown:
-    return Thrown(module_ros)
+def thrown(module_ros: Any) -> SimpleNamespace:
+    """Return a twin that has thrown once, and a listener with all its messages since the start."""
+    # Its own namespace keeps it, for the whole module, apart from the other twins
+    twin = module_ros.start_twin('-r', '__ns:=/thrown', '-p', 'throw.period:=0.0')
+    listener, parameters = module_ros.listen_to(twin), module_ros.parameters(twin)
+    listener.listen(*PUBLISHED)
+    request = {'uncertainty__wave_speed': 0.6, 'uncertainty__mass': 0.0}
+    assert parameters.set_atomically(throw__max_events=1, **request) == ''
+    settled(module_ros, twin)
+    listener.trigger(TWIN_SERVICES.throw)
+    twin.go(700)
+    listener.hear(TWIN_TOPICS.throw_result, 2)
+    listener.hear(TWIN_TOPICS.joint_states, 700)
+    return SimpleNamespace(
+        ros=module_ros, twin=twin, listener=listener, heard=listener.heard, parameters=parameters
+    )
 
 
-def test_every_tick_has_a_message_with_its_stamp(thrown) -> None:
-    messages = thrown.heard(TWIN_TOPICS.joint_states)[:700]
+def test_every_tick_and_phase_has_a_message_with_its_stamp(thrown) -> None:
+    messages = thrown.heard[TWIN_TOPICS.joint_states.name][:700]
     assert [msg_to_time(message.header.stamp) for message in messages] == [
         SECOND + step * MILLISECOND for step in range(1, 701)
     ]
@@ -92,6 +85,12 @@ def test_every_tick_has_a_message_with_its_stamp(thrown) -> None:
         assert message.effort[0] == pytest.approx(-state.plate_force, abs=1e-9)
     stamps = [msg_to_time(message.header.stamp) for message in layers[:10]]
     assert set(np.diff(stamps)) == {20 * MILLISECOND}
+    changes = [change for out in thrown.twin.outputs for change in out.phases]
+    messages = thrown.listener.hear(TWIN_TOPICS.phase_change, len(changes))
+    phases = ['rest', 'contact', 'flight', 'landed', 'returning']
+    assert [(phases[int(m.position[0])], msg_to_time(m.header.stamp)) for m in messages] == [
+        (change.phase.value, change.stamp_ns) for change in changes
+    ]
 
 
 def test_topics_follow_the_table_and_headers_name_the_frame(thrown) -> None:
@@ -113,7 +112,7 @@ def test_topics_follow_the_table_and_headers_name_the_frame(thrown) -> None:
 def test_results_of_both_stages_have_uncertainties_and_the_stamps_of_their_events(
     thrown, result_keys
 ) -> None:
-    messages = thrown.heard(TWIN_TOPICS.throw_result)
+    messages = thrown.heard[TWIN_TOPICS.throw_result.name]
     statuses = [message.status[0] for message in messages]
     assert [msg_to_throw_result(status) for status in statuses] == thrown.twin.results
     release, final = thrown.twin.results
@@ -148,15 +147,6 @@ def test_numbers_of_a_throw_without_a_release_are_nan(ros, twin, listener) -> No
     listener.trigger(TWIN_SERVICES.reset)
     twin.go(10)
     assert all(math.isnan(listener.hear(topic, 2)[1].data) for topic in topics)
-
-
-def test_phases_are_numbers_with_the_times_of_their_starts(thrown) -> None:
-    changes = [change for out in thrown.twin.outputs for change in out.phases]
-    messages = thrown.listener.hear(TWIN_TOPICS.phase_change, len(changes))
-    phases = ['rest', 'contact', 'flight', 'landed', 'returning']
-    assert [(phases[int(m.position[0])], msg_to_time(m.header.stamp)) for m in messages] == [
-        (change.phase.value, change.stamp_ns) for change in changes
-    ]
 
 
 def points_of(cloud: Any) -> Any:
