@@ -101,7 +101,6 @@ _MIN_STEPS_PER_PERIOD = 80.0
 _MAX_BATCH_CELLS = 2048
 """Most cells that `throw_batch` chooses. [-]"""
 
-
 _SHOCK_SPEED = 1.055
 """Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
 
