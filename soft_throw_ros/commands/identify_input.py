@@ -123,7 +123,7 @@ def _without_standstill(name: str, notes: list[str], track: Track) -> Track:
         f'{name}: {still.sum()} samples from {first:g} s to {last:g} s stand still at '
         f'{track.position[still][0]:.6g} m while the body moves; they are left out'
     )
-    return replace(track.where(~still), known_noise=track.known_noise)
+    return track.where(~still)
 
 
 def _throws_of(record: ThrowTracks, notes: list[str]) -> list[ThrowTracks]:

@@ -95,8 +95,9 @@ def ejection_of(result: RigFit) -> Ejection:
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
             estimates.append(with_floor(name, Estimate(value, error), result.growth))
+        release_time, release_speed, peak_speed, alpha = estimates
         share = float(chosen.sum() / is_released.sum())
-        return Release(*estimates, echoes=count, probability=share)
+        return Release(release_time, release_speed, peak_speed, alpha, count, share)
 
     others = [release(int(count)) for count in np.unique(echoes[is_released]) if count]
     likely = [item for item in others if item.probability > _MIN_PROBABILITY]
