@@ -94,10 +94,11 @@ def plate_track() -> Track:
 def draw_plate_fit() -> Figure:
     """Draw Fig. 10: the motion of the plate, the fitted damped step, and the residual."""
     track = plate_track()
-    fitted = fit_plate(track, offset=0.0)
-    parameters = {name: fitted.fit[name] for name in NAMES[:3]}
-    frequency, damping, amplitude = parameters.values()
-    plate = Underdamped(**{name: parameter.value for name, parameter in parameters.items()})
+    fitted = fit_plate(track)
+    frequency, damping, amplitude, start, offset = (fitted[name] for name in NAMES)
+    plate = Underdamped(
+        frequency=frequency.value, damping_ratio=damping.value, amplitude=amplitude.value
+    )
     figure, panels = new_figure(
         'Fig. 10   App. D: the motion of the plate, a damped step',
         f'Track computed with the rig of the paper and {NOISE * 1e6:g} $\\mu$m of noise at '
@@ -110,13 +111,14 @@ def draw_plate_fit() -> Figure:
     panels[0].plot(MILLI * track.time, MILLI * track.position, '.', color=BLUE, ms=5,
                    label='heights of the plate')
     panels[0].plot(
-        MILLI * fine, MILLI * plate.position(fine - fitted.start_time), color=BLACK, lw=1.4,
+        MILLI * fine, MILLI * (offset.value + plate.position(fine - start.value)),
+        color=BLACK, lw=1.4,
         label=f'fit: $f$ = {frequency.value:.2f} $\\pm$ {frequency.error:.2f} Hz, '
         f'$\\zeta$ = {damping.value:.4f} $\\pm$ {damping.error:.4f}, '
         f'$A$ = {MILLI * amplitude.value:.3f} $\\pm$ {MILLI * amplitude.error:.3f} mm',
     )
     panels[1].axhline(0.0, color=BLACK, lw=0.8)
-    panels[1].plot(MILLI * track.time, 1e6 * fitted.fit.residuals[0].values, '.', color=BLUE, ms=4)
+    panels[1].plot(MILLI * track.time, 1e6 * fitted.residuals[0].values, '.', color=BLUE, ms=4)
     panels[0].set(title='(a) height', ylabel='$z_p$ (mm)', ylim=(-0.3, 4.0))
     panels[1].set(title='(b) residual', ylabel=r'($\mu$m)', xlabel='time $t$ (ms)',
                   xlim=(-5.0, 60.0), ylim=(-90.0, 90.0))

@@ -74,11 +74,6 @@ def with_floor(name: str, estimate: Estimate, growth: float = 1.0) -> Estimate:
     return Estimate(estimate.value, math.hypot(estimate.error, floor))
 
 
-def plate_speed(engine: Engine) -> float:
-    """Return the amplitude of the speed of an undamped plate [m/s]."""
-    return 2.0 * math.pi * engine.frequency * engine.amplitude
-
-
 def growth_by(residual: TrackResidual, engine: Engine, start: float) -> float:
     """
     Return the factor by which other oscillations of the plate enlarge all floors.
