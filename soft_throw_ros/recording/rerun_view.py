@@ -507,9 +507,6 @@ def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
     return (node, topic) if is_drawn else ('', None)
 
 
-# messages
-
-
 def _read_cloud(message: Message, topic: Topic) -> Floats:
     """Read the points of a cloud with the fields of a topic, shape (rows, columns, fields)."""
     cloud, count = decode(message), len(topic.axes)
@@ -531,9 +528,6 @@ def _read_statuses(message: Message) -> Iterator[tuple[int, Any, words.Values]]:
 
 def _to_ns(time: Any) -> int:  # a builtin_interfaces/Time
     return int(time.sec * SECOND + time.nanosec)
-
-
-# shapes
 
 
 def _picture(
