@@ -55,10 +55,10 @@ def throws() -> Result:
         return float(stepper.events()[0].time * frequency)
 
     cases = [
+        Case('travelling waves', partial(by_waves, WaveStepper(rig)), error=error),
         Case('closed form', lambda: float(first_releases(**ratios).ejection_phase), error=error),
         Case(f'closed form, {MANY} at once, 1 thread',
              lambda: float(first_releases(**many, threads=1).ejection_phase[0]), MANY, error),
-        Case('travelling waves', partial(by_waves, WaveStepper(rig)), error=error),
         Case('cells', partial(by_waves, CellStepper(rig)), error=error),
         Case('gel of large strain and constant loss, cells',
              lambda: float(throw_many(gel).ejection_time * frequency), error=error_of_gel),

@@ -95,7 +95,6 @@ def plain(number: int, size: int = 100) -> Message:
 def read(path: Path, *topics: str) -> list[tuple[str, bytes, int, int, int]]:
     """Return such rows of the messages of a finished bag, by time, as our reader has them."""
     with BagReader(path) as bag:
-        assert topics or sum(bag.counts.values()) == len(list(bag.messages()))
         return [(message.channel.topic, *message[1:]) for message in bag.messages(topics or None)]
 
 

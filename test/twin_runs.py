@@ -154,6 +154,20 @@ class Run:
         assert all(map(same, again, self.outputs[begin:]))
 
 
+STROKE = [
+    (0.0, 0.0, 0.0, 0.0), (0.015, 2e-3, 0.0, 0.0),
+    (0.03, 1e-3, -0.125, 0.0), (0.045, 0.0, 0.0, 0.0),
+]
+
+
+def stroke(row: int = 0, **changes: float) -> str:
+    """Return the CSV of a stroke from rest to rest, with changes of one of its states."""
+    names = ['t', 'z', 'velocity', 'acceleration']
+    rows = [dict(zip(names, state, strict=True)) for state in STROKE]
+    rows[row] |= changes
+    return '\n'.join([','.join(names), *(','.join(map(str, row.values())) for row in rows)])
+
+
 MEASUREMENT = TwinConfig.from_settings(TWIN.defaults()).measurement
 PLATE = MEASUREMENT.plate
 INTERVAL = 200_000  # [ns]

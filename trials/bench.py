@@ -167,8 +167,8 @@ def is_good(thrown: ImperfectThrow) -> bool:
     return 0.0 < release.time < _LATEST / engine.frequency and release.velocity > fast
 
 
-def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
-    """Return the true parameters of rig and sensors, and the true first release."""
+def truth_of(thrown: ImperfectThrow) -> dict[str, float]:
+    """Return the true parameters of the rig, and the true first release."""
     rig, release = thrown.rig, thrown.events[0]
     peak = Underdamped.of(rig.engine).peak_velocity
     values = values_of(rig, PARAMETERS)
@@ -176,9 +176,6 @@ def truth_of(thrown: ImperfectThrow, faults: SensorFaults) -> dict[str, float]:
         values['layer.rest_wave_speed'] = values.pop('layer.wave_speed')
     return {
         **values,
-        'projectile.scale': faults.projectile_scale,
-        'projectile.delay': faults.projectile_delay,
-        'projectile.sticking': 0.0,
         'ejection.time': release.time,
         'ejection.speed': release.velocity,
         'ejection.peak_plate_speed': peak,

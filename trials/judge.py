@@ -9,7 +9,6 @@ import contextlib
 from dataclasses import dataclass
 import io
 import json
-import math
 import multiprocessing
 import os
 from pathlib import Path
@@ -40,8 +39,6 @@ class Deviation(NamedTuple):
     @property
     def errors(self) -> float:
         """Absolute deviation from the true value [standard errors]."""
-        if self.error == math.inf:
-            return 0.0
         return abs(self.value - self.truth) / max(self.error, 1e-12 * abs(self.truth))
 
     @property
@@ -115,28 +112,15 @@ def compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Dev
     Near a jump of the ejection time the command reports the release one echo earlier or later as
     an alternative with its own value and error. The nearer one of the two counts.
     """
-    results = {name: [value] for name, value in report.get('found', {}).items()}
-    results['layer.rest_wave_speed'] = [(report.get('answer') or {}).get('rest_wave_speed')]
-    ejection = report.get('ejection') or {}
-    for name in truth:
-        group, _, key = name.partition('.')
-        if group == 'ejection' and key in ejection:
-            releases = [ejection, *ejection.get('alternatives', ())]
-            results[name] = [release[key] for release in releases if key in release]
-    deviations = {}
-    for name in filter(truth.__contains__, results):
-        candidates = [
-            Deviation(value['value'], _or_infinite(value['error']), truth[name])
-            for value in results[name]
-            if value and value['value'] is not None
-        ]
-        if candidates:
-            deviations[name] = min(candidates, key=lambda deviation: deviation.errors)
+    deviations: dict[str, Deviation] = {}
+    for row in report.get('rows', ()):
+        name = row['name']
+        if name in truth and row['error'] is not None:
+            deviation = Deviation(row['value'], row['error'], truth[name])
+            deviations[name] = min(
+                deviation, deviations.get(name, deviation), key=lambda item: item.errors
+            )
     return deviations
-
-
-def _or_infinite(error: float | None) -> float:
-    return math.inf if error is None else error
 
 
 def end_with_parent() -> None:

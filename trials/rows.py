@@ -39,7 +39,7 @@ def _draw(bench: Bench, random: Random, *arguments: str, is_exact: bool = False)
     return Trial(
         records=(bench.measure(thrown, random),),
         arguments=(*measured_options(thrown.rig, None if is_exact else random), *arguments),
-        truth=truth_of(thrown, bench.faults),
+        truth=truth_of(thrown),
     )
 
 
@@ -66,7 +66,7 @@ def _uncertain(random: Random) -> Trial:
     return Trial(
         records=(bench.measure(thrown, random),),
         arguments=tuple(arguments),
-        truth=truth_of(thrown, bench.faults),
+        truth=truth_of(thrown),
     )
 
 
@@ -90,7 +90,7 @@ def _three_throws(random: Random) -> Trial:
     return Trial(
         records=tuple(bench.measure(thrown, random) for thrown in throws),
         arguments=measured_options(first, random),
-        truth=truth_of(mean, bench.faults),
+        truth=truth_of(mean),
     )
 
 

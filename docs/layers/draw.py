@@ -1,14 +1,9 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Compute the tables of docs/design.md on loss, large strain and stacks, and draw the best stacks.
-
-`python docs/layers/draw.py` updates page and picture; `--output DIR` draws the picture elsewhere.
-"""
+"""Compute the tables of docs/design.md on loss and stacks, and draw the best stacks."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 import math
@@ -46,11 +41,7 @@ LOSSES = (0.0, 0.02, 0.05, 0.1, 0.2)
 STRAINS = (math.inf, 0.2)
 """Largest strains of the table. [-]"""
 
-_SEARCH_CELLS = 32
-"""Number of cells during the search."""
-
-_CELLS = 256
-"""Number of cells of the results."""
+_SEARCH_CELLS, _CELLS = 32, 256  # cells during the search, and of the results
 
 
 class Best(NamedTuple):
@@ -68,17 +59,7 @@ def thrown(layer: Layer, cells: int = _CELLS) -> tuple[float, float]:
 
 
 def find_best(sheets: int, max_strain: float) -> Best:
-    """
-    Find the best stack by a global random search, because alpha jumps.
-
-    Parameters
-    ----------
-    sheets : int
-        Number of lossless sheets, each from `LOW` to `HIGH`.
-    max_strain : float
-        Largest strain of a sheet. [-]
-
-    """
+    """Find the best stack of lossless sheets by a global random search, because alpha jumps."""
 
     def stack(logs: Floats) -> Layer:
         return Layer.of_sheets(
@@ -105,13 +86,6 @@ def find_best(sheets: int, max_strain: float) -> Best:
     return Best(layer, *thrown(layer))
 
 
-def best_stacks() -> Iterator[tuple[int, float, Best]]:
-    """Find the best lossless stacks of one, two and three sheets for each largest strain."""
-    for max_strain in STRAINS:
-        for sheets in (1, 2, 3):
-            yield sheets, max_strain, find_best(sheets, max_strain)
-
-
 def loss_table() -> Iterator[tuple[str, ...]]:
     """Yield the rows on loss: the lossless optimum and the best layer for each loss tangent."""
     lossless = recommend(Rig()).rig.layer
@@ -133,10 +107,14 @@ def stack_table(stacks: Sequence[tuple[int, float, Best]]) -> Iterator[tuple[str
             for sheet in best.layer.sheets
         ]
         alpha, _ = thrown(Layer.of_sheets(tuple(real)))
+        sheets = ', '.join(
+            f'{sheet.thickness:.4g} {sheet.wave_speed:.4g} {sheet.density:.4g}'
+            for sheet in best.layer.sheets
+        )
         yield (
             str(count),
             'any' if math.isinf(max_strain) else f'{1e2 * max_strain:g} %',
-            f'`{text_of(best.layer)}`',
+            f'`{sheets}`',
             f'{best.energy_transfer:.2f}', f'{1e2 * best.strain:.0f} %', f'{alpha:.2f}',
         )
 
@@ -151,14 +129,6 @@ def summary(stacks: Sequence[tuple[int, float, Best]]) -> str:
         f'material, and three with {more[3, limited]:.0f} %,\nif no sheet is to be compressed by '
         f'more than {1e2 * limited:g} %; without that limit with {more[2, free]:.0f} % and '
         f'{more[3, free]:.0f} %.'
-    )
-
-
-def text_of(layer: Layer) -> str:
-    """Return the sheets in the syntax of the parameter `layer.stack`."""
-    return ', '.join(
-        f'{sheet.thickness:.4g} {sheet.wave_speed:.4g} {sheet.density:.4g}'
-        for sheet in layer.sheets
     )
 
 
@@ -203,24 +173,18 @@ STACK_HEAD = (
 )
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Update the page and its picture; return 0."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument(
-        '--output', metavar='DIR', type=Path, help='draw there, and do not update the page'
-    )
-    arguments = parser.parse_args(args)
-    stacks = list(best_stacks())
+def main() -> None:
+    """Update the page and its picture."""
+    stacks = [
+        (sheets, max_strain, find_best(sheets, max_strain))
+        for max_strain in STRAINS for sheets in (1, 2, 3)
+    ]
     with style.settings():
-        draw(stacks, PICTURE if arguments.output is None else arguments.output / PICTURE.name)
-    if arguments.output is None:
-        page = PAGE.read_text(encoding='utf-8')
-        page = replace_part(page, 'loss', table(LOSS_HEAD, list(loss_table())))
-        part = f'{summary(stacks)}\n\n{table(STACK_HEAD, list(stack_table(stacks)))}'
-        page = replace_part(page, 'stacks', part)
-        PAGE.write_text(page, encoding='utf-8')
-    return 0
+        draw(stacks, PICTURE)
+    page = replace_part(PAGE.read_text('utf-8'), 'loss', table(LOSS_HEAD, loss_table()))
+    part = f'{summary(stacks)}\n\n{table(STACK_HEAD, stack_table(stacks))}'
+    PAGE.write_text(replace_part(page, 'stacks', part), 'utf-8')
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    main()

@@ -8,19 +8,16 @@ from dataclasses import dataclass
 import functools
 import math
 
-from best import best_ratios
 from fits import SLOPE, SLOPE_ERROR
 import limits
 from models import (
+    best_ratios,
     DAMPING_RATIO,
     period_of_free_layer,
     PROJECTILE_DENSITY,
     releases_at,
-    releases_of,
-    rig_of,
     SERIES,
     Series,
-    THICKNESSES,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -29,20 +26,12 @@ from scipy.optimize import bisect, minimize_scalar
 from soft_throw_ros.core.closed_form import first_releases, spring_release
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig, scales_of, STANDARD_GRAVITY, values_of
-from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.core.wave_stepper import throw_batch
-from soft_throw_ros.design.prediction import predict
 
 Floats = NDArray[np.float64]
 
-_LOSS_TANGENT = 0.02
-"""Loss tangent of the lossy layers. [-]"""
-
 _LIGHT = 1e-6
 """Mass ratio of a projectile that does not load the layer. [-]"""
-
-_NEARLY_LIGHT = 0.02
-"""The same for cells, whose time step decreases with the mass of the projectile. [-]"""
 
 
 @dataclass(frozen=True)
@@ -50,18 +39,12 @@ class Row:
     """A quantity of the paper."""
 
     quantity: str
-    where: str
-    """Section or figure of the paper."""
-    paper: str
-    """Text of the paper: a number, exact to half a unit of its last digit, or another text."""
-    ours: float | tuple[float, float]
-    """Computed value, or smallest and largest computed value."""
-    digits: int
-    """Number of decimals of `ours` in the table."""
-    why: str = ''
-    """Reason of a difference, or a remark."""
-    allowed: float | tuple[float, float] | None = None
-    """Result of a formula, or smallest and largest value that another text allows."""
+    where: str  # section or figure of the paper
+    paper: str  # a number, exact to half a unit of its last digit, or another text
+    ours: float | tuple[float, float]  # computed value, or smallest and largest one
+    digits: int  # decimals of `ours` in the table
+    why: str = ''  # reason of a difference, or a remark
+    allowed: float | tuple[float, float] | None = None  # of a formula, or range of another text
 
     @property
     def agrees(self) -> bool:
@@ -223,59 +206,17 @@ def _misprint(number: float) -> str:
     )
 
 
-@functools.lru_cache(maxsize=1)
-def beyond() -> tuple[tuple[str, str], ...]:
-    """Compute quantities beyond the paper for builders of a rig: their names and texts."""
+def optima() -> list[tuple[str, str]]:
+    """Return the best layers with a damped plate: their names and results."""
     layers = {zeta: best_ratios(zeta) for zeta in (0.0, DAMPING_RATIO, 0.2)}
-    optima = (
+    return [
         (
             f'best layer for zeta = {zeta:g}',
             f'mu = {layer.mass_ratio:.4f}, kappa = {layer.speed_ratio:.4f}: '
             f't_e f = {layer.ejection_phase:.4f}, alpha = {layer.energy_transfer:.4f}',
         )
         for zeta, layer in layers.items()
-    )
-    best = layers[0.0]
-    lossy = _alpha_with_loss(best.mass_ratio, best.speed_ratio)
-    soft_ratio, soft = _best_with_loss()
-    thin = releases_of(SERIES[2].rig(THICKNESSES[0], damping_ratio=0.0), periods=3.0)
-    return (
-        *optima,
-        (
-            f'alpha of the first with a loss tangent of {_LOSS_TANGENT:g} at f',
-            f'{lossy:.3f}',
-        ),
-        (
-            'best layer with that loss',
-            f'thick and soft: mu -> 0, kappa = {soft_ratio:.1f}, alpha = {soft:.2f}',
-        ),
-        (
-            'alpha of the third series with 2.0 mm',
-            f'{thin[0][1] ** 2:.3f} at the first release, {thin[-1][1] ** 2:.3f} at the last',
-        ),
-        *(_fact_of_gravity(frequency) for frequency in (63.2, 31.1)),
-        _fact_of_sag(),
-        (
-            'an elastic projectile, E_r = 3.6 GPa',
-            f't_e and V_e change by at most {_change_by_elasticity():.0e}',
-        ),
-    )
-
-
-def throws_of_the_rig() -> list[tuple[str, ...]]:
-    """Return the results of six layers in three series, with damping and without gravity."""
-    rows = []
-    for thickness in THICKNESSES:
-        throws = [predict(series.rig(thickness, damping_ratio=DAMPING_RATIO)) for series in SERIES]
-        columns = zip(*(
-            (
-                f'{1e3 * throw.ejection_time:.2f}', f'{throw.ejection_speed:.3f}',
-                f'{throw.energy_transfer:.2f}', f'{100.0 * throw.peak_strain:.1f}',
-            )
-            for throw in throws
-        ), strict=True)
-        rows.append((f'{1e3 * thickness:.1f}', *(', '.join(column) for column in columns)))
-    return rows
+    ]
 
 
 def _range(values: Floats) -> tuple[float, float]:
@@ -331,61 +272,3 @@ def _change_by_damping(series: Series) -> Floats:
         series.throws(damping_ratio=zeta).energy_transfer for zeta in (0.0, DAMPING_RATIO)
     )
     return 100.0 * (damped / harmonic - 1.0)
-
-
-def _fact_of_gravity(frequency: float) -> tuple[str, str]:
-    """Return the changes of t_e and V_e of the six layers by gravity."""
-    later, slower = [], []
-    for series in SERIES:
-        if series.frequency == frequency:
-            without, under = (
-                series.throws(damping_ratio=DAMPING_RATIO, gravity=gravity)
-                for gravity in (0.0, STANDARD_GRAVITY)
-            )
-            later += list(100.0 * (under.ejection_time / without.ejection_time - 1.0))
-            slower += list(100.0 * (1.0 - under.ejection_speed / without.ejection_speed))
-    return (
-        f'gravity of {STANDARD_GRAVITY:g} m/s2 at {frequency:g} Hz',
-        f't_e later by {min(later):.1f} to {max(later):.1f} %, V_e lower by up to '
-        f'{max(slower):.2f} %',
-    )
-
-
-def _fact_of_sag() -> tuple[str, str]:
-    """Return the static sag of the thickest layer under the projectile and its own weight."""
-    layer = Layer(thickness=THICKNESSES[-1])
-    longest = max(series.projectile_length for series in SERIES)
-    per_length = STANDARD_GRAVITY * layer.thickness / layer.youngs_modulus
-    by_projectile = 1e3 * PROJECTILE_DENSITY * longest * per_length
-    by_itself = 1e3 * 0.5 * layer.density * layer.thickness * per_length
-    return (
-        'static sag of the thickest layer',
-        f'{by_projectile:.2f} mm by the projectile, {by_itself:.2f} mm by the layer (neglected)',
-    )
-
-
-def _change_by_elasticity() -> float:
-    """Return the largest relative change of t_e and V_e by the elasticity of the projectile."""
-    changes = []
-    for series in SERIES:
-        rigid = series.throws(damping_ratio=0.0)
-        rigs = [series.rig(thickness, damping_ratio=0.0) for thickness in THICKNESSES]
-        elastic = np.array([scheme.releases(rig, cells=400)[0] for rig in rigs]).T
-        changes.append(elastic[0] / (rigid.ejection_time * series.frequency) - 1.0)
-        changes.append(elastic[1] * series.engine_speed / rigid.ejection_speed - 1.0)
-    return float(np.max(np.abs(changes)))
-
-
-def _alpha_with_loss(mass_ratio: float, speed_ratio: float) -> float:
-    """Return the energy transfer of a lossy layer, from cells."""
-    rig = rig_of(mass_ratio=mass_ratio, speed_ratio=speed_ratio, loss_tangent=_LOSS_TANGENT)
-    return simulate(rig).energy_transfer
-
-
-def _best_with_loss() -> tuple[float, float]:
-    """Return the best speed ratio of a thick layer with loss, and its energy transfer."""
-    result = minimize_scalar(
-        lambda speed_ratio: -_alpha_with_loss(_NEARLY_LIGHT, speed_ratio),
-        bounds=(5.0, 6.6), method='bounded', options={'xatol': 0.05},
-    )
-    return float(result.x), -float(result.fun)

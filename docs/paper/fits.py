@@ -1,21 +1,18 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Figs. 8 to 10: measurement of the wave speed and of the motion of the plate.
-
-The measurements of the paper are not available; computed data replace them, as captions say.
-"""
+"""Figs. 8 to 10: measurements of the paper that are not at hand, replaced by computed data."""
 
 from __future__ import annotations
 
 import math
 
 from matplotlib.figure import Figure
-from models import DAMPING_RATIO, ERRORS, THICKNESSES
+from models import DAMPING_RATIO, THICKNESSES
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer
+from soft_throw_ros.design.uncertainty import Uncertainties
 from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
 from soft_throw_ros.identification.tracks import Track
 from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, RED
@@ -37,22 +34,9 @@ RATE = 5000.0
 
 def ringing(time: Floats, period: float, *, loss_tangent: float = 0.02) -> Floats:
     """
-    Compute the length change of a free layer that is released from a uniform stretch.
+    Return the length of a free layer after a uniform stretch of 1.
 
-    Parameters
-    ----------
-    time : ndarray
-        Times after the release. [s]
-    period : float
-        Period of the first mode. [s]
-    loss_tangent : float
-        Kelvin-Voigt loss of the first mode; the n-th mode decays n^2 times as fast. [-]
-
-    Returns
-    -------
-    ndarray
-        Length change in units of the first stretch. [-]
-
+    The loss is that of Kelvin and Voigt, so that the n-th mode decays n^2 times as fast.
     """
     odd = np.arange(1.0, 40.0, 2.0)
     phase = 2.0 * math.pi * time[:, None] / period
@@ -81,16 +65,17 @@ def draw_free_layers() -> Figure:
                   xlim=(0.0, 22.0), ylim=(-1.15, 1.45))
     thickness = np.array([0.0, 32e-3])
     panels[1].fill_between(
-        MILLI * thickness, MILLI * 2.0 * thickness / (speed + ERRORS.wave_speed),
-        MILLI * 2.0 * thickness / (speed - ERRORS.wave_speed), color='0.85', lw=0,
-        label=f'$c_s$ = {speed:g} $\\pm$ {ERRORS.wave_speed:g} m/s',
+        MILLI * thickness, MILLI * 2.0 * thickness / (speed + Uncertainties().wave_speed),
+        MILLI * 2.0 * thickness / (speed - Uncertainties().wave_speed), color='0.85', lw=0,
+        label=f'$c_s$ = {speed:g} $\\pm$ {Uncertainties().wave_speed:g} m/s',
     )
     panels[1].plot(
         MILLI * thickness, MILLI * SLOPE * thickness, color=RED, ls='--',
         label=f'paper: $T_0 / L_s$ = {SLOPE:g} s/m, $c_s$ = {2.0 / SLOPE:.2f} m/s',
     )
     panels[1].errorbar(
-        MILLI * THICKNESSES, MILLI * 2.0 * THICKNESSES / speed, xerr=MILLI * ERRORS.thickness,
+        MILLI * THICKNESSES, MILLI * 2.0 * THICKNESSES / speed,
+        xerr=MILLI * Uncertainties().thickness,
         fmt='o', color=BLACK, mec='white', ms=7, label="the rig's six layers, computed",
     )
     panels[1].set(title='(b) period', xlabel='thickness $L_s$ (mm)', ylabel='$T_0$ (ms)',
@@ -109,10 +94,11 @@ def plate_track() -> Track:
 def draw_plate_fit() -> Figure:
     """Draw Fig. 10: the motion of the plate, the fitted damped step, and the residual."""
     track = plate_track()
-    fitted = fit_plate(track, offset=0.0)
-    parameters = {name: fitted.fit[name] for name in NAMES[:3]}
-    frequency, damping, amplitude = parameters.values()
-    plate = Underdamped(**{name: parameter.value for name, parameter in parameters.items()})
+    fitted = fit_plate(track)
+    frequency, damping, amplitude, start, offset = (fitted[name] for name in NAMES)
+    plate = Underdamped(
+        frequency=frequency.value, damping_ratio=damping.value, amplitude=amplitude.value
+    )
     figure, panels = new_figure(
         'Fig. 10   App. D: the motion of the plate, a damped step',
         f'Track computed with the rig of the paper and {NOISE * 1e6:g} $\\mu$m of noise at '
@@ -125,13 +111,14 @@ def draw_plate_fit() -> Figure:
     panels[0].plot(MILLI * track.time, MILLI * track.position, '.', color=BLUE, ms=5,
                    label='heights of the plate')
     panels[0].plot(
-        MILLI * fine, MILLI * plate.position(fine - fitted.start_time), color=BLACK, lw=1.4,
+        MILLI * fine, MILLI * (offset.value + plate.position(fine - start.value)),
+        color=BLACK, lw=1.4,
         label=f'fit: $f$ = {frequency.value:.2f} $\\pm$ {frequency.error:.2f} Hz, '
         f'$\\zeta$ = {damping.value:.4f} $\\pm$ {damping.error:.4f}, '
         f'$A$ = {MILLI * amplitude.value:.3f} $\\pm$ {MILLI * amplitude.error:.3f} mm',
     )
     panels[1].axhline(0.0, color=BLACK, lw=0.8)
-    panels[1].plot(MILLI * track.time, 1e6 * fitted.fit.residuals[0].values, '.', color=BLUE, ms=4)
+    panels[1].plot(MILLI * track.time, 1e6 * fitted.residuals[0].values, '.', color=BLUE, ms=4)
     panels[0].set(title='(a) height', ylabel='$z_p$ (mm)', ylim=(-0.3, 4.0))
     panels[1].set(title='(b) residual', ylabel=r'($\mu$m)', xlabel='time $t$ (ms)',
                   xlim=(-5.0, 60.0), ylim=(-90.0, 90.0))

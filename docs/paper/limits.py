@@ -57,66 +57,10 @@ def light_projectile(omega_tau: ArrayLike) -> ThickLayer:
     return ThickLayer(0.5 * math.pi + delay, 4.0 * np.cos(delay) ** 2)
 
 
-def light_projectile_as_printed(omega_tau: ArrayLike) -> ThickLayer:
-    r"""
-    Return App. C(i) as printed: another sign, no factor 1/e, no arctan, and 2 instead of 4.
-
-    Notes
-    -----
-    With :math:`d = \omega \tau + e^{-\pi / (2 \omega \tau)}`, the angle is :math:`\pi / 2 + d`
-    and the transfer factor :math:`4 - 2 d^2`.
-
-    """
-    omega_tau = np.asarray(omega_tau, dtype=np.float64)
-    delay = omega_tau + np.exp(-math.pi / (2.0 * omega_tau))
-    return ThickLayer(0.5 * math.pi + delay, 4.0 - 2.0 * delay**2)
-
-
 def heavy_projectile(omega_tau: ArrayLike) -> ThickLayer:
     r"""Return the approximation for large :math:`\omega \tau`, App. C(ii)."""
     omega_tau = np.asarray(omega_tau, dtype=np.float64)
     return ThickLayer(math.pi - 2.0 / omega_tau + math.pi / omega_tau**2, 16.0 / omega_tau**2)
-
-
-def draw_thick_layer() -> Figure:
-    """Draw App. C: releases before the wave returns."""
-    figure, panels = style.new_figure(
-        'App. C   Released from a thick layer before the wave comes back',
-        r'Only $\omega\tau = 2\pi m c_s f / E_s S$ counts. For small $\omega\tau$ the paper '
-        r'prints $4 - 2\,(\omega\tau + e^{-\pi/2\omega\tau})^2$;'
-        '\n'
-        r'exact is $\alpha \to 4\,/\,(1 + (\omega\tau)^2)$.',
-        height=4.4, grid=(1, 3),
-    )
-    near = np.linspace(0.02, 1.6, 400)
-    wide = np.geomspace(0.02, 200.0, 400)
-    for axes, values, curve in (
-        (panels[0], near, exact(near).angle / math.pi),
-        (panels[1], near, exact(near).energy_transfer),
-        (panels[2], wide, exact(wide).energy_transfer),
-    ):
-        axes.plot(values, curve, color=style.BLACK, lw=2.0, label='exact')
-    for approximate, color, dashes, label in (
-        (light_projectile, style.BLUE, '--', r'App. C(i) for small $\omega\tau$, corrected'),
-        (light_projectile_as_printed, style.RED, ':', 'the same as printed'),
-    ):
-        values = approximate(near)
-        panels[0].plot(near, values.angle / math.pi, color=color, ls=dashes, label=label)
-        panels[1].plot(near, values.energy_transfer, color=color, ls=dashes, label=label)
-    large = wide[wide > 3.0]
-    label = r'App. C(ii) for large $\omega\tau$: $16/(\omega\tau)^2$'
-    heavy = heavy_projectile(large).energy_transfer
-    panels[2].plot(large, heavy, color=style.GREEN, ls='--', label=label)
-    panels[0].set(title='(a) when', ylabel=r'$\omega\,(t_e - t_s)\,/\,\pi$', ylim=(0.45, 1.05))
-    panels[1].set(title='(b) how much', ylabel=r'energy transfer $\alpha$', ylim=(0.0, 4.2))
-    panels[2].set(title='(c) over a wide range', ylabel=r'energy transfer $\alpha$', xscale='log',
-                  yscale='log', xlim=(0.02, 200.0), ylim=(3e-4, 10.0))
-    for axes in panels:
-        axes.set_xlabel(r'$\omega\tau$')
-    for axes in panels[:2]:
-        axes.set_xlim(0.0, 1.6)
-    panels[1].plot(0.0, 4.0, **style.PAPER, clip_on=False, label=r'paper: $\alpha = 4$')
-    return style.legend_below(figure, panels[1], panels[2], columns=3)
 
 
 def best_frequency_ratio() -> float:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Figs. 3, 4, 6 and 11 and the map of re-contacts: results over thickness and wave speed."""
+"""Figs. 3, 4, 6 and 11: results over thickness and wave speed."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from collections.abc import Sequence
 import functools
 from typing import Any, Literal
 
-from best import best_ratios
 import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from models import DAMPING_RATIO, releases_at, releases_of, rig_of, SERIES
+from models import best_ratios, DAMPING_RATIO, releases_at, SERIES
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.closed_form import FirstRelease
@@ -58,24 +57,15 @@ def _show(
     *,
     extend: Literal['neither', 'both', 'max'] = 'neither',
     ticks: Sequence[float] | None = None,
-    grid: tuple[Floats, Floats] = GRID,
 ) -> None:
     """Show values of shape (x, C) as bands of colour between levels, with a colour bar."""
     bands = mpl.colormaps[colours]
-    half_steps = [0.5 * (points[1] - points[0]) for points in grid]
-    extent = [
-        end for points, half in zip(grid, half_steps, strict=True)
-        for end in (points[0] - half, points[-1] + half)
-    ]
     image = axes.imshow(
         np.asarray(values).T, origin='lower', aspect='auto', interpolation='nearest',
-        extent=tuple(extent), cmap=bands, norm=BoundaryNorm(levels, bands.N, extend=extend),
+        extent=(0.0, 1.0, 0.0, C_END), cmap=bands,
+        norm=BoundaryNorm(levels, bands.N, extend=extend),
     )
     figure.colorbar(image, ax=axes, label=label, ticks=ticks, pad=0.01)
-    _label(axes, title)
-
-
-def _label(axes: Axes, title: str) -> None:
     axes.set(title=title, xlim=(0.0, 1.0), ylim=(0.0, C_END), xlabel=X_LABEL, ylabel=C_LABEL)
     axes.label_outer()
 
@@ -221,35 +211,3 @@ def draw_damped_maps() -> Figure:
         _mark_optimum(axes, DAMPING_RATIO, 'damped optimum', marker='D')
     _draw_series(panels[0, 1])
     return legend_below(figure, panels[0, 1], columns=2)
-
-
-def recontacts_at(x: float, c: float) -> tuple[int, float]:
-    """Return the number of re-contacts in 2.5 plate periods and the alpha of the last release."""
-    releases = releases_of(rig_of(mass_ratio=(1.0 - x) / x, speed_ratio=c / x), periods=2.5)
-    return len(releases) - 1, releases[-1][1] ** 2
-
-
-def draw_recontacts() -> Figure:
-    """Draw the number of re-contacts and the energy transfer of the last release."""
-    figure, panels = new_figure(
-        'After the release   Where the layer catches up with the projectile',
-        'Equal densities, harmonic plate that goes on, no gravity. Slow waves, well within $C$ < '
-        '2, and thin stiff layers,\nwhere the last release, not the first, tends to that of a '
-        'bare plate; besides, traces beside $t_e$ = 3 and 5 $t_s$.',
-        height=5.0, sharex=True, sharey=True,
-    )
-    x, c = grid = (np.arange(100) + 0.5) / 100, C_END * (np.arange(140) + 0.5) / 140
-    results = np.array([[recontacts_at(xi, ci) for ci in c] for xi in x])
-    count, last = results[..., 0], results[..., 1]
-    blues = ListedColormap(['#f2f2f2', '#9ecae1', '#4292c6', '#08519c', '#041f4a'])
-    image = panels[0].pcolormesh(
-        x, c, np.minimum(count, 4.0).T, cmap=blues, vmin=-0.5, vmax=4.5, shading='nearest'
-    )
-    bar = figure.colorbar(image, ax=panels[0], label='contacts after the release', pad=0.01)
-    bar.set_ticks(range(5), labels=['0', '1', '2', '3', '> 3'])
-    _label(panels[0], '(a) how often')
-    _show(figure, panels[1], r'(b) $\alpha$ of the last release', last, r'$\alpha$', _TRANSFERS,
-          'cividis', extend='max', grid=grid)
-    again = np.where(count > 0.0, 1.0, 0.0)
-    panels[1].contour(x, c, again.T, levels=[0.5], colors='white', linewidths=0.8)
-    return figure

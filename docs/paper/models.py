@@ -5,17 +5,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
+from scipy.optimize import minimize
 from soft_throw_ros.core.closed_form import first_releases, FirstRelease
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import throw_many, Throws
 from soft_throw_ros.core.wave_stepper import WaveStepper
-from soft_throw_ros.design.uncertainty import Uncertainties
 
 Floats = NDArray[np.float64]
 
@@ -27,12 +28,6 @@ DAMPING_RATIO = 0.064
 
 PROJECTILE_DENSITY = 1300.0
 """Density of the projectiles. [kg/m3]"""
-
-ERRORS = Uncertainties()
-"""Standard deviations that the paper gives."""
-
-_DRAWS = 2000
-"""Number of random rigs from which error bars are computed."""
 
 
 def releases_at(x: ArrayLike, c: ArrayLike, *, damping_ratio: float = 0.0) -> FirstRelease:
@@ -63,33 +58,45 @@ def releases_of(rig: Rig, *, periods: float) -> list[tuple[float, float]]:
     ]
 
 
-class Errors(NamedTuple):
-    """Lengths of error bars below and above the predicted values, shape (2, layers)."""
+class BestRatios(NamedTuple):
+    """Mass ratio, speed ratio and their release: t_e f and energy transfer factor [-]."""
 
-    x: Floats
-    ejection_phase: Floats
-    energy_transfer: Floats
+    mass_ratio: float
+    speed_ratio: float
+    ejection_phase: float
+    energy_transfer: float
+
+
+@functools.lru_cache(maxsize=64)
+def best_ratios(damping_ratio: float) -> BestRatios:
+    """
+    Find the mass and speed ratio that transfer the most energy without limits, gravity and loss.
+
+    Examples
+    --------
+    >>> best = best_ratios(0.064)
+    >>> round(best.mass_ratio, 5), round(best.speed_ratio, 5), round(best.energy_transfer, 6)
+    (0.2554, 8.57592, 4.142897)
+
+    """
+    def loss(logs: Floats) -> float:
+        mu, kappa = np.exp(logs)
+        release = first_releases(mass_ratio=mu, speed_ratio=kappa, damping_ratio=damping_ratio)
+        return -float(release.energy_transfer)
+
+    found = minimize(loss, np.log([0.26, 8.5]), method='Nelder-Mead', tol=1e-10)
+    mu, kappa = np.exp(found.x).tolist()
+    release = first_releases(mass_ratio=mu, speed_ratio=kappa, damping_ratio=damping_ratio)
+    return BestRatios(mu, kappa, float(release.ejection_phase), -found.fun)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """
-    One projectile on one engine, thrown from layers of one material.
+    """One projectile on one engine, thrown from layers of one material."""
 
-    Parameters
-    ----------
-    frequency : float
-        Frequency of the plate. [Hz]
-    projectile_length : float
-        Length of the projectile. [m]
-    printed : str
-        Value of `speed` in the paper.
-
-    """
-
-    frequency: float
-    projectile_length: float
-    printed: str
+    frequency: float  # of the plate [Hz]
+    projectile_length: float  # [m]
+    printed: str  # value of `speed` in the paper
 
     @property
     def speed(self) -> float:
@@ -133,41 +140,6 @@ class Series:
         changes = {'thickness': thickness, 'damping_ratio': damping_ratio, **changes}
         return throw_many(rig, changes, loads=loads)
 
-    def errors(self, *, damping_ratio: float) -> Errors:
-        """
-        Compute the uncertainties of the throws from the six layers.
-
-        Notes
-        -----
-        Wave speed, thickness, frequency and a nonzero damping ratio have the standard deviations
-        of the paper. Jumps of the release time forbid linear propagation, so the bars are the
-        16 % and 84 % quantiles of random rigs, which are the same in every run.
-
-        """
-        deviations = np.random.default_rng(0).standard_normal((4, _DRAWS, 1))
-        damping_error = ERRORS.damping_ratio if damping_ratio else 0.0
-        thickness = THICKNESSES + ERRORS.thickness * deviations[0]
-        frequency = self.frequency + ERRORS.frequency * deviations[2]
-        throws = self.throws(
-            thickness,
-            wave_speed=Layer().wave_speed + ERRORS.wave_speed * deviations[1],
-            frequency=frequency,
-            damping_ratio=damping_ratio + damping_error * deviations[3],
-        )
-        expected = self.throws(damping_ratio=damping_ratio)
-
-        def around(values: ArrayLike, middle: ArrayLike) -> Floats:
-            low, high = np.quantile(np.asarray(values), (0.16, 0.84), axis=0)
-            return np.maximum([middle - low, high - middle], 0.0)
-
-        return Errors(
-            x=around(self.x_of(thickness), self.x_of(THICKNESSES)),
-            ejection_phase=around(
-                throws.ejection_time * frequency, expected.ejection_time * self.frequency
-            ),
-            energy_transfer=around(throws.energy_transfer, expected.energy_transfer),
-        )
-
 
 SERIES = (
     Series(frequency=63.2, projectile_length=16.3e-3, printed='7.57'),
@@ -178,12 +150,10 @@ SERIES = (
 
 
 def period_of_free_layer(cells: int) -> float:
-    """Return the longest period of a bar that is free at both ends, in crossings."""
-    # The end cells have half the mass; the scaled matrix is symmetric
-    mass = np.ones(cells + 1)
-    mass[[0, -1]] = 0.5
-    stiffness = np.full(cells + 1, 2.0)
+    """Return the longest period of a row of masses that is free at both ends, in crossings."""
+    stiffness = np.full(cells, 2.0)
     stiffness[[0, -1]] = 1.0
-    coupling = -1.0 / np.sqrt(mass[:-1] * mass[1:])
-    _, lowest = eigvalsh_tridiagonal(stiffness / mass, coupling, select='i', select_range=(0, 1))
+    _, lowest = eigvalsh_tridiagonal(
+        stiffness, -np.ones(cells - 1), select='i', select_range=(0, 1)
+    )
     return 2.0 * math.pi / (math.sqrt(lowest) * cells)

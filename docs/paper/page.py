@@ -7,9 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 import re
 
-from comparison import beyond, published, throws_of_the_rig
-
-_HEADS = ('L_s (mm)', 't_e (ms)', 'V_e (m/s)', 'alpha', 'strain (%)')
+from comparison import optima, published
 
 
 def update_page(page: str) -> str:
@@ -17,8 +15,7 @@ def update_page(page: str) -> str:
     for name, heads, rows in (
         ('published', ('quantity (section)', 'paper', 'ours', 'remark'),
          [row.cells for row in published()]),
-        ('throws', _HEADS, throws_of_the_rig()),
-        ('beyond', ('quantity', 'ours'), beyond()),
+        ('beyond', ('quantity', 'ours'), optima()),
     ):
         page = replace_part(page, name, table(heads, rows))
     return page

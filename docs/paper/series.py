@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scheme import releases
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine
+from soft_throw_ros.design.uncertainty import prediction_uncertainty
 import style
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,7 @@ def draw_series() -> Figure:
         'Fig. 5   Sec. III: the six layers, two projectiles, two frequencies',
         "Harmonic plate, the rig's densities. Lines: exact, rigid projectile, first release. "
         "Points: the paper's layers by\nthe scheme of the paper with an elastic projectile. "
-        'Bars: uncertainties of the rig. Dots: last release.',
+        'Bars: 95 % within the errors of the rig. Dots: last release.',
         height=5.6, sharex=True,
     )
     for series, color, marker in _STYLES:
@@ -59,18 +60,21 @@ def _draw_one(
     _draw_curve(panels, series, damping_ratio, color, 1.4)
     rigs = [series.rig(thickness, damping_ratio=damping_ratio) for thickness in THICKNESSES]
     throws = [releases(rig, cells=200)[0] for rig in rigs]
-    transfers = [(throw.speed / peak_velocity_ratio(damping_ratio)) ** 2 for throw in throws]
-    errors = series.errors(damping_ratio=damping_ratio)
+    bounds = [prediction_uncertainty(rig) for rig in rigs]
     label = (
         f'$f$ = {series.frequency:g} Hz, $L_r$ = {1e3 * series.projectile_length:g} mm: '
         f'$c_s / L_r f$ = {series.speed:.3g} (paper: {series.printed})'
     )
-    for axes, points, error in (
-        (panels[0], [throw.phase for throw in throws], errors.ejection_phase),
-        (panels[1], transfers, errors.energy_transfer),
+    scale = peak_velocity_ratio(damping_ratio)
+    for axes, points, intervals in (
+        (panels[0], [throw.phase for throw in throws],
+         series.frequency * np.array([item.ejection_time for item in bounds])),
+        (panels[1], [(throw.speed / scale) ** 2 for throw in throws],
+         np.array([item.energy_transfer for item in bounds])),
     ):
+        below, above = np.maximum([[-1.0], [1.0]] * (intervals.T - points), 0.0)
         axes.errorbar(
-            series.x_of(THICKNESSES), points, xerr=errors.x, yerr=error, fmt=marker, color=color,
+            series.x_of(THICKNESSES), points, yerr=(below, above), fmt=marker, color=color,
             mec='white', ms=7, elinewidth=1.2, capsize=2.5, label=label,
         )
 

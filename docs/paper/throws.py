@@ -37,20 +37,17 @@ _DRAWN_TIME = 0.016
 _GAP = 1.5
 """Distance of a projectile from the middle of a panel of Fig. 1. [mm]"""
 
+_README_TIME = 0.022
+"""End of the pictures of the README. [s]"""
+
 STEP = 2e-4
 """Time between two frames. [s]"""
-
-ANIMATED_TIME = 0.022
-"""Time of the last frame, and end of the picture of the README. [s]"""
 
 _RATE = 15
 """Frames per second; with `STEP`, the picture is slower than the throw by a factor of 333. [Hz]"""
 
 _PAUSE = 15
 """Number of frames for which the last picture stays. [-]"""
-
-_DPI = 90
-"""Resolution. [dots per inch]"""
 
 
 @functools.lru_cache(maxsize=1)
@@ -184,41 +181,37 @@ def draw_traces() -> Figure:
     panels[1].set(
         title='(b) velocities', xlabel='time $t$ (ms)', ylabel='velocity (m/s)', ylim=(-0.75, 1.75)
     )
-    _mark_crossings(panels, MILLI * throw.rig.crossing_time)
-    _quote_release(panels[1], throw)
-    return style.legend_below(figure, panels[0], columns=4)
-
-
-def _mark_crossings(panels: NDArray[np.object_], crossing: float) -> None:
-    """Draw a line at every whole crossing [ms], labelled in the first panel."""
+    crossing = MILLI * throw.rig.crossing_time
     for k in range(1, int(MILLI * _DRAWN_TIME / crossing) + 1):
         for axes in panels:
             axes.axvline(k * crossing, color='0.9', lw=0.8, zorder=0)
-        name = '$t_s$' if k == 1 else f'${k}\\,t_s$'
-        panels[0].text(k * crossing, 16.4, name, color='0.5', ha='center', va='top')
+        panels[0].text(k * crossing, 16.4, f'${k}\\,t_s$', color='0.5', ha='center', va='top')
+    _quote_release(panels[1], throw, (1.2, 1.3), throw.ejection_speed)
+    text = f'$V_p^*$ = {throw.peak_plate_speed:.3f} m/s'
+    panels[1].text(15.9, throw.peak_plate_speed + 0.05, text, color=BARE, ha='right')
+    return style.legend_below(figure, panels[0], columns=4)
 
 
-def _quote_release(axes: Axes, throw: Throw) -> None:
-    """Label the release and the largest speed of the plate."""
+def _quote_release(
+    axes: Axes, throw: Throw, position: tuple[float, float], height: float
+) -> None:
+    """Label the release at a height of the axes with its results."""
     axes.annotate(
-        f'$t_e$ = {MILLI * throw.ejection_time:.3f} ms, $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
+        f'leaves at $t_e$ = {MILLI * throw.ejection_time:.3f} ms\nwith $V_e$ = '
+        f'{throw.ejection_speed:.3f} m/s,\n'
         rf'$\alpha = (V_e / V_p^*)^2$ = {throw.energy_transfer:.3f}',
-        xy=(MILLI * throw.ejection_time, throw.ejection_speed), xytext=(1.2, 1.3), va='center',
+        xy=(MILLI * throw.ejection_time, height), xytext=position, va='center',
         arrowprops={'arrowstyle': '->', 'color': '0.3'},
     )
-    fastest = throw.peak_plate_speed
-    text = f'$V_p^*$ = {fastest:.3f} m/s'
-    axes.text(15.9, fastest + 0.05, text, color=BARE, ha='right')
 
 
 def draw_throw() -> Figure:
     """Draw the picture of the README: a throw of the default rig, with the strain of the layer."""
     rig = Rig()
-    throw = simulate(rig, until=ANIMATED_TIME)
-    time = np.linspace(0.0, ANIMATED_TIME, 1101)
+    throw = simulate(rig, until=_README_TIME)
+    time = np.linspace(0.0, _README_TIME, 1101)
     path = throw.trajectory(time)
     heights, strain = heights_of_layer(throw, time, points=97)
-    release = throw.ejection_time
 
     figure = Figure(figsize=(style.WIDTH, 4.8), layout='constrained')
     axes = figure.subplots()
@@ -241,14 +234,8 @@ def draw_throw() -> Figure:
     after = time >= Underdamped.of(rig.engine).peak_velocity_time
     bare = rig.layer.thickness + bare_flight(throw, time[after])
     axes.plot(MILLI * time[after], MILLI * bare, color=BARE, lw=1.8, ls=(0, (4, 2)))
-    axes.axvline(MILLI * release, color='0.5', lw=0.8, ls=':')
-    axes.annotate(
-        f'leaves at $t_e$ = {MILLI * release:.2f} ms\n'
-        f'with $V_e$ = {throw.ejection_speed:.3f} m/s,\n'
-        rf'$\alpha = (V_e/V_p^*)^2$ = {throw.energy_transfer:.2f}',
-        xy=(MILLI * release, MILLI * throw.first_release.position), xytext=(3.4, 39.0),
-        ha='center', arrowprops={'arrowstyle': '->', 'color': '0.3'},
-    )
+    axes.axvline(MILLI * throw.ejection_time, color='0.5', lw=0.8, ls=':')
+    _quote_release(axes, throw, (1.0, 40.0), MILLI * throw.first_release.position)
     for text, x, y, color, angle in (
         ('projectile', 13.6, 32.2, 'white', 27.0),
         ('from a bare plate, $\\alpha$ = 1', 15.6, 23.9, BARE, 10.5),
@@ -262,9 +249,9 @@ def draw_throw() -> Figure:
 
 def save_animation(path: Path) -> None:
     """Write a throw of the default rig as an animated GIF, which repeats without end."""
-    throw = simulate(Rig(), until=ANIMATED_TIME)
+    throw = simulate(Rig(), until=_README_TIME)
     # Displacements are integrals of velocities, so heights need smaller steps than frames.
-    time = np.linspace(0.0, ANIMATED_TIME, 1 + 10 * round(ANIMATED_TIME / STEP))
+    time = np.linspace(0.0, _README_TIME, 1 + 10 * round(_README_TIME / STEP))
     heights, strain = heights_of_layer(throw, time, points=61)
     limit = 100.0 * np.abs(strain[time < throw.ejection_time]).max()  # colours of Fig. 1
     bare_release = Underdamped.of(throw.rig.engine).peak_velocity_time
@@ -292,4 +279,4 @@ def save_animation(path: Path) -> None:
             return ()
 
         animation = FuncAnimation(figure, draw, frames=frames)
-        animation.save(path, writer=PillowWriter(fps=_RATE), dpi=_DPI)
+        animation.save(path, writer=PillowWriter(fps=_RATE), dpi=90)

@@ -61,7 +61,7 @@ def _lines(design: MotionDesign) -> Iterator[str]:
     ):
         if throw is not None:
             peaks = vars(PlateLimits.of(rig.engine)).items()
-            plate = {f'plate_{key}': value for key, value in peaks if key != 'jerk'}
+            plate = {f'plate_{key}': value for key, value in peaks}
             columns[name] = {**vars(throw), **plate}
     yield from output.table(columns)
     yield from output.strain_warnings(design.rig.layer.linear_range, columns)

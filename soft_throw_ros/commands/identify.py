@@ -9,30 +9,30 @@ Out come a parameter file for the twin, a table with uncertainties, and a figure
 from __future__ import annotations
 
 import argparse
-import sys
 
 from soft_throw_ros.commands import identify_figure
 from soft_throw_ros.commands.identify_input import add_track_options, read_throws
 from soft_throw_ros.commands.identify_report import (
-    add_report_options,
     ejection_rows,
     fit_data,
     fit_lines,
     fit_rows,
     held_rows,
     IdentificationReport,
+    REST_WAVE_SPEED,
     Row,
 )
 from soft_throw_ros.commands.options import (
     add_rig_options,
     argument_of,
     MEASURED_PARAMETERS,
+    new_file,
     read_settings,
     stated_parameters,
 )
-from soft_throw_ros.commands.output import CommandParser, print_note, run_command
+from soft_throw_ros.commands.output import CommandParser, run_command
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.identification.ejection import ejection_of, judge
+from soft_throw_ros.identification.ejection import doubt, ejection_of
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
@@ -44,10 +44,7 @@ from soft_throw_ros.identification.fit_description import (
 )
 from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import fit_rig
-from soft_throw_ros.identification.systematics import FLOORS
-from soft_throw_ros.identification.tracks import ThrowTracks
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
 _NOISE = 'measured.position_noise'  # noise of all heights, if it is stated
@@ -59,14 +56,6 @@ def main(args: list[str] | None = None) -> int:
     return run_command(_parser(), _run, args)
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    description = describe_fit(arguments)
-    settings = read_settings(arguments)
-    report = _identify(arguments, settings, description)
-    report.finish(settings, arguments, 'identify')
-    return 0
-
-
 def _parser() -> CommandParser:
     parser = CommandParser(
         description=__doc__.strip().partition('\n')[0],
@@ -76,19 +65,8 @@ def _parser() -> CommandParser:
         'engine is found. soft-throw track makes such files of videos. A parameter of the rig may '
         "have an error, as in '--mass 0.0012+-1%%'; the fit then finds it, too.",
     )
-    parser.add_argument(
-        'files', metavar='FILE', nargs='+', help='tracks of throws: CSV files, or bags'
-    )
-    add_fit_options(parser)
-    add_track_options(parser)
-    add_report_options(parser)
-    add_rig_options(parser, MEASURED_PARAMETERS)
-    return parser
-
-
-def add_fit_options(parser: CommandParser) -> None:
-    """Add the options that describe a fit; `describe_fit` reads them."""
     add = parser.add_argument
+    add('files', metavar='FILE', nargs='+', help='tracks of throws: CSV files, or bags')
     add(
         '--hold', metavar='NAME', action='append', default=[],
         help='do not fit this parameter, which is known; may be repeated',
@@ -102,16 +80,84 @@ def add_fit_options(parser: CommandParser) -> None:
         help='YAML file of the fit (docs/identify.md): `free`, `fixed`, `prior`, `per_throw`, '
         'and the `topic` of bags',
     )
+    add_track_options(parser)
+    add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
+    add(
+        '--figure', metavar='FILE', type=new_file('.png', '.pdf', '.svg'),
+        help='picture of data, fit and residuals to draw',
+    )
+    parser.add_json_option()
+    add_rig_options(parser, MEASURED_PARAMETERS)
+    return parser
 
 
-def describe_fit(arguments: argparse.Namespace) -> FitDescription:
+def _run(arguments: argparse.Namespace) -> int:
+    description = _describe_fit(arguments)
+    settings: Settings = read_settings(arguments)
+    stated = stated_parameters(arguments)
+    throws, notes = read_throws(
+        arguments,
+        noise=float(settings[_NOISE]) if _NOISE in stated else None,
+        stamp_error=float(settings[_STAMP_ERROR]),
+        topic=description.topic,
+    )
+    is_thrown = any(throw.projectile is not None for throw in throws)
+    if not is_thrown and 'layer.wave_speed' not in description.parameters:
+        description = description.change({'layer.wave_speed': FIXED})
+    description = description.assume(stated)
+    result = fit_rig(throws, rig_of(settings), description)
+    if not result.is_complete:
+        notes.append('the search for a loss and for other minima took too long, and is incomplete')
+    warnings, ejection = fit_warnings(result.fit), None
+    if is_thrown:
+        try:
+            ejection = ejection_of(result)
+        except FitError as error:
+            warnings.append(f'no release is predicted: {error}')
+    relevant = [
+        name for name in PARAMETERS
+        if name in ENGINE or (is_thrown and name not in description.assumed)
+    ]
+    rows = [row for row in fit_rows(result) if row.name in (*relevant, REST_WAVE_SPEED)]
+    found = [row.name for row in rows]
+    if arguments.figure:
+        summary = [f'{row.name.rpartition(".")[2]} {row}' for row in rows]
+        identify_figure.draw_throws(result, ejection, summary, arguments.figure)
+    held = [name for name in (PARAMETERS if is_thrown else ENGINE) if name not in found]
+    rows += held_rows(values_of(result.model.rig, held), description.assumed)
+    rows += ejection_rows(ejection) if ejection else ()
+    rows += [Row.of(name, value) for name, value in result.terms().items()]
+    assumed = ', '.join(name for name in description.assumed if name in held)
+    head = [f'assumed, because nobody stated them (-p NAME:=VALUE): {assumed}'] * bool(assumed)
+    verdict = None
+    if is_thrown and 'layer.wave_speed' in result.model.indices:
+        reason = doubt(result, ejection)
+        verdict = {'is_good_enough': not reason, 'reason': reason}
+        head.append(
+            f'not good enough to choose a layer: {reason}' if reason
+            else 'good enough to choose a layer'
+        )
+    IdentificationReport(
+        sources=tuple(throw.name for throw in throws),
+        rows=tuple(rows),
+        head=tuple(head),
+        lines=tuple(fit_lines(result)),
+        data={'verdict': verdict, 'fit': fit_data(result.fit)},
+        notes=tuple(notes),
+        warnings=tuple(warnings),
+    ).finish(settings, arguments, 'identify')
+    return 0
+
+
+def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
     """Read the description of a fit from file and options, before `read_settings`."""
     known = _split_known(arguments)
     description = FitDescription()
-    if arguments.one_camera:
-        description = description.change(dict.fromkeys(_OF_TWO_SENSORS, FIXED))
     if arguments.fit_file:
-        description = FitDescription.from_file(arguments.fit_file, description)
+        description = FitDescription.from_file(arguments.fit_file)
+    if arguments.one_camera:
+        held = dict.fromkeys(_OF_TWO_SENSORS, FIXED)
+        description = description.change({**held, **description.parameters})
     try:
         description = description.change(dict.fromkeys(arguments.hold, FIXED))
     except ValueError as error:
@@ -131,100 +177,3 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
             except ValueError as refusal:
                 raise ValueError(f'{argument_of(arguments, name)}: {name} {refusal}') from None
     return known
-
-
-def read_all(
-    arguments: argparse.Namespace, *, noise: float | None = None, stamp_error: float = 0.0,
-    topic: str | None = None,
-) -> tuple[list[ThrowTracks], list[str]]:
-    """Return all throws, without false detections in a long record, and notes on defects."""
-    throws: list[ThrowTracks] = []
-    notes: list[str] = []
-    for path in arguments.files:
-        result = read_throws(
-            path, arguments, notes, noise=noise, stamp_error=stamp_error, topic=topic
-        )
-        good = []
-        for throw in result if len(result) > 1 else ():
-            try:
-                fit_plate(throw.plate)
-            except FitError as error:
-                notes.append(f'{throw.name} is left out: {error}')
-            else:
-                good.append(throw)
-        throws += good or result
-    return throws, notes
-
-
-def _identify(
-    arguments: argparse.Namespace, settings: Settings, description: FitDescription
-) -> IdentificationReport:
-    """Fit a rig to throws."""
-    stated = stated_parameters(arguments)
-    noise = float(settings[_NOISE]) if _NOISE in stated else None
-    throws, notes = read_all(
-        arguments, noise=noise, stamp_error=float(settings[_STAMP_ERROR]), topic=description.topic
-    )
-    has_projectile = any(throw.projectile is not None for throw in throws)
-    if not has_projectile and 'layer.wave_speed' not in description.parameters:
-        description = description.change({'layer.wave_speed': FIXED})
-    description = description.assume(stated)
-    result = fit_rig(throws, rig_of(settings), description, on_progress=_show_progress)
-    warnings = fit_warnings(result.fit)
-    if not result.is_complete:
-        notes.append('the search for a loss and for other minima took too long, and is incomplete')
-    ejection = None
-    if has_projectile:
-        try:
-            ejection = ejection_of(result)
-        except FitError as error:
-            warnings.append(f'no release is predicted: {error}')
-    relevant = PARAMETERS if has_projectile else ENGINE
-    rows = [
-        row for row in fit_rows(result)
-        if row.name in ENGINE or (has_projectile and row.name not in description.assumed)
-    ]
-    found = {row.name for row in rows}
-    held = values_of(result.model.rig, [name for name in relevant if name not in found])
-    rows += held_rows(held, description.assumed)
-    rows += ejection_rows(ejection) if ejection else ()
-    rows += [Row.of(name, value) for name, value in result.terms().items()]
-    assumed = ', '.join(name for name in description.assumed if name in held)
-    head = [f'assumed, because nobody stated them (-p NAME:=VALUE): {assumed}'] * bool(assumed)
-    answer = None
-    if has_projectile and 'layer.wave_speed' in result.model.layout:
-        verdict = judge(result, ejection)
-        answer = {**verdict._asdict(), 'rest_wave_speed': result.rest_wave_speed()}
-        head.append(
-            'good enough to choose a layer' if verdict.is_good_enough
-            else f'not good enough to choose a layer: {verdict.reason}'
-        )
-    if arguments.figure:
-        summary = [f'{row.name.rpartition(".")[2]} {row}' for row in rows if row.name in found]
-        identify_figure.draw_throws(result, ejection, summary, arguments.figure)
-    return IdentificationReport(
-        sources=tuple(throw.name for throw in throws),
-        rows=tuple(rows),
-        head=tuple(head),
-        lines=tuple(fit_lines(result)),
-        data={
-            'answer': answer,
-            'fit': fit_data(result.fit),
-            'systematic_errors': {name: floor._asdict() for name, floor in FLOORS.items()},
-            'throws': [
-                {'name': throw.name, 'start_time': result.start_time(number).value}
-                for number, throw in enumerate(throws)
-            ],
-            'ejection': ejection and {
-                **ejection.first._asdict(), 'alternatives': ejection.alternatives
-            },
-        },
-        notes=tuple(notes),
-        warnings=tuple(warnings),
-    )
-
-
-def _show_progress(text: str) -> None:
-    """Print the present step of the computation if standard error is a terminal."""
-    if sys.stderr.isatty():
-        print_note('identify', f'{text} ...')

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import contextlib
 from dataclasses import replace
 from functools import partial
 import io
@@ -29,7 +30,6 @@ from soft_throw_ros.identification.tracks import (
     FEWEST,
     find_throws,
     split_at_breaks,
-    split_into_throws,
     ThrowTracks,
     Track,
     TrackError,
@@ -73,32 +73,34 @@ def add_track_options(parser: CommandParser) -> None:
 
 
 def read_throws(
-    path: str, arguments: argparse.Namespace, notes: list[str], *,
+    arguments: argparse.Namespace, *,
     noise: float | None = None, stamp_error: float = 0.0, topic: str | None = None,
-) -> list[ThrowTracks]:
+) -> tuple[list[ThrowTracks], list[str]]:
     """
-    Read the throws of a CSV file, or of a topic of a bag; a ValueError names file and line.
+    Read the throws of CSV files, and of a topic of bags; return them with notes on defects.
 
     `noise` is the standard deviation of heights, if it is known, and `stamp_error` that of times
-    [s]. A sentence about each defect of the tracks is appended to the notes.
+    [s]. A ValueError names the file and the line.
     """
-    if Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
-        tracks = _read_bag(path, topic, notes)
-    else:
-        tracks = _read_csv(path, JOINTS, arguments, notes)
-    if 'plate' not in tracks:
-        raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
-    tracks = {
-        body: replace(track, known_noise=noise, stamp_error=stamp_error)
-        for body, track in tracks.items()
-    }
-    plate, projectile = tracks['plate'], tracks.get('projectile')
-    whole = ThrowTracks(name=Path(path).name, plate=plate, projectile=projectile)
-    with report_io_errors(whole.name, TrackError):
-        whole = whole.between(arguments.start, arguments.end)
-        _check_time(whole.plate)
-        whole = whole.apply(partial(_without_standstill, whole.name, notes))
-        return [throw for record in split_at_breaks(whole) for throw in _throws_of(record)]
+    throws: list[ThrowTracks] = []
+    notes: list[str] = []
+    for path in arguments.files:
+        if Path(path).is_dir() or path.endswith(('.mcap', '.mcap.zstd')):
+            tracks = _read_bag(path, topic, notes)
+        else:
+            tracks = _read_csv(path, JOINTS, arguments, notes)
+        if 'plate' not in tracks:
+            raise TrackError(f'{path}: less than {FEWEST} positions of the plate')
+        record = ThrowTracks(name=Path(path).name, **{
+            body: replace(track, known_noise=noise, stamp_error=stamp_error)
+            for body, track in tracks.items()
+        })
+        with report_io_errors(record.name, TrackError):
+            record = record.between(arguments.start, arguments.end)
+            _check_time(record.plate)
+            record = record.apply(partial(_without_standstill, record.name, notes))
+            throws += _throws_of(record, notes)
+    return throws, notes
 
 
 def _check_time(plate: Track) -> None:
@@ -124,11 +126,30 @@ def _without_standstill(name: str, notes: list[str], track: Track) -> Track:
     return replace(track.where(~still), known_noise=track.known_noise)
 
 
-def _throws_of(record: ThrowTracks) -> list[ThrowTracks]:
-    """Cut a record into throws, unless a single motion explains the whole record."""
-    if len(find_throws(record.plate)) < _MAX_FALSE_THROWS and _is_one_motion(record):
-        return [record]
-    return split_into_throws(record)
+def _throws_of(record: ThrowTracks, notes: list[str]) -> list[ThrowTracks]:
+    """Cut a record into throws; leave out the parts in which the plate does not jump."""
+    parts: list[ThrowTracks] = []
+    for part in split_at_breaks(record):
+        spans = find_throws(part.plate)
+        if len(spans) < _MAX_FALSE_THROWS and _is_one_motion(part):
+            spans = []
+        parts += part.split(spans, 'throw')
+    throws = []
+    for part in parts if len(parts) > 1 else ():
+        try:
+            fit_plate(part.plate)
+        except FitError as error:
+            notes.append(f'{part.name} is left out: {error}')
+        else:
+            throws.append(part)
+    return throws or parts
+
+
+def _is_one_motion(record: ThrowTracks) -> bool:
+    """Return whether one motion explains a record that noise seems to split into throws."""
+    with contextlib.suppress(FitError):
+        return fit_plate(record.plate).residuals[0].rms < _ONE_MOTION * record.plate.noise
+    return False
 
 
 def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:
@@ -157,15 +178,6 @@ def _read_csv(
     if unused := unused_columns(text.splitlines(), bodies):
         notes.append(f'{path}: columns that are not used: {", ".join(unused)}')
     return tracks
-
-
-def _is_one_motion(record: ThrowTracks) -> bool:
-    """Return whether one motion explains a record that noise seems to split into throws."""
-    try:
-        residual = fit_plate(record.plate).fit.residuals[0]
-    except FitError:
-        return False
-    return residual.rms < _ONE_MOTION * record.plate.noise
 
 
 def _read_bag(path: str, topic: str | None, notes: list[str]) -> dict[str, Track]:

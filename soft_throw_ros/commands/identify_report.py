@@ -15,13 +15,7 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from soft_throw_ros.commands.options import new_file
-from soft_throw_ros.commands.output import (
-    CommandParser,
-    print_note,
-    print_result,
-    written_file,
-)
+from soft_throw_ros.commands.output import print_note, print_result, written_file
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.twin_config import BOUND_PER_DEVIATION
@@ -30,17 +24,17 @@ from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.systematics import FLOORS
 
+REST_WAVE_SPEED = 'layer.rest_wave_speed'
+ASSUMED = 'assumed'
+"""Note of a parameter that nobody stated."""
+
 _UNITS_IN_TABLES = {'m': ('mm', 1e3), 's': ('ms', 1e3)}
 _OTHER_UNITS = {
     'projectile.delay': 's', 'ejection.time': 's', 'ejection.speed': 'm/s',
-    'ejection.peak_plate_speed': 'm/s', 'layer.rest_wave_speed': 'm/s',
+    'ejection.peak_plate_speed': 'm/s', REST_WAVE_SPEED: 'm/s',
 }
 _MAX_OUTLIERS = 4  # largest number of outliers of a track that are listed
 _NAME_WIDTH = 26
-_MAIN_SHARE = 0.5  # share of a variance, above which its source is named
-
-ASSUMED = 'assumed'
-"""Note of a parameter that nobody stated."""
 
 
 class Row(NamedTuple):
@@ -105,11 +99,6 @@ class IdentificationReport:
         return {
             'sources': self.sources,
             'rows': [{**row._asdict(), 'unit': row.unit} for row in self.rows],
-            'found': {
-                row.name: Estimate(row.value, row.error)
-                for row in self.rows if row.error is not None and row.name in TWIN.by_name
-            },
-            'held': {row.name: row.value for row in self.rows if row.error is None},
             'assumed': self.assumed,
             **self.data,
             'notes': self.notes,
@@ -166,17 +155,6 @@ class IdentificationReport:
             unfinished.write_text(text, 'utf-8')
 
 
-def add_report_options(parser: CommandParser) -> None:
-    """Add the options for the output of a report; `IdentificationReport.finish` reads them."""
-    add = parser.add_argument
-    add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
-    add(
-        '--figure', metavar='FILE', type=new_file('.png', '.pdf', '.svg'),
-        help='picture of data, fit and residuals to draw',
-    )
-    parser.add_json_option()
-
-
 def held_rows(values: Mapping[str, float], assumed: Sequence[str]) -> Iterator[Row]:
     """Yield the rows of parameters that were held."""
     for name, value in values.items():
@@ -184,25 +162,15 @@ def held_rows(values: Mapping[str, float], assumed: Sequence[str]) -> Iterator[R
 
 
 def fit_rows(result: RigFit) -> Iterator[Row]:
-    """Yield the fitted parameters, each with the main source of its error."""
+    """Yield the fitted parameters, and the wave speed at rest."""
+    amplitude = 1e3 * result.rig.engine.amplitude
     for name, estimate in result.estimates().items():
-        if name != 'layer.wave_speed':
-            yield Row.of(name, estimate, _main_source(result, name))
-            continue
-        amplitude = 1e3 * result.rig.engine.amplitude
-        yield Row.of(name, estimate, f'at the amplitude of {amplitude:.3g} mm')
-        note = 'softer if the layer stiffens; identify a throw of half the amplitude alone'
-        yield Row.of('layer.rest_wave_speed', result.rest_wave_speed(), note)
-
-
-def _main_source(result: RigFit, name: str) -> str:
-    """Return the parameter whose own error is most of an error; empty if there is none."""
-    if name not in result.fit or result.fit.names.index(name) in result.fit.known:
-        return ''
-    squares = {source: part**2 for source, part in result.budget(name).items()}
-    main = max(squares, key=squares.__getitem__)
-    is_large = '.' in main and squares[main] > _MAIN_SHARE * sum(squares.values())
-    return f'limited by {main}' if is_large else ''
+        if name == 'layer.wave_speed':
+            yield Row.of(name, estimate, f'at the amplitude of {amplitude:.3g} mm')
+            note = 'softer if the layer stiffens; identify a throw of half the amplitude alone'
+            yield Row.of(REST_WAVE_SPEED, result.rest_wave_speed(), note)
+        else:
+            yield Row.of(name, estimate)
 
 
 def ejection_rows(ejection: Ejection) -> Iterator[Row]:

@@ -10,13 +10,11 @@ import os
 from pathlib import Path
 import re
 import tempfile
-from typing import TYPE_CHECKING
 
-from soft_throw_ros.commands.options import any_number, new_file
+from soft_throw_ros.commands.options import any_number, new_file, number_type
 from soft_throw_ros.commands.output import (
     CommandParser,
     print_note,
-    report_io_errors,
     require,
     run_command,
     slow_notice,
@@ -26,10 +24,6 @@ from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.recording import rerun_viewer as viewer
 from soft_throw_ros.recording.twin_journal import find_throws, identify, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
-
-if TYPE_CHECKING:
-    import rerun as rr
-    from soft_throw_ros.recording.rerun_view import Scene
 
 _BATCH = 5000
 """Number of messages of a bag that are drawn at once."""
@@ -52,7 +46,8 @@ def _run(arguments: argparse.Namespace) -> int:
     require('inspect', 'rerun', 'rerun', 'matplotlib')
     os.environ.setdefault('RUST_LOG', 'off')  # the command has messages of its own
     try:
-        _show_bag(arguments)
+        with BagReader(arguments.bag) as reader:
+            _show_bag(reader, arguments)
     except viewer.ViewerError as error:
         print_note('inspect', str(error))
         return 1
@@ -88,67 +83,50 @@ def _parser() -> CommandParser:
     return parser
 
 
+_port = number_type('from 1024 to 65535', lambda port: port in range(1024, 65536))
+
+
 def _size(text: str) -> str:
-    sides = re.fullmatch(r'(\d+)x(\d+)', text)
-    if sides is None or not all(200 <= int(side) <= 8000 for side in sides.groups()):
-        raise argparse.ArgumentTypeError(
-            f'must be as 1600x1000, from 200 to 8000 each way, got {text!r}'
-        )
+    if re.fullmatch(r'[1-9]\d{2,3}x[1-9]\d{2,3}', text) is None:
+        raise argparse.ArgumentTypeError(f'must be as 1600x1000, below 10000, got {text!r}')
     return text
 
 
-def _port(text: str) -> int:
-    if not text.isdecimal() or not 1024 <= int(text) <= 65535:
-        raise argparse.ArgumentTypeError(f'must be from 1024 to 65535, got {text!r}')
-    return int(text)
-
-
-def _show_bag(arguments: argparse.Namespace) -> None:
+def _show_bag(reader: BagReader, arguments: argparse.Namespace) -> None:
     """Show a bag, or write a recording or a picture."""
     from soft_throw_ros.recording.rerun_layout import THROW_TIME
-    from soft_throw_ros.recording.rerun_view import Scene
 
-    with BagReader(arguments.bag) as reader:
-        topics = {item.topic: identify(item.topic, item.type)[1] for item in reader.channels}
-        if not any(topic in TWIN_TOPICS for topic in topics.values()):
-            raise ValueError(
-                f'{reader.path}: no topic of a twin is in the bag; topics: {", ".join(topics)}'
-            )
-        journals = [name for name, topic in topics.items() if topic == TWIN_TOPICS.journal]
-        throw = _choose_throw(reader, journals, arguments.throw)
-        stream = viewer.new_stream(reader.path.name)
-        scene = Scene(stream, is_picture=bool(arguments.screenshot), throw=throw)
-        if arguments.save:
-            with written_file(arguments.save) as unfinished:
-                _save(stream, unfinished, scene, reader)
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            recording = Path(folder) / 'scene.rrd'
-            _save(stream, recording, scene, reader)
-            at = THROW_TIME, _cursor(scene, throw, arguments.at)
-            if arguments.screenshot:
-                options = '--headless', '--window-size', arguments.size
-                with viewer.Viewer(viewer.free_port(), *options) as process:
-                    picture = process.photograph(recording, *at)
-                with report_io_errors(arguments.screenshot):
-                    arguments.screenshot.write_bytes(picture)
-            else:
-                viewer.show(recording, arguments.port, *at)
+    throw = _choose_throw(reader, arguments.throw)
+    seconds = arguments.at
+    if throw is not None and seconds is None:
+        seconds = _MOMENT * (throw.ejection_time or 0.0)
+    at = THROW_TIME, seconds if throw is not None else None
+    if arguments.save:
+        with written_file(arguments.save) as unfinished:
+            _draw(reader, throw, unfinished)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / 'scene.rrd'
+        _draw(reader, throw, recording)
+        if arguments.screenshot:
+            options = '--headless', '--window-size', arguments.size
+            with viewer.Viewer(viewer.free_port(), *options) as process:
+                picture = process.photograph(recording, *at)
+            with written_file(arguments.screenshot) as unfinished:
+                unfinished.write_bytes(picture)
+        else:
+            viewer.show(recording, int(arguments.port), *at)
 
 
-def _save(stream: rr.RecordingStream, path: Path, scene: Scene, reader: BagReader) -> None:
-    """Draw a recording into a file; raise OSError if it is not written completely."""
-    viewer.save_to(stream, path, is_live=False)
-    _draw(scene, reader)
-    viewer.finish(stream, path)
-
-
-def _choose_throw(
-    reader: BagReader, journals: list[str], number: int | None
-) -> ThrowStart | None:
+def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     """Return the throw to show; None if the bag contains none and none is requested."""
-    result = find_throws(reader.messages(journals))
-    throws = next(iter(result.values()), [])  # of the view in front
+    topics = {item.topic: identify(item.topic, item.type)[1] for item in reader.channels}
+    if not any(topic in TWIN_TOPICS for topic in topics.values()):
+        raise ValueError(
+            f'{reader.path}: no topic of a twin is in the bag; topics: {", ".join(topics)}'
+        )
+    journals = [name for name, topic in topics.items() if topic == TWIN_TOPICS.journal]
+    throws = next(iter(find_throws(reader.messages(journals)).values()), [])  # the view in front
     chosen = [throw for throw in throws if number in (None, throw.number)]
     if number is not None and not chosen:
         known = f'{throws[0].number}-{throws[-1].number}' if throws else 'no throws'
@@ -157,34 +135,20 @@ def _choose_throw(
                                           throw.stamp), default=None)
 
 
-def _draw(scene: Scene, reader: BagReader) -> None:
-    """Draw a whole bag, and report damage."""
+def _draw(reader: BagReader, throw: ThrowStart | None, path: Path) -> None:
+    """Draw a whole bag into a recording, and report damage."""
+    from soft_throw_ros.recording.rerun_view import Scene
+
+    stream = viewer.new_stream(reader.path.name)
+    viewer.save_to(stream, path, is_live=False)
+    scene, messages = Scene(stream, throw=throw), reader.messages()
     with slow_notice('inspect'):
-        messages = reader.messages()
         while batch := list(itertools.islice(messages, _BATCH)):
             scene.show(batch)
         scene.arrange()
-    path, damage = reader.path, f', {scene.damage}' if scene.damage else ''
+    damage = f', {scene.damage}' if scene.damage else ''
     if scene.is_empty:
-        raise ValueError(f'{path}: nothing of a twin could be read{damage}')
+        raise ValueError(f'{reader.path}: nothing of a twin could be read{damage}')
     if scene.damaged:
-        print_note('inspect', f'{path}: {scene.damaged} messages are left out{damage}')
-
-
-def _cursor(scene: Scene, throw: ThrowStart | None, at: float | None) -> float | None:
-    """Return the time of the cursor since the start of the throw, None without a throw [s]."""
-    if throw is None:
-        if at is not None:
-            raise ValueError(
-                f'--at is a time since a throw started, and the bag has none, got {at:g}'
-            )
-        return None
-    if at is None:
-        return _MOMENT * (throw.ejection_time or 0.0)
-    low, high = (throw.seconds_to(stamp) for stamp in scene.span)
-    if not low <= at <= high:
-        raise ValueError(
-            f'--at must be within the recorded times, from {low:.6g} to {high:.6g} s since the '
-            f'throw started, got {at:g}'
-        )
-    return at
+        print_note('inspect', f'{reader.path}: {scene.damaged} messages are left out{damage}')
+    viewer.finish(stream, path)

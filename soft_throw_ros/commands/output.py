@@ -17,20 +17,8 @@ import threading
 from typing import Any, NoReturn
 
 import numpy as np
+from soft_throw_ros.recording.rerun_text import UNITS
 from soft_throw_ros.storage.atomic_file import atomic_file
-
-_UNITS = {
-    **dict.fromkeys(('amplitude', 'thickness', 'travel', 'height'), ('mm', 1e3)),
-    **dict.fromkeys(('work', 'energy', 'heat'), ('mJ', 1e3)),
-    'time': ('ms', 1e3),
-    'speed': ('m/s', 1.0),
-    'acceleration': ('m/s2', 1.0),
-    'strain': ('%', 1e2),
-    'force': ('N', 1.0),
-    'modulus': ('kPa', 1e-3),
-    'density': ('kg/m3', 1.0),
-}
-"""Units of quantities in tables, and factors from SI, by the last word of their names."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -152,7 +140,7 @@ def table(columns: Mapping[str, Mapping[str, Any] | None]) -> Iterator[str]:
     yield table_line('', '', columns)
     names = dict.fromkeys(name for column in columns.values() for name in column or ())
     for name in names:
-        unit, scale = _UNITS.get(name.rpartition('_')[2], ('', 1.0))
+        unit, scale = UNITS.get(name.rpartition('_')[2], ('', 1.0))
         cells = [_cell((column or {}).get(name), scale) for column in columns.values()]
         if any(cell != '-' for cell in cells):
             yield table_line(name, unit, cells)

@@ -58,7 +58,6 @@ def main(args: list[str] | None = None) -> int:
     parser = CommandParser(description='Compile all kernels, once for this installation.')
     parser.add_argument(
         'parts', metavar='PART', nargs='*',
-        choices=(*PARTS, []),  # before Python 3.12 argparse looks for the empty default, too
         help=f'parts to compile, from {", ".join(PARTS)} (default: all)',
     )
     return run_command(parser, _run, args)
@@ -68,7 +67,11 @@ def _run(arguments: argparse.Namespace) -> int:
     for signal_number in (signal.SIGINT, signal.SIGTERM):
         # Exit at once, because numba would print a long traceback; files on the disk are complete.
         signal.signal(signal_number, lambda number, _: os._exit(128 + number))
-    for part in arguments.parts or PARTS:
+    parts = arguments.parts or list(PARTS)
+    for part in parts:  # argparse would check an empty list against choices
+        if part not in PARTS:
+            raise ValueError(f'PART must be one of {", ".join(PARTS)}, got {part!r}')
+    for part in parts:
         begin = time.monotonic()
         load_kernels([part], say=_print_line)
         _print_line(f'{part}: ready, {time.monotonic() - begin:.1f} s')

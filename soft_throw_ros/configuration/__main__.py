@@ -67,8 +67,8 @@ def _parameters_page() -> Iterator[str]:
         known = () if table is TWIN else TWIN.entries
         shared = [f'`{entry.name}`' for entry in table.entries if entry in known]
         rows = [_parameter_row(entry) for entry in table.entries if entry not in known]
-        yield from _section(table.node, shared)
-        yield from _table(('parameter', 'default (values)', 'meaning'), rows)
+        head = ('parameter', 'default (values)', 'meaning')
+        yield from _section(table.node, shared, (head, rows))
 
 
 def _parameter_row(entry: Entry) -> tuple[str, ...]:
@@ -86,11 +86,15 @@ def _topics_page() -> Iterator[str]:
     yield _TOPICS
     for node, (topics, services) in INTERFACES.items():
         known = () if node == 'twin' else {topic.meaning for topic in TWIN_TOPICS}
-        yield from _section(node, [_name_of(topic) for topic in topics if topic.meaning in known])
+        shared = [_name_of(topic) for topic in topics if topic.meaning in known]
         rows = [_topic_row(topic) for topic in topics if topic.meaning not in known]
-        yield from _table(('topic', 'type', 'content', 'queue'), rows)
-        rows = [(f'`{item.name}`', _short(item.type), item.meaning) for item in services]
-        yield from _table(('service', 'type', 'effect'), rows)
+        effects = [
+            (f'`{item.name}`', item.type.replace('/srv/', '/'), item.meaning) for item in services
+        ]
+        yield from _section(
+            node, shared, (('topic', 'type', 'content', 'queue'), rows),
+            (('service', 'type', 'effect'), effects),
+        )
 
 
 def _name_of(topic: Topic) -> str:
@@ -104,27 +108,21 @@ def _topic_row(topic: Topic) -> tuple[str, ...]:
     content = topic.meaning + f'; {", ".join(shown)}{quantities}' * bool(names)
     queue = f'{topic.depth}{", latched" * topic.is_latched}'
     queue += ', best effort' * (not topic.is_reliable)
-    return _name_of(topic), _short(topic.type), content, queue
+    return _name_of(topic), topic.type.replace('/msg/', '/'), content, queue
 
 
-def _short(type_name: str) -> str:
-    """Return the short form of a type name."""
-    return type_name.replace('/msg/', '/').replace('/srv/', '/')
-
-
-def _section(node: str, shared: list[str]) -> Iterator[str]:
-    """Yield the head of a node, and what it shares with the twin."""
+def _section(
+    node: str, shared: list[str], *tables: tuple[tuple[str, ...], Sequence[tuple[str, ...]]]
+) -> Iterator[str]:
+    """Yield the head of a node, what it shares with the twin, and its tables that have rows."""
     yield f'## {node}\n'
     if shared:
         yield f'As of the twin: {", ".join(shared)}.\n'
-
-
-def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Yield the lines of a table and an empty line; nothing without rows."""
-    if rows:
-        for row in (head, ('---',) * len(head), *rows):
-            yield f'| {" | ".join(row)} |'
-        yield ''
+    for head, rows in tables:
+        if rows:
+            for row in (head, ('---',) * len(head), *rows):
+                yield f'| {" | ".join(row)} |'
+            yield ''
 
 
 if __name__ == '__main__':

@@ -83,10 +83,9 @@ def read_columns(
     """
     Read columns of numbers in SI units from lines of text, see `read_rows`.
 
-    A first line may label the columns, with an optional unit in brackets; columns with other
-    labels are skipped. Otherwise they are in the order of `columns`, of which the first one is the
-    time, which increases, and the first two are required. ValueError has the `name` of the text
-    and the number of the line.
+    A first line may label the columns, with an optional unit in brackets; others are skipped.
+    Otherwise they are in the order of `columns`, of which the first one is the time, which
+    increases, and the first two are required. ValueError has the `name` of the text and the line.
     """
     try:
         rows = list(read_rows(lines))
@@ -145,25 +144,22 @@ def _find_columns(
     cells: Sequence[str], columns: Mapping[str, Column], where: str
 ) -> dict[str, tuple[int, float]]:
     """Return index and SI value of the unit of each column that has a label, the time first."""
-    labels = [parse_label(cell) for cell in cells]
     sources: dict[str, tuple[int, float]] = {}
-    for key, column in columns.items():
-        found = [index for index, (label, _) in enumerate(labels) if label in column.labels]
-        if len(found) > 1:
-            again = quote(cells[found[1]])
-            raise ValueError(f'{where}: {key} must be there once, got {again} too')
-        for index in found:
-            unit = labels[index][1] or column.default_unit
-            if unit not in column.units:
-                raise ValueError(
-                    f'{where}: {key} must be in {" or ".join(column.units)}, '
-                    f'got {quote(cells[index])}'
-                )
-            sources[key] = index, column.units[unit]
+    for index, (label, stated) in enumerate(map(parse_label, cells)):
+        for key, column in columns.items():
+            if label in column.labels:
+                if key in sources:
+                    again = quote(cells[index])
+                    raise ValueError(f'{where}: {key} must be there once, got {again} too')
+                unit = stated or column.default_unit
+                if unit not in column.units:
+                    rule = f'{key} must be in {" or ".join(column.units)}'
+                    raise ValueError(f'{where}: {rule}, got {quote(cells[index])}')
+                sources[key] = index, column.units[unit]
     for key in list(columns)[:2]:
         if key not in sources:
             raise ValueError(
                 f'{where}: no column is named {" or ".join(columns[key].labels)}, '
                 f'got {quote(", ".join(cells))}; lines above the names must begin with #'
             )
-    return sources
+    return {key: sources[key] for key in columns if key in sources}

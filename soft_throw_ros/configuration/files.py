@@ -47,12 +47,10 @@ def read(
     is_required: bool = True,
 ) -> dict[str, Value]:
     """
-    Read complete settings for a node from a ROS parameter file.
+    Read complete settings for a node from a ROS parameter file, which may lack parameters.
 
-    Parameters that the file lacks keep their defaults. Results, and parameters that every node
-    has, are ignored, so that a file of `ros2 param dump` can be read. So are parameters of other
-    nodes in a section for several nodes.
-
+    Results, and parameters that every node has, are ignored, so that a file of `ros2 param dump`
+    can be read. So are parameters of other nodes in a section for several nodes.
     """
     everything = read_file(path)
     sources = select(everything, node)
@@ -70,21 +68,19 @@ def start(values: Settings, sources: dict[str, Source], table: Table = TWIN) -> 
     Each file is one request, and so is each row of `-p`; requests are applied in their order.
     Therefore `-p layer.thickness:=...` turns a named layer of a file into a custom one. A value of
     a file that is present already is no change, so that one line of a complete file can be edited.
-
     """
     settings = table.defaults()
     sources = {name: sources.get(name, Source('', name, '')) for name in values}
     try:
         for order in sorted({source.order for source in sources.values()}):
             request: dict[str, Value] = {}
-            for name, source in sources.items():
+            for name, (node, _, _, turn, _, in_file) in sources.items():
                 entry = table.by_name.get(name)
-                is_of_another = entry is None and source.node.endswith('*')
-                # `ros2 param dump` writes results to files
-                is_ignored = source.in_file and (is_of_another or (entry and entry.is_result))
-                if source.order == order and not is_ignored:
+                # of another node, or a result in a file of `ros2 param dump`
+                is_ignored = node.endswith('*') if entry is None else entry.is_result
+                if turn == order and not (in_file and is_ignored):
                     value = table.check_value(name, values[name])
-                    if not source.in_file or value != settings[name]:
+                    if not in_file or value != settings[name]:
                         request[name] = value
             settings.update(table.change(settings, request))
     except ParameterError as error:

@@ -4,8 +4,7 @@
 Table of all topics and services; nodes, recording and docs/topics.md read it.
 
 A new topic of the twin is one row of `TwinTopics` and the line in the node that fills the message.
-The publisher, the decoding of recorded messages and docs/topics.md follow from the row. The module
-does not need ROS; `nodes.topics` creates publishers and subscriptions from the rows.
+Publishers, the decoding of recorded messages and docs/topics.md follow from the row.
 """
 
 from __future__ import annotations
@@ -14,21 +13,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-FRAME = 'rig'
-"""Frame of all messages with a header, below the namespace of the node: z points up from the
-plate's rest position."""
-
-JOINTS = ('plate', 'projectile')
-"""Joints of the rig, by their default names; `joint_names.*` of a node replaces them."""
-
-FIELD_POINTS = 64
-"""Number of published points of the layer, evenly spaced from plate to top."""
-
-ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')
-"""Columns of `~/throw_energies`."""
-
+FRAME = 'rig'  # of all messages with a header, below the namespace of the node
+JOINTS = ('plate', 'projectile')  # default names, which `joint_names.*` of a node replaces
+FIELD_POINTS = 64  # published points of the layer, evenly spaced from plate to top
 LAYER_JOINTS = tuple(f'layer_{index:02d}' for index in range(FIELD_POINTS))
-"""Joints of the layer, from plate to top."""
+ENERGIES = ('t', 'plate_work', 'projectile', 'layer', 'total')  # axes of `~/throw_energies`
 
 ARRAY = 'diagnostic_msgs/msg/DiagnosticArray'
 JOINT_STATE = 'sensor_msgs/msg/JointState'
@@ -135,8 +124,7 @@ class TwinTopics(NamedTuple):
         '~/throw/energy_transfer', NUMBER, 'Energy transfer factor alpha of this release',
         is_latched=True)
     recommendation: Topic = Topic(
-        '~/recommendation', ARRAY, 'Best layer for the rig, after every change',
-        is_latched=True)
+        '~/recommendation', ARRAY, 'Best layer for the rig, after every change', is_latched=True)
     journal: Topic = Topic(
         '~/journal', TEXT, 'All data needed to repeat the run, as lines of JSON',
         depth=_OF_A_JOURNAL, is_latched=True)
@@ -219,8 +207,7 @@ class TwinServices(NamedTuple):
     reset: Service = Service(
         '~/reset', TRIGGER, 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
-        '~/apply_recommendation', TRIGGER,
-        'Apply the recommended layer, amplitude or motion')
+        '~/apply_recommendation', TRIGGER, 'Apply the recommended layer, amplitude or motion')
 
 
 class RecorderServices(NamedTuple):
@@ -260,30 +247,22 @@ INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
 _FINDABLE = sorted((*TWIN_TOPICS, *RECORDER_TOPICS), key=lambda topic: -len(topic.name))
 
 
-class NodeTopic(NamedTuple):
-    """A topic with the full name of its node, empty for a topic that several nodes share."""
-
-    node: str
-    topic: Topic
-
-
-def find_topic(name: str, type_name: str) -> NodeTopic | None:
+def find_topic(name: str, type_name: str) -> tuple[str, Topic] | None:
     """
-    Return the topic and node of a full name, or None for a topic of other packages.
+    Return the node and the topic of a full name, or None for a topic of other packages.
 
-    The longest matching name has precedence, so that the layer's joint states do not match the
-    topic of a node named `layer`.
+    The node is empty for a topic that several nodes share. The longest matching name has
+    precedence, so that the layer's joint states do not match the topic of a node named `layer`.
 
     Examples
     --------
-    >>> match = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
-    >>> match.node, match.topic.name
+    >>> node, topic = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
+    >>> node, topic.name
     ('/rig1/twin', '~/layer/joint_states')
-    >>> find_topic('/camera/image', 'sensor_msgs/msg/Image')
 
     """
     for topic in _FINDABLE:
         node = name.removesuffix(resolve(topic.name, ''))
         if topic.type == type_name and node != name and bool(node) is topic.name.startswith('~'):
-            return NodeTopic(node, topic)
+            return node, topic
     return None

@@ -35,11 +35,8 @@ BOUNDS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
 })
 """Unit, smallest and largest value of each property of a layer, as fields of `Entry`."""
 
-_THINNEST_SHEET = 1e-4
-"""Smallest thickness of a sheet. [m]"""
-
-MAX_SHEETS = 200
-"""Number of sheets of a stack [-]: the thickest layer has as many of half a millimetre."""
+_THINNEST_SHEET = 1e-4  # smallest thickness of a sheet [m]
+_MAX_SHEETS = 200  # sheets of a stack: the thickest layer has as many of half a millimetre [-]
 
 STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_tangent')
 """Parameters that each sheet of a stack and the whole stack have."""
@@ -90,13 +87,15 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
     A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
     tangent, in SI units; `write_stack` writes the numbers.
     """
-    if (count := text.count(',') + 1) > MAX_SHEETS:
-        rule = f'must have at most {MAX_SHEETS} sheets, got {count}'
+    if (count := text.count(',') + 1) > _MAX_SHEETS:
+        rule = f'must have at most {_MAX_SHEETS} sheets, got {count}'
         raise ParameterError(f'layer.stack {rule}', 'layer.stack')
     try:
-        return [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]
+        sheets = [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]
+        _bounded('thickness', sum(sheet.thickness for sheet in sheets))
     except ParameterError as error:
         raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
+    return sheets
 
 
 def write_stack(sheets: Iterable[Layer]) -> str:
@@ -164,8 +163,7 @@ def _library(path: str, _changed_ns: int) -> Library:
             try:
                 _check_entry(name, tree[name], {*materials, *layers})
                 if name in stacks:
-                    sheets = read_stack(str(tree[name]['stack']), lambda: materials)
-                    layers[name] = {'layer.stack': write_stack(sheets), **whole(sheets)}
+                    layers[name] = stack_values(str(tree[name]['stack']), lambda: materials)
                     continue
                 material = materials[name] = _material(name, tree[name])
                 for thickness in material.thicknesses:
@@ -178,14 +176,14 @@ def _library(path: str, _changed_ns: int) -> Library:
     return Library(MappingProxyType(materials), MappingProxyType(layers))
 
 
-def whole(sheets: Sequence[Layer]) -> dict[str, float]:
-    """Return the values of a whole stack by the names of their parameters."""
+def stack_values(
+    text: str, materials: Callable[[], Mapping[str, Material]]
+) -> dict[str, float | str]:
+    """Return the parameters that a stack sets: its sheets in numbers, and those of the whole."""
+    sheets = read_stack(text, materials)
     stack = Layer.of_sheets(sheets)
-    try:
-        _bounded('thickness', stack.thickness)
-    except ParameterError as error:
-        raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
-    return {name: getattr(stack, name.removeprefix('layer.')) for name in STACKED}
+    values = {name: getattr(stack, name.removeprefix('layer.')) for name in STACKED}
+    return {'layer.stack': write_stack(sheets), **values}
 
 
 def _check_entry(name: object, values: Any, known: set[str]) -> None:

@@ -3,15 +3,15 @@
 """
 Motions of a plate from CSV files of times and heights, which may be noisy.
 
-A file is read once in a process, so that one name means one motion. A journal contains the motions
-of its files, see `encode`, and a repetition of the run takes them from there.
+A file is read again after it has changed. A journal contains the motions of its files, see
+`encode`, and a repetition of the run takes them from there.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
-from functools import lru_cache, partial
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 import math
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -40,26 +40,12 @@ _COLUMNS = {
 }
 _STATES = ('height', 'velocity', 'acceleration')
 
-_BYTES = 1 << 26
-"""Size of an unpacked motion of a journal, eight times the largest CSV file in numbers. [byte]"""
-
-_MAX_BYTES = 1 << 24
-"""Size of a CSV file [byte]: 100 s at 2.5 kHz."""
-
-MIN_SAMPLES = 8
-"""Fewest heights of a record, and fewest after the start. [-]"""
-
-MAX_END_SPEED = 0.25
-"""Largest speed of a plate at the end of a record, over its peak speed. [-]"""
-
-_MOTION_SIGMAS = 6.0
-"""Standard deviations of the noise, from which on a plate moves. [-]"""
-
-_MAX_RISE = 2.0
-"""Largest time from the start to half of the largest height; a plate has at least 1 Hz. [s]"""
-
-_CERTAIN_MOTION = 0.3
-"""Height over the largest one, at which a plate has certainly started. [-]"""
+_MAX_BYTES = 1 << 24  # largest CSV file, 100 s at 2.5 kHz; unpacked, a motion has four times more
+_MIN_SAMPLES = 8  # fewest heights of a record, and fewest after the start [-]
+_MAX_END_SPEED = 0.25  # largest speed of a plate at the end of a record, over its peak speed [-]
+_MOTION_SIGMAS = 6.0  # standard deviations of the noise, from which on a plate moves [-]
+_MAX_RISE = 2.0  # largest time from the start to half of the largest height, for 1 Hz [s]
+_CERTAIN_MOTION = 0.3  # height over the largest one, at which a plate has certainly started [-]
 
 MotionSource: TypeAlias = Callable[[str], SampledMotion]
 """Returns the motion of a plate by the path of its file."""
@@ -85,21 +71,25 @@ def _read(name: str, _changed_ns: int) -> SampledMotion:
     """Read a file that has changed at a time [ns]."""
     try:
         text = read_regular_file(name, max_bytes=_MAX_BYTES).decode('utf-8-sig')
-        columns = read_columns(text.splitlines(), name, _COLUMNS)
+        return _motion(read_columns(text.splitlines(), name, _COLUMNS))
     except UnicodeDecodeError:
         raise ParameterError(f'{name}: is no UTF-8 text', PARAMETER) from None
     except ValueError as error:
-        raise ParameterError(str(error), PARAMETER) from None
+        place = f'{name}: ' * (not str(error).startswith(f'{name}:'))
+        raise ParameterError(f'{place}{error}', PARAMETER) from None
+
+
+def _motion(columns: Mapping[str, Floats]) -> SampledMotion:
+    """Return the motion in the columns of a file, which are complete or times and heights."""
     times = columns['time']
-    try:
-        if not set(_STATES) <= set(columns):
-            return motion_from_record(times, columns['height'])
-        states = np.stack([columns[key] for key in _STATES], axis=1)
-        _require_rest(states)
-        states[:, 0] -= states[0, 0]
-        return SampledMotion(times - times[0], states)
-    except ValueError as error:
-        raise ParameterError(f'{name}: {error}', PARAMETER) from None
+    if not set(_STATES) <= set(columns):
+        return motion_from_record(times, columns['height'])
+    states = np.stack([columns[key] for key in _STATES], axis=1)
+    start, end = states[[0, -1], 1].tolist()
+    if start != 0.0 or abs(end) > _MAX_END_SPEED * np.abs(states[:, 1]).max():
+        raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
+    states[:, 0] -= states[0, 0]
+    return SampledMotion(times - times[0], states)
 
 
 def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
@@ -122,8 +112,8 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
 
     """
     times, heights = require_samples(times, heights, 'heights')
-    if times.size < MIN_SAMPLES:
-        raise ValueError(f'heights must be at least {MIN_SAMPLES}, got {times.size}')
+    if times.size < _MIN_SAMPLES:
+        raise ValueError(f'heights must be at least {_MIN_SAMPLES}, got {times.size}')
     from scipy.interpolate import make_smoothing_spline
 
     start, rest_height = _find_start(times, heights)
@@ -136,8 +126,8 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
         )
     since = times - start
     moving = since > 1e-3 * float(np.median(np.diff(times)))
-    if (after := int(moving.sum())) < MIN_SAMPLES:
-        raise ValueError(f'heights after the start must be at least {MIN_SAMPLES}, got {after}')
+    if (after := int(moving.sum())) < _MIN_SAMPLES:
+        raise ValueError(f'heights after the start must be at least {_MIN_SAMPLES}, got {after}')
     since, rise = since[moving], heights[moving] - rest_height
     unit = float(np.median(np.diff(since)))  # the spline takes neither small nor large numbers
     both = np.concatenate([-since[::-1], [0.0], since]) / unit
@@ -147,7 +137,7 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     states[:, 0] -= states[0, 0]
     states[0, 1] = 0.0
     last = abs(float(states[-1, 1]))
-    if last > MAX_END_SPEED * np.abs(states[:, 1]).max():
+    if last > _MAX_END_SPEED * np.abs(states[:, 1]).max():
         raise ValueError(
             f'the plate must come to rest, got {last:g} m/s at the last sample; record longer'
         )
@@ -156,6 +146,8 @@ def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
 
 def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
     """Return the time at which a recorded plate starts to move, and its height before that."""
+    from scipy.optimize import brute
+
     # of white noise, from sixth differences
     noise = float(np.median(np.abs(np.diff(heights, 6)))) / (0.6745 * math.sqrt(924.0))
     moved = np.abs(heights - np.median(heights[:3]))
@@ -174,9 +166,14 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
     rest_height = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
     t, z = times[: far + 1], heights[: far + 1] - rest_height
 
-    def criterion(start: float, terms: int) -> float:
+    earliest, latest = float(times[max(2 * first - far - 2, 0)]), float(times[first])
+
+    def start(share: float) -> float:
+        return earliest + float(np.clip(share, 0.0, 1.0)) * (latest - earliest)
+
+    def criterion(share: Floats, terms: int) -> float:
         """Weigh the misfit of a polynomial from rest against its terms, twice as much as BIC."""
-        s = np.maximum(t - start, 0.0) / (t[-1] - t[0])
+        s = np.maximum(t - start(share.item()), 0.0) / (t[-1] - t[0])
         basis = s[:, None] ** np.arange(2.0, 2.0 + terms)
         coefficients = np.linalg.lstsq(basis, z, rcond=None)[0]
         if coefficients[0] * z[-1] <= 0.0:  # a start the other way explains nothing
@@ -184,29 +181,12 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
         misfit = np.sum((z - basis @ coefficients) ** 2) + (1e-12 * z[-1]) ** 2
         return float(t.size * np.log(misfit) + 2.0 * terms * np.log(t.size))
 
-    earliest = float(times[max(2 * first - far - 2, 0)])
-    starts = [
-        (terms, _lowest(partial(criterion, terms=terms), earliest, float(times[first])))
+    minima = [
+        brute(criterion, [(0.0, 1.0)], args=(terms,), Ns=41, full_output=True)[:2]
         for terms in (2, 3, 4)
     ]
-    return min(starts, key=lambda item: criterion(item[1], item[0]))[1], rest_height
-
-
-def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the time of the minimum of a function, by a grid and then by Brent's method."""
-    from scipy.optimize import minimize_scalar
-
-    trials = np.linspace(low, high, 41)
-    best = int(np.argmin([function(trial) for trial in trials]))
-    bounds = (trials[max(best - 1, 0)], trials[min(best + 1, 40)])
-    options = {'xatol': 1e-6 * (high - low)}
-    return float(minimize_scalar(function, bounds=bounds, method='bounded', options=options).x)
-
-
-def _require_rest(states: Floats) -> None:
-    start, end = states[[0, -1], 1].tolist()
-    if start != 0.0 or abs(end) > MAX_END_SPEED * np.abs(states[:, 1]).max():
-        raise ValueError(f'the plate must start and end at rest, got {start:g} and {end:g} m/s')
+    share, _ = min(minima, key=lambda item: float(item[1]))
+    return start(share.item()), rest_height
 
 
 @lru_cache(maxsize=4)  # each change of the rig asks again
@@ -219,7 +199,8 @@ def encode(motion: SampledMotion) -> str:
 def decode(text: str) -> SampledMotion:
     """Decode a motion; raise ValueError if the text is none."""
     try:
-        data = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), _BYTES)
+        packed = base64.b64decode(text, validate=True)
+        data = zlib.decompressobj().decompress(packed, 4 * _MAX_BYTES)
         rows = np.frombuffer(data, '<f8').reshape(-1, 4)
         return SampledMotion(rows[:, 0].copy(), rows[:, 1:].copy())
     except (TypeError, ValueError, zlib.error) as error:

@@ -28,9 +28,13 @@ RECORDER = Table(
             'Store all data on the disk every second, against power failures'),
         row('buffer', 256_000_000, 'Data that may wait for the disk before messages are dropped',
             unit='byte', low=1_000_000, high=16_000_000_000),
+        row('rerun.sink', 'none',
+            'Sink of a viewer that is started with the recorder and shows its topics; `file` '
+            'writes a recording beside the bag',
+            choices=('none', 'viewer', 'serve', 'file'), is_fixed=True),
     ),
 )
-"""The parameters of the recorder; changes are for the next recording."""
+"""The parameters of the recorder; `rerun.sink` is fixed, the others are for the next recording."""
 
 VIEWER = Table(
     node='viewer',

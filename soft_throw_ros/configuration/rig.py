@@ -14,9 +14,6 @@ _LIKE_THE_TWIN = (
     'projectile.mass', 'gravity', 'throw.period', 'joint_names.plate', 'joint_names.projectile',
 )
 
-_CAUGHT = 1
-"""Landings until a throw of the simulated rig ends, as the projectile is caught. [-]"""
-
 RIG = Table(
     node='rig',
     entries=(
@@ -87,7 +84,7 @@ def to_twin(settings: Settings) -> Settings:
     return {
         **TWIN.defaults(),
         'layer.name': 'custom',
-        'throw.max_events': _CAUGHT,
+        'throw.max_events': 1,  # the projectile is caught
         'rate.state': settings['rate'],
         **{name: settings[name] for name in _LIKE_THE_TWIN},
     }

@@ -13,11 +13,8 @@ from soft_throw_ros.configuration.interface import JOINTS, LAYER_JOINTS
 from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import joint_names
 
-_PLATE_OVER_LAYER = 2.5
-"""Diameter of the drawn plate over that of the layer, so that its rim is visible. [-]"""
-
-_SLICES_PER_LAYER = 14.0
-"""Thickness of the layer over that of a slice: the ten slices leave gaps that can close. [-]"""
+_PLATE_OVER_LAYER = 2.5  # diameters of plate and layer, so that the rim of the plate is visible
+_SLICES_PER_LAYER = 14.0  # of which ten are drawn, whose gaps can close
 
 
 def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = '') -> str:

@@ -1,10 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of parameters: names, defaults, ranges and meanings, and nothing else.
-
-The table of a node defines its parameters for all users: descriptors and checks of the node,
-parameter files, those in `config/`, and docs/parameters.md.
+Tables of parameters: names, defaults, ranges and meanings, for nodes, files and the docs.
 
 Settings are a value for every parameter of a table, results left out. A request is a handful of
 parameters to be set at once. Any single change within its range is accepted, since ROS sets a
@@ -38,21 +35,10 @@ _QUOTED.maxstring = _QUOTED.maxother = 80  # a line of a terminal [characters]
 
 
 class ParameterError(ValueError):
-    """
-    A refused parameter.
-
-    Parameters
-    ----------
-    message : str
-        The value that was given and the rule. Line ends, which names of files may have, become
-        blanks.
-    *names : str
-        The parameters concerned, the one to blame first.
-
-    """
+    """A refused parameter, with the value and the rule; the first of `names` is to blame."""
 
     def __init__(self, message: str, *names: str) -> None:
-        super().__init__(' '.join(message.splitlines()))
+        super().__init__(' '.join(message.splitlines()))  # names of files may have line ends
         self.names = names
 
 
@@ -98,7 +84,7 @@ class Entry:
     def rule(self) -> str:
         """Return the rule for values, to stand after 'must be'."""
         is_list = isinstance(self.default, tuple)
-        item = self.default[0] if isinstance(self.default, tuple) else self.default
+        item = self.default[0] if is_list else self.default  # type: ignore[index]
         if self.is_result:
             return 'set by the twin'
         if self.choices:
@@ -107,9 +93,8 @@ class Entry:
             return 'true or false'
         if isinstance(item, str):
             return f'a list, each {self.kind}' if is_list else self.kind
-        kind = 'a whole number' if isinstance(item, int) else 'a number'
-        if is_list:
-            kind = f'a list of at most {self.max_length} numbers'
+        one = 'a whole number' if isinstance(item, int) else 'a number'
+        kind = f'a list of at most {self.max_length} numbers' if is_list else one
         unit, zero = f' {self.unit}' * bool(self.unit), ', or 0' * self.or_zero
         return f'{kind} from {self.low:g} to {self.high:g}{unit}{zero}'
 
@@ -179,39 +164,17 @@ class Table:
         return {entry.name: entry.default for entry in self.entries if not entry.is_result}
 
     def check_value(self, name: str, value: object) -> Value:
-        """
-        Return `value` in the parameter's own type, see `Entry.convert`.
-
-        Raises
-        ------
-        ParameterError
-            If there is no such parameter, or its rule does not allow the value.
-
-        """
+        """Return `value` in the parameter's own type, or raise ParameterError."""
         if name in self.by_name:
             return self.by_name[name].check(value)
-        raise ParameterError(
-            f'no parameter of the {self.node} is named {quote(name)}', name
-        )
+        raise ParameterError(f'no parameter of the {self.node} is named {quote(name)}', name)
 
     def change(self, settings: Settings, request: Settings) -> dict[str, Value]:
         """
-        Return the new values of a request, including implied values.
+        Return the new values of a request to complete settings, including implied values.
 
-        The values are set one by one in the order of the table.
-
-        Parameters
-        ----------
-        settings : mapping of str to value
-            The complete settings before; not modified.
-        request : mapping of str to value
-            The values to be set at once.
-
-        Raises
-        ------
-        ParameterError
-            If a value is refused by `check_value` or `imply`.
-
+        The values are set one by one in the order of the table. ParameterError is raised if a
+        value is refused by `check_value` or `imply`.
         """
         checked = {name: self.check_value(name, value) for name, value in request.items()}
         changes: dict[str, Value] = {}

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields, replace
 import math
 from typing import Any
@@ -16,8 +15,8 @@ from soft_throw_ros.configuration.layers import (
     CUSTOM,
     library,
     read_stack,
+    stack_values,
     STACKED,
-    whole,
     write_stack,
 )
 from soft_throw_ros.configuration.table import (
@@ -33,21 +32,12 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 _INSTALLED = library()
 
-OBJECTIVES: Mapping[str, str] = {
-    'peak': 'the most energy per throw',
-    'robust': 'the most in the worst case of the uncertainties',
-    'versatile': 'the most in the worst of several throws',
-}
-"""Objectives and their meanings; `design.score` has the functions."""
-
 _RIG = Rig()
-
 _NAMED = (*STACKED, 'layer.diameter', 'layer.stack', 'layer.library')
 """Parameters that the name of a layer may set, and the library that has the name."""
 
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
 """Targets of an aim, of which one is 0."""
-
 
 JOINT_ROWS = tuple(
     row(f'joint_names.{body}', body, f'Name of the {body} in all messages with joints',
@@ -56,15 +46,14 @@ JOINT_ROWS = tuple(
 )
 """Rows of the names of the joints."""
 
-
 _ENTRIES = (
     row('engine.motion_file', '',
-        'CSV file of times and heights of the plate; frequency and amplitude are then units, and '
-        'the loss tangent is that at the frequency. A measured plate is expected to follow it',
+        'File of a motion of the plate, CSV of time and height, which a measured plate is '
+        'expected to follow; frequency and amplitude are then units',
         kind='the path of a file, or empty'),
     row('engine.motion', 'underdamped',
-        'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), that of '
-        '`engine.motion_file`, or that measured on `~/measured_joint_states`',
+        'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), that '
+        'of `engine.motion_file`, or that measured in `~/measured_joint_states`',
         choices=('underdamped', 'harmonic', 'file', 'measured')),
     row('engine.command', False,
         'Publish the motion of `engine.motion_file` before each throw, for a controller; it '
@@ -94,29 +83,26 @@ _ENTRIES = (
         'File of materials besides those of `config/layers.yaml`, which describes the format',
         kind='the path of a file, or empty'),
     row('layer.name', 'gelatin_16.8mm',
-        'Layer of the library; `custom` after any other change of the layer',
+        'Layer of the library, which sets the values of the layer; `custom` after other changes',
         kind='a name in the library, or `custom`', examples=tuple(_INSTALLED.layers)),
-    row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s of the layer',
-        **BOUNDS['thickness']),
+    row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s', **BOUNDS['thickness']),
     row('layer.wave_speed', _RIG.layer.wave_speed,
         'Wave speed c_s; the modulus is density times its square', **BOUNDS['wave_speed']),
-    row('layer.density', _RIG.layer.density, 'Density rho_s of the layer',
-        **BOUNDS['density']),
+    row('layer.density', _RIG.layer.density, 'Density rho_s of the layer', **BOUNDS['density']),
     row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer', **BOUNDS['diameter']),
     row('layer.loss_tangent', _RIG.layer.loss_tangent,
-        "Loss tangent of the layer at the plate's frequency",
-        **BOUNDS['loss_tangent']),
+        "Loss tangent of the layer at the plate's frequency", **BOUNDS['loss_tangent']),
     row('layer.stack', '',
-        'Sheets from the plate up: each is thickness, wave speed, density and optionally loss '
-        'tangent, or thickness and material, which is stored in numbers; the values of the layer '
-        'then describe the whole stack',
+        'Sheets of the layer from the plate up, separated by commas: each is thickness and '
+        'material, or thickness, wave speed, density and perhaps loss tangent, as it is stored; '
+        'the values of the layer then describe the whole stack',
         kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
     row('layer.stress_strain_law', _RIG.layer.stress_strain_law,
-        'Stress proportional to strain, or as in a neo-Hookean rod, which stiffens where it is '
-        'compressed', choices=STRESS_STRAIN_LAWS),
+        'Stress over strain: in proportion, or as in a neo-Hookean rod, which stiffens where it '
+        'is compressed', choices=STRESS_STRAIN_LAWS),
     row('layer.loss', _RIG.layer.loss,
-        'Loss tangent that grows with frequency (Kelvin and Voigt), or is the same over decades, '
-        'as that of gels', choices=LOSSES),
+        'Loss tangent over frequency: growing (Kelvin and Voigt), or constant, as in gels',
+        choices=LOSSES),
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
         unit='kg', low=1e-5, high=1.0),
     row('projectile.length', _RIG.projectile.length,
@@ -144,17 +130,15 @@ _ENTRIES = (
     row('uncertainty.frequency', 0.1,
         'Largest error of the frequency, also of a measured plate',
         unit='Hz', low=0.0, high=500.0),
-    row('uncertainty.damping_ratio', 0.003,
-        'Largest error of the damping ratio, likewise',
+    row('uncertainty.damping_ratio', 0.003, 'Largest error of the damping ratio, likewise',
         low=0.0, high=0.5),
     row('recommendation.objective', 'peak',
-        'Goal of the recommendation: '
-        + ''.join(f'`{name}`, {meaning}; ' for name, meaning in OBJECTIVES.items())
-        + '`aim`, the smallest amplitude that reaches a target',
-        choices=(*OBJECTIVES, 'aim')),
+        'Goal: the most energy per throw, the most in the worst case of the uncertainties, the '
+        'most in the worst of several throws, or the smallest amplitude that reaches a target',
+        choices=('peak', 'robust', 'versatile', 'aim')),
     row('recommendation.vary', 'both',
-        'What may change: thickness or wave speed of the layer, both, or the layer as one of the '
-        'library; or the motion of the plate, for the objective `peak`',
+        'Properties that may change, except when aiming: thickness or wave speed of the layer, '
+        'both, the layer for one of the library, or the motion of the plate',
         choices=('thickness', 'wave_speed', 'both', 'library', 'motion')),
     row('recommendation.plate_speed', 0.0,
         'Largest speed of a designed motion; 0 is that of the motion now',
@@ -162,20 +146,16 @@ _ENTRIES = (
     row('recommendation.plate_acceleration', 0.0, 'Its largest acceleration, likewise',
         unit='m/s2', low=0.1, high=1e6, or_zero=True),
     row('recommendation.plate_travel', 0.0,
-        'Its range from the lowest to the highest position, likewise',
+        'Largest distance from its lowest to its highest position, likewise',
         unit='m', low=1e-5, high=1.0, or_zero=True),
-    row('recommendation.thickness_min', 1e-3, 'Thinnest layer to consider',
-        **BOUNDS['thickness']),
-    row('recommendation.thickness_max', 50e-3, 'Thickest layer to consider',
-        **BOUNDS['thickness']),
-    row('recommendation.wave_speed_min', 1.0, 'Slowest wave to consider',
-        **BOUNDS['wave_speed']),
-    row('recommendation.wave_speed_max', 50.0, 'Fastest wave to consider',
-        **BOUNDS['wave_speed']),
-    row('recommendation.max_strain', 0.0, 'Largest strain; 0 for no limit',
+    row('recommendation.thickness_min', 1e-3, 'Thinnest layer', **BOUNDS['thickness']),
+    row('recommendation.thickness_max', 50e-3, 'Thickest layer', **BOUNDS['thickness']),
+    row('recommendation.wave_speed_min', 1.0, 'Slowest wave', **BOUNDS['wave_speed']),
+    row('recommendation.wave_speed_max', 50.0, 'Fastest wave', **BOUNDS['wave_speed']),
+    row('recommendation.max_strain', 0.0, 'Largest strain; 0 does not limit it',
         low=1e-3, high=10.0, or_zero=True),
     row('recommendation.max_acceleration', 0.0,
-        'Largest acceleration of the projectile; 0 for no limit',
+        'Largest acceleration of the projectile; 0 does not limit it',
         unit='m/s2', low=1.0, high=1e6, or_zero=True),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
         unit='kg', low=1e-5, high=1.0, max_length=16),
@@ -192,13 +172,10 @@ _ENTRIES = (
     row('recommended.wave_speed', math.nan, 'Best wave speed', unit='m/s'),
     row('recommended.density', math.nan, 'Density of the best layer', unit='kg/m3'),
     row('recommended.loss_tangent', math.nan, 'Loss tangent of the best layer'),
-    row('recommended.energy_transfer', math.nan,
-        'Energy transfer factor alpha of the recommended throw'),
-    row('recommended.ejection_speed', math.nan, 'Ejection speed of the recommended throw',
-        unit='m/s'),
+    row('recommended.energy_transfer', math.nan, 'Energy transfer factor of this throw'),
+    row('recommended.ejection_speed', math.nan, 'Ejection speed of this throw', unit='m/s'),
     row('recommended.amplitude', math.nan, 'Amplitude that reaches the target', unit='m'),
-    row('recommended.peak_strain', math.nan,
-        'Largest strain of the layer up to the release'),
+    row('recommended.peak_strain', math.nan, 'Largest strain of the layer in this throw'),
 )
 
 
@@ -211,11 +188,14 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
     harmonic motion. One target replaces the other.
     """
     after = {**settings, name: value}
-    if name == 'layer.name':
-        return {} if value == CUSTOM else _named_layer(after)
+    if name == 'layer.name' and value != CUSTOM:
+        layers = library(settings['layer.library']).layers
+        if value not in layers:
+            rule = f'must be one of {", ".join(layers)} or {CUSTOM!r}'
+            raise ParameterError(f'{name} {rule}, got {quote(value)}', name)
+        return layers[value]
     if name == 'layer.stack' and value:
-        sheets = read_stack(value, lambda: library(after['layer.library']).materials)
-        numbers = {name: write_stack(sheets), **whole(sheets)}
+        numbers = stack_values(value, lambda: library(after['layer.library']).materials)
         return {**numbers, **_custom_layer({**after, **numbers})}
     if name == motions.PARAMETER:
         if value:
@@ -236,17 +216,6 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
         ended = {'layer.stack': ''} if name in STACKED and settings['layer.stack'] else {}
         return {**ended, **_custom_layer({**after, **ended})}
     return {}
-
-
-def _named_layer(settings: Settings) -> Settings:
-    """Return the values of the layer that the settings name."""
-    name, layers = settings['layer.name'], library(settings['layer.library']).layers
-    if name not in layers:
-        raise ParameterError(
-            f'layer.name must be one of {", ".join(layers)} or {CUSTOM!r}, got {quote(name)}',
-            'layer.name',
-        )
-    return layers[name]
 
 
 def _custom_layer(settings: Settings) -> Settings:
@@ -280,19 +249,9 @@ def joint_names(settings: Settings) -> tuple[str, str]:
 
 def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -> Rig:
     """
-    Make the rig that complete settings describe.
+    Make the rig that complete settings describe; ParameterError if a file cannot be read.
 
-    Parameters
-    ----------
-    settings : mapping of str to value
-        Complete settings of the twin.
-    motion_of : callable
-        Returns the motion of the plate by the path of its file; by default it reads the file.
-
-    Raises
-    ------
-    ParameterError
-        If a file cannot be read.
+    `motion_of` returns the motion of the plate by the path of its file.
 
     Examples
     --------
@@ -347,8 +306,9 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 
     """
     values = {
-        name: getattr(part, name.partition('.')[2])
-        for part in (rig.engine, rig.layer, rig.projectile) for name in _names_of(type(part))
+        f'{group}.{name}': value
+        for group in ('engine', 'layer', 'projectile')
+        for name, value in vars(getattr(rig, group)).items() if name not in ('motion', 'parts')
     }
     stack = write_stack(rig.layer.parts) if rig.layer.parts else ''
     return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
@@ -356,10 +316,8 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
 
 def _values_of(kind: type, settings: Settings) -> dict[str, Any]:
     """Return the arguments of a part of the rig, but for a motion of the plate and sheets."""
-    return {name.partition('.')[2]: settings[name] for name in _names_of(kind)}
-
-
-def _names_of(kind: type) -> list[str]:
-    """Return the names of the parameters of a part of the rig."""
-    names = (item.name for item in fields(kind))
-    return [f'{kind.__name__.lower()}.{name}' for name in names if name not in ('motion', 'parts')]
+    group = kind.__name__.lower()
+    return {
+        item.name: settings[f'{group}.{item.name}'] for item in fields(kind)
+        if item.name not in ('motion', 'parts')
+    }

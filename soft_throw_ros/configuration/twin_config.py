@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-The configuration of the twin: complete settings, and the rig that they describe.
-
-A parameter is stated in the table alone; computations read it from `settings`, or derived values
-from the properties here.
-"""
+"""The configuration of the twin: complete settings, the rig that they describe, derived values."""
 
 from __future__ import annotations
 
@@ -27,9 +22,6 @@ T = TypeVar('T')
 
 _START_SPEED = 0.1
 """Speed at which a measured plate has started a throw, over the peak speed by `engine.*`. [-]"""
-
-_RISE_TIMES = 1024
-"""Times from the start to the largest speed at which the expected speed is evaluated. [-]"""
 
 BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
@@ -62,7 +54,7 @@ class MeasurementConfig:
     @cached_property
     def rise_time(self) -> float:
         """Time from the start of the expected motion until it has the speed of a start [s]."""
-        times = np.linspace(0.0, self.motion.peak_velocity_time, _RISE_TIMES)
+        times = np.linspace(0.0, self.motion.peak_velocity_time, 1024)
         return float(times[(np.abs(self.motion.velocity(times)) >= self.start_speed).argmax()])
 
     @cached_property

@@ -127,9 +127,9 @@ def first_releases(
     FirstRelease
         Of arrays with the common shape; NaN where the projectile does not leave within 16 periods
         of the plate or of its own on the layer and `MAX_INTERVALS` (fewer if gravity makes many of
-        them worth a search), or rounding would spoil the promised accuracy. Errors: 1e-9 in the ejection phase and relative in the energy
-        transfer for :math:`\mu` in [0.003, 100], :math:`\kappa` in [0.15, 120], :math:`\zeta` in
-        [0, 0.3]; a few roundings in practice.
+        them worth a search), or rounding would spoil the promised accuracy. Errors: 1e-9 in the
+        ejection phase and relative in the energy transfer for :math:`\mu` in [0.003, 100],
+        :math:`\kappa` in [0.15, 120], :math:`\zeta` in [0, 0.3]; a few roundings in practice.
 
     Raises
     ------

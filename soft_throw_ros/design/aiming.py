@@ -1,10 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Aim a throw: find the amplitude of the plate that reaches a height or a speed.
-
-The last release counts, because re-contacts change the flight.
-"""
+"""Aim a throw at a height or a speed of its last release, by the amplitude of the plate."""
 
 from __future__ import annotations
 
@@ -24,8 +20,6 @@ from soft_throw_ros.design.score import Limits
 _MAX_AMPLITUDE = TWIN.by_name['engine.amplitude'].high  # where the search ends [m]
 _BRACKET_STEP = 0.1  # step of the logarithm of the amplitude in the search for a bracket [-]
 _UNRELEASED = -10.0  # logarithm of reached over target that stands for no release [-]
-_AMPLITUDE_TOLERANCE = 1e-9  # error of the logarithm of the amplitude [-]
-_TARGET_TOLERANCE = 1e-5  # relative error of the target, beyond it a solution is a jump [-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,15 +96,13 @@ def aim(
     while excess(low) >= 0.0:
         low -= _BRACKET_STEP
     high = low + _BRACKET_STEP
-    while excess(high) < 0.0:
+    while excess(high) < 0.0 and high < math.log(_MAX_AMPLITUDE):
         low, high = high, high + _BRACKET_STEP
-        if low > math.log(_MAX_AMPLITUDE):
-            raise ThrowUnresolvedError(f'no amplitude up to {_MAX_AMPLITUDE:g} m reaches {goal}')
-    logarithm = float(scipy.optimize.brentq(
-        excess, low, high, xtol=_AMPLITUDE_TOLERANCE, rtol=_AMPLITUDE_TOLERANCE
-    ))
+    is_reached = excess(high) >= 0.0
+    logarithm = float(scipy.optimize.brentq(excess, low, high)) if is_reached else high
     amplitude = math.exp(logarithm)
-    if abs(excess(logarithm)) > _TARGET_TOLERANCE or amplitude > _MAX_AMPLITUDE:
+    # at a jump the target is passed and not reached
+    if amplitude > _MAX_AMPLITUDE or abs(excess(logarithm)) > 1e-5:
         raise ThrowUnresolvedError(f'no amplitude up to {_MAX_AMPLITUDE:g} m reaches {goal}')
     aimed = rig_with(rig, {'amplitude': amplitude})
     throw, last, limits = predict(aimed), simulate(aimed), limits or Limits()

@@ -13,8 +13,8 @@ functions of two ratios, the mass ratio :math:`\mu` and the speed ratio :math:`\
     x = \frac{L_s}{L_s + L_r}, \quad C = \frac{c_s}{(L_s + L_r) f}: \qquad
     \mu = \frac{\rho_r}{\rho_s} \frac{1 - x}{x}, \quad \kappa = \frac{C}{x},
 
-and depend on the density ratio of projectile and layer as well. The maps of [1]_ use equal
-densities, though the rig of [1]_ has a ratio of 1.3.
+and depend on the density ratio of projectile and layer as well, here that of the rig. The maps of
+[1]_ use equal densities, though its rig has a ratio of 1.3.
 
 References
 ----------
@@ -30,7 +30,7 @@ import functools
 import math
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, get_args, Literal, NamedTuple
+from typing import get_args, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,8 +87,8 @@ RESULTS: Mapping[str, QuantityLabel] = {
 }
 """Results at every point of a landscape, by the names of its arrays."""
 
-_RATIOS = {'x': 'mu', 'C': 'kappa', 'mu': 'mu', 'kappa': 'kappa'}
-"""Axes without unit, and the ratio that each of them is a function of."""
+_RATIOS = ('x', 'C', 'mu', 'kappa')
+"""Axes without unit: two of the paper, and the mass and the speed ratio."""
 
 _WITH_RATIOS = ('engine.damping_ratio', 'engine.amplitude', 'gravity', 'layer.loss_tangent')
 """Parameters that may be an axis beside a ratio."""
@@ -111,7 +111,6 @@ class Landscape:
     ejection_phase: Floats  # shape (n, m); NaN where the projectile does not leave [-]
     energy_transfer: Floats  # likewise [-]
     release: Release  # release that counts, the first or the last
-    density_ratio: float  # projectile over layer, for the axes x and C [-]
 
     @property
     def optimum(self) -> HighestPoint | None:
@@ -124,8 +123,9 @@ class Landscape:
         return HighestPoint((float(x[i]), float(y[j])), *results)
 
     def coordinates_of(self, rig: Rig) -> tuple[float, float]:
-        """Return the position of a rig on the axes; x and C take the landscape's density ratio."""
-        x = self.density_ratio / (self.density_ratio + rig.mass_ratio)
+        """Return the position of a rig on the axes, with the density ratio of the landscape."""
+        density_ratio = _density_ratio(self.rig)
+        x = density_ratio / (density_ratio + rig.mass_ratio)
         ratios = {'x': x, 'C': x * rig.speed_ratio, 'mu': rig.mass_ratio, 'kappa': rig.speed_ratio}
         first, second = (
             ratios[name] if name in ratios else float(attrgetter(name)(rig)) for name in self.axes
@@ -134,26 +134,24 @@ class Landscape:
 
     def save(self, path: Path) -> None:
         """Write NetCDF 3, which xarray and MATLAB read; the file is complete or not there."""
-        axes = [name.replace('.', '_') for name in self.axes]
         with (
             atomic_file(path) as unfinished,
             netcdf_file(unfinished, 'w', mmap=False, version=2) as data,
         ):
             data.source = f'soft_throw_ros {soft_throw_ros.__version__}'
-            data.release, data.density_ratio = self.release, self.density_ratio
+            data.release = self.release
             for name, value in rig_values(self.rig).items():
                 setattr(data, name.replace('.', '_'), value)
-
-            def write(name: str, values: Floats, dimensions: list[str], label: Any) -> None:
-                variable = data.createVariable(name, 'f8', dimensions)
-                variable[:] = values
-                variable.long_name, variable.units = label.meaning, label.unit or '1'
-
-            for axis, (name, values) in zip(axes, self.axes.items(), strict=True):
-                data.createDimension(axis, values.size)
-                write(axis, values, [axis], AXES[name])
-            for name, label in RESULTS.items():
-                write(name, getattr(self, name), axes, label)
+            dimensions = [name.replace('.', '_') for name in self.axes]
+            for name, values in self.axes.items():
+                data.createDimension(name.replace('.', '_'), values.size)
+            for name, label in {**AXES, **RESULTS}.items():
+                if name in self.axes or name in RESULTS:
+                    axis = name.replace('.', '_')
+                    along = [axis] if name in self.axes else dimensions
+                    variable = data.createVariable(axis, 'f8', along)
+                    variable[:] = self.axes.get(name, getattr(self, name, None))
+                    variable.long_name, variable.units = label.meaning, label.unit or '1'
 
 
 def compute_landscape(
@@ -161,14 +159,12 @@ def compute_landscape(
     axes: Mapping[str, ArrayLike],
     *,
     release: Release = 'first',
-    density_ratio: float | None = None,
     run: Callable[..., Iterable[Floats]] = map,
 ) -> Landscape:
     r"""
     Compute a landscape over two of `AXES`, of which the ratios replace values of the rig.
 
-    `density_ratio` is that of projectile and layer, for the axes x and C; that of the rig if not
-    given. `run` maps a function over blocks of throws, as `Executor.map` does.
+    `run` maps a function over blocks of throws, as `Executor.map` does.
 
     Notes
     -----
@@ -190,14 +186,9 @@ def compute_landscape(
 
     """
     checked = _check(rig, axes, release)
-    if density_ratio is None:
-        projectile, layer = rig.projectile, rig.layer
-        density_ratio = projectile.mass / (layer.section * projectile.length * layer.density)
-    checks.require_positive('density_ratio', density_ratio)
     first, second = checked.values()
     shape = (first.size, second.size)
-    along = dict(zip(checked, (first[:, None], second), strict=True))
-    changes = _changes(rig, along, density_ratio)
+    changes = _changes(rig, dict(zip(checked, (first[:, None], second), strict=True)))
     cases = np.stack([np.broadcast_to(item, shape).ravel() for item in changes.values()])
     compute = functools.partial(_compute, rig, release, tuple(changes))
     has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
@@ -211,7 +202,6 @@ def compute_landscape(
         ejection_phase=phase,
         energy_transfer=transfer,
         release=release,
-        density_ratio=density_ratio,
     )
 
 
@@ -224,10 +214,9 @@ def _check(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> dict[st
     for name in axes:
         if name not in AXES:
             raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
-    is_ratio = [name in _RATIOS for name in axes]
-    if len({_RATIOS.get(name, name) for name in axes}) == 1:
+    if {*axes} in ({'x', 'mu'}, {'C', 'kappa'}):
         raise ValueError(f'the axes {" and ".join(axes)} are not independent; choose others')
-    if any(is_ratio) and not {*axes} <= {*_RATIOS, *_WITH_RATIOS}:
+    if {*axes} & {*_RATIOS} and not {*axes} <= {*_RATIOS, *_WITH_RATIOS}:
         names = ', '.join([*_RATIOS, *_WITH_RATIOS])
         raise ValueError(f'a ratio can be combined with {names}, got {" and ".join(axes)}')
     if rig.engine.motion and 'engine.damping_ratio' in axes:
@@ -250,18 +239,24 @@ def _check(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> dict[st
     return checked
 
 
-def _changes(rig: Rig, along: Mapping[str, Floats], density_ratio: float) -> dict[str, Floats]:
+def _density_ratio(rig: Rig) -> float:
+    """Return the density of the projectile over that of the layer [-]."""
+    volume = rig.layer.section * rig.projectile.length
+    return rig.projectile.mass / (volume * rig.layer.density)
+
+
+def _changes(rig: Rig, along: Mapping[str, Floats]) -> dict[str, Floats]:
     """Return the changes of the rig along the axes, for `rig_with`."""
     changes = {name.rpartition('.')[2]: along[name] for name in along if name in TWIN.by_name}
     if len(changes) == len(along):
         return changes
-    mu, kappa = np.asarray(rig.mass_ratio), np.asarray(rig.speed_ratio)
+    density_ratio = _density_ratio(rig)
+    mu = along.get('mu', np.asarray(rig.mass_ratio))
     if 'x' in along:
         mu = density_ratio * (1.0 - along['x']) / along['x']
-    mu = along.get('mu', mu)
+    kappa = along.get('kappa', np.asarray(rig.speed_ratio))
     if 'C' in along:
         kappa = along['C'] / along.get('x', density_ratio / (density_ratio + mu))
-    kappa = along.get('kappa', kappa)
     # A layer with the given ratios and the present wave speed
     thickness = rig.layer.wave_speed / (kappa * rig.engine.frequency)
     density = rig.projectile.mass / (mu * rig.layer.section * thickness)

@@ -87,30 +87,12 @@ def maximise(
     rough: Score | None = None,
 ) -> Optimum | None:
     """
-    Find the layer with the highest score.
+    Find the layer with the highest score; of scores that are equal to 1e-9, the thinner one.
 
-    Parameters
-    ----------
-    score : Score
-        Function to maximise.
-    box : Box
-        Range of the search.
-    step : float
-        Step of the grid in the logarithms. [-]
-    starts : sequence of (float, float)
-        Thickness [m] and wave speed [m/s] of layers that start a search if they beat the grid.
-    tolerance : float
-        Relative error of thickness and wave speed. [-]
-    needed : float
-        Score below which no layer matters. [-]
-    rough : Score, optional
-        A faster upper bound of the score, which chooses the points of the grid to search near.
-
-    Returns
-    -------
-    Optimum or None
-        None if no score is above `needed`. Of scores that are equal to 1e-9, the thinner layer.
-
+    `step` is that of the grid, in logarithms, and `tolerance` the relative error of thickness and
+    wave speed. `starts` are thickness [m] and wave speed [m/s] of layers that start a search if
+    they beat the grid. `rough` is a faster upper bound of the score, which chooses the points of
+    the grid to search near. The result is None if no score is above `needed`.
     """
     low, high = np.log(np.array(box).T)
     sizes = np.clip(np.ceil((high - low) / step).astype(int) + 1, *_POINTS)

@@ -10,7 +10,7 @@ time. A motion is a sum of short pulses of the plate's velocity. The stepper com
 velocities, forces and strains of one pulse; those of all pulses add up. The largest speed of the
 projectile at a release time T is therefore a linear programme in the heights of the pulses, whose
 optimum is global [1]_. Its constraints are a pushing contact force until T, and limits of the
-plate's speed, acceleration, jerk and travel, of the layer's strain, and of the projectile's
+plate's speed, acceleration and travel, of the layer's strain, and of the projectile's
 acceleration. The speed grows with T, since the plate may wait before it starts; the shortest T
 with nearly the speed of the longest is used.
 
@@ -18,7 +18,7 @@ The strain is limited at several heights of the layer at all times. Most limits 
 active, so the programme begins without limits of the strain, and adds the limits that its solution
 exceeds, until the solution keeps all limits.
 
-Pulses are quadratic B-splines. Their heights bound velocity, acceleration and jerk at all times.
+Pulses are quadratic B-splines. Their heights bound velocity and acceleration at all times.
 The height of the plate is a cubic spline from rest to rest, with knots at whole nanoseconds, the
 resolution of trajectory messages. A quintic then leads the plate back to its first height. The
 exact stepper simulates the throw to its end. A motion that meets the projectile again is rejected,
@@ -73,15 +73,14 @@ from soft_throw_ros.design.uncertainty import Uncertainties
 
 Floats = NDArray[np.float64]
 
-Critical: TypeAlias = set[tuple[int, float, float]]
-"""Strains that solutions exceeded: index of the height, time before the release [s], sign."""
+Changes: TypeAlias = Mapping[str, float]
+"""Changes to another rig, as for `rig_with`."""
 
 _COARSE, _FINE = (12, 120), (64, 300)  # pulses per crossing of the wave, and until T at most
 _FINER = 2  # times per pulse at which the layer has to push the projectile
 _HEIGHTS = 9  # points of the layer, from plate to projectile, whose strain is limited
 _WAITING_GAIN = 1e-3  # relative gain of speed that does not justify a later release [-]
 _STRAIN_TOLERANCE = 2e-3  # relative excess of a strain that adds a limit to the programme [-]
-_STRAIN_STRIDE = 4  # of the pulses that get a limit of the strain, beside the maxima
 _MAX_ROUNDS = 12  # programmes in turn while limits of the strain are added; 3 to 6 are enough
 _SMOOTHING_LOSS = 5e-4  # relative loss of speed for a motion without brief pulses [-]
 _SCALINGS = 5  # most simulations that scale a motion down to the limits of its loads
@@ -91,22 +90,8 @@ _MIN_WAVE_FORCE = 1e-3  # the same in the contact, over the largest speed times 
 _KEPT_SPEED = 0.93  # share of the speed that a motion keeps on other rigs [-]
 _PROGRAMME_ERROR = 0.01  # relative deficit of the simulated speed against the programme [-]
 _TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # of the time of release, tried in turn
-_OPTIMAL, _INFEASIBLE = 0, 2  # statuses of `linprog` that need no other method
 _PROGRAMME_TIME = 60.0  # limit of the time of a programme, which takes a second [s]
-_ROUNDING = 1e-12  # relative room below the limits of the plate [-]
-_RETURN_SHARE = 0.25  # peak speed, acceleration and jerk of the way back, over the motion's [-]
-_NO_RETURN = 1e-9  # distance from the first height that is rounding [m]
-
-_METHODS = {'highs-ipm': 300, 'highs-ds': 20000}
-"""
-Methods of `linprog` in turn, with their largest numbers of iterations.
-
-The simplex method may take minutes where the jerk is limited; the interior-point method takes 50
-iterations, but does not always converge.
-"""
-
-_QUINTIC_PEAKS = (1.875, 10.0 / math.sqrt(3.0), 60.0)
-"""Peak speed, acceleration and jerk of a quintic from rest to rest, of height and duration 1."""
+_RETURN_SHARE = 0.25  # peak speed and acceleration of the way back, over the motion's [-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,18 +100,16 @@ class PlateLimits:
 
     speed: float  # [m/s]
     acceleration: float = math.inf  # [m/s2]
-    jerk: float = math.inf  # [m/s3]
     travel: float = math.inf  # from the lowest to the highest position [m]
 
     def __post_init__(self) -> None:
-        checks.require_positive('speed', self.speed)
-        for name in ('acceleration', 'jerk', 'travel'):
-            if getattr(self, name) != math.inf:
-                checks.require_positive(name, getattr(self, name))
+        for name, value in vars(self).items():
+            if name == 'speed' or value != math.inf:
+                checks.require_positive(name, value)
 
     @classmethod
     def of(cls, engine: Engine) -> PlateLimits:
-        """Return the limits of the present motion of an engine; its jerk is not limited."""
+        """Return the limits of the present motion of an engine."""
         motion = motion_of(engine)
         end = motion.end_time if isinstance(motion, SampledMotion) else 2.0 / engine.frequency
         times = np.linspace(0.0, end, 20001)
@@ -138,19 +121,9 @@ class PlateLimits:
         )
 
     @property
-    def peak_acceleration(self) -> float:
-        """Return the largest on the way to the largest speed; less if the jerk is small [m/s2]."""
-        return min(self.acceleration, math.sqrt(self.speed * self.jerk))
-
-    @property
-    def acceleration_time(self) -> float:
-        """Time to reach the largest acceleration [s]."""
-        return self.peak_acceleration / self.jerk if self.jerk < math.inf else 0.0
-
-    @property
     def rise_time(self) -> float:
         """Time to reach the largest speed [s]."""
-        return self.speed / self.peak_acceleration + self.acceleration_time
+        return self.speed / self.acceleration
 
 
 class Pulses(NamedTuple):
@@ -171,66 +144,26 @@ class Pulses(NamedTuple):
         return SampledMotion(self.step * np.arange(float(len(states))), states)
 
     def motion_and_back(self) -> SampledMotion:
-        """Return the motion with a way back to its first height, slow beside the motion."""
+        """Return the motion with a quintic back to its first height, slow beside the motion."""
         motion = self.motion()
         distance = abs(float(motion.states[-1, 0]))
-        if distance <= _NO_RETURN:
+        speed = _RETURN_SHARE * np.abs(self.heights).max()
+        acceleration = _RETURN_SHARE * np.abs(np.diff(self.heights)).max() / self.step
+        # peaks of a quintic from rest to rest, of height and duration 1, are 1.875 and 5.77
+        duration = max(1.875 * distance / speed, math.sqrt(5.774 * distance / acceleration))
+        if duration <= self.step:  # the distance is rounding
             return motion
-        changes = (np.diff(np.pad(self.heights, 3), n) / self.step**n for n in range(3))
-        durations = [
-            (peak * distance / (_RETURN_SHARE * np.abs(change).max())) ** (1.0 / order)
-            for order, (peak, change) in enumerate(zip(_QUINTIC_PEAKS, changes, strict=True), 1)
-        ]
-        end = motion.end_time + _whole_ns(max(durations))
+        end = motion.end_time + _whole_ns(duration)
         return SampledMotion(np.append(motion.times, end), np.vstack([motion.states, np.zeros(3)]))
 
     def within(self, limits: PlateLimits) -> Pulses:
         """Return the motion, scaled down if it exceeds a limit at any time."""
-        heights, step = np.pad(self.heights, 3), self.step
-        excesses = [
-            np.abs(heights).max() / limits.speed,
-            np.abs(np.diff(heights)).max() / (limits.acceleration * step),
-            np.abs(np.diff(heights, 2)).max() / (limits.jerk * step**2),
-            np.ptp(np.cumsum(heights)) * step / limits.travel,
-        ]
-        excess = max(1.0, (1.0 + _ROUNDING) * max(excesses))
-        return self._replace(heights=self.heights / excess)
-
-
-def find_best_motion(
-    rig: Rig,
-    limits: PlateLimits,
-    *,
-    loads: Limits | None = None,
-    others: Sequence[Mapping[str, float]] = (),
-    cancelled: Cancelled | None = None,
-) -> Throw:
-    """
-    Find the motion that throws a rig's projectile fastest, and follow its throw to the end.
-
-    `others` are changes to rigs, as for `rig_with`, that it should throw nearly as fast. The plate
-    comes to rest at its first height, and does not meet the projectile before that has come down.
-    The speed is within 0.5 % of the known optima of a plate that goes up as fast as it can.
-    """
-    loads = loads or Limits()
-    problem = _Problem(rig, limits, loads, cancelled, set())
-    time, promised = _shortest_time(problem)
-    is_exact = rig.layer.stress_strain_law == 'linear'
-    best: Throw | None = None
-    for time_factor in _TIME_FACTORS if promised > 0.0 else ():
-        throw = _design(problem, time_factor * time)
-        if throw and not _keeps_contact(throw, others):
-            throw = _design(problem, time_factor * time, others) or throw
-        if throw and (best is None or throw.ejection_speed > best.ejection_speed):
-            best = throw
-        if best and is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
-            return best
-    if best is None:
-        raise ThrowUnresolvedError(
-            f'no motion of the plate throws within {limits} and strain {loads.max_strain:g}, '
-            f'acceleration {loads.max_acceleration:g} m/s2'
+        excesses = (
+            np.abs(self.heights).max() / limits.speed,
+            np.abs(np.diff(np.pad(self.heights, 1))).max() / (limits.acceleration * self.step),
+            np.ptp(np.cumsum(np.pad(self.heights, 1))) * self.step / limits.travel,
         )
-    return best
+        return self._replace(heights=self.heights / max(1.0, *excesses))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,14 +199,6 @@ class MotionDesign(PredictedThrow):
             text += f'; the plate goes down first, by {1e3 * depth:.2g} mm in {1e3 * time:.2g} ms'
         return text
 
-    def values(self) -> dict[str, float | str | bool]:
-        """Return everything by name, with `now.` and `worst.` before values of other throws."""
-        others = {'now': self.now, 'worst': self.worst}
-        return super().values() | {
-            f'{key}.{name}': value
-            for key, throw in others.items() if throw for name, value in vars(throw).items()
-        }
-
 
 def design_motion(
     rig: Rig,
@@ -284,7 +209,13 @@ def design_motion(
     cancelled: Cancelled | None = None,
 ) -> MotionDesign:
     """
-    Find the best motion of the plate, within the limits of its present motion if none are given.
+    Find the motion that throws a rig's projectile fastest.
+
+    The limits of the plate are those of its present motion if none are given. The motion throws
+    nearly as fast on the slowest and on the fastest layer and projectile within the uncertainties,
+    if they are given. The plate comes to rest at its first height, and does not meet the
+    projectile before that has come down. The speed is within 0.5 % of the known optima of a plate
+    that goes up as fast as it can.
 
     Examples
     --------
@@ -295,7 +226,7 @@ def design_motion(
     """
     plate = plate or PlateLimits.of(rig.engine)
     others = _corners(rig, uncertainties) if uncertainties else []
-    best = find_best_motion(rig, plate, loads=limits, others=others, cancelled=cancelled).rig
+    best = _best_throw(rig, plate, limits or Limits(), others, cancelled).rig
     throw, now, worst = predict(best), None, None
     with contextlib.suppress(ThrowUnresolvedError):
         now = predict(rig)
@@ -317,24 +248,64 @@ def _corners(rig: Rig, uncertainties: Uncertainties) -> list[dict[str, float]]:
     ]
 
 
-def _design(
-    problem: _Problem, time: float, others: Sequence[Mapping[str, float]] = ()
-) -> Throw | None:
-    """Return the throw of the best motion for a time of release."""
-    check_cancelled(problem.cancelled)
-    programme = _Programme(problem, time, is_fine=True, others=others)
-    pulses, _ = programme.solve(time)
-    return pulses and _follow(problem.rig, pulses, problem.loads, problem.cancelled)
+def _best_throw(
+    rig: Rig,
+    plate: PlateLimits,
+    loads: Limits,
+    others: Sequence[Changes],
+    cancelled: Cancelled | None,
+) -> Throw:
+    """Return the throw of the best motion, which other rigs throw nearly as fast."""
+    longest, *shorter = _times(rig, plate)
+    coarse = _Programme(rig, plate, loads, longest)
+
+    def speed_at(time: float) -> float:
+        check_cancelled(cancelled)
+        return coarse.solve(time)[1]
+
+    def throw_at(time: float, others: Sequence[Changes] = ()) -> Throw | None:
+        check_cancelled(cancelled)
+        fine = _Programme(rig, plate, loads, time, coarse=coarse, others=others)
+        pulses, _ = fine.solve(time)
+        return pulses and _follow(rig, pulses, loads, cancelled)
+
+    promised = speed_at(longest)
+    index = bisect.bisect_left(shorter, (1.0 - _WAITING_GAIN) * promised, key=speed_at)
+    time = [*shorter, longest][index]
+    best: Throw | None = None
+    for time_factor in _TIME_FACTORS if promised > 0.0 else ():
+        throw = throw_at(time_factor * time)
+        if throw:
+            speeds = [float(throw_many(throw.rig, change).ejection_speed) for change in others]
+            if not all(speed > _KEPT_SPEED * throw.ejection_speed for speed in speeds):
+                throw = throw_at(time_factor * time, others) or throw
+            best = max(throw, best or throw, key=lambda item: item.ejection_speed)
+            is_exact = rig.layer.stress_strain_law == 'linear'
+            if is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
+                break
+    if best is None:
+        raise ThrowUnresolvedError(
+            f'no motion of the plate throws within {plate} and strain {loads.max_strain:g}, '
+            f'acceleration {loads.max_acceleration:g} m/s2'
+        )
+    return best
 
 
-def _keeps_contact(throw: Throw, others: Sequence[Mapping[str, float]]) -> bool:
-    """Return whether a motion throws other rigs nearly as fast."""
-    speeds = [float(throw_many(throw.rig, change).ejection_speed) for change in others]
-    return all(speed > _KEPT_SPEED * throw.ejection_speed for speed in speeds)
+def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
+    """List times of release that may be worth it, the longest first [s]."""
+    contact = rig.crossing_time * (1.5 + math.pi * math.sqrt(rig.mass_ratio + 0.4))
+    longest = contact + limits.rise_time
+    if rig.gravity > 0.0:
+        # A plate that goes down first, no faster than the projectile falls, has a longer way up
+        fall = min(limits.speed / rig.gravity, 1.5 * math.sqrt(limits.travel / rig.gravity))
+        longest += fall + limits.rise_time
+    yield longest
+    count = max(4, math.ceil(math.log(longest / (0.6 * contact)) / 0.04))
+    yield from np.geomspace(0.6 * contact, longest, count)[:-1].tolist()
 
 
 def _whole_ns(time: float) -> float:
-    """Round a time up to whole nanoseconds, as messages have; others would add to the jerk [s]."""
+    """Round a time up to whole nanoseconds, the resolution of messages [s]."""
     return 1e-9 * math.ceil(1e9 * time)
 
 
@@ -362,61 +333,27 @@ def _follow(
     return None
 
 
-def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
-    """List times of release that may be worth it, the longest first [s]."""
-    contact = rig.crossing_time * (1.5 + math.pi * math.sqrt(rig.mass_ratio + 0.4))
-    longest = contact + limits.rise_time
-    if rig.gravity > 0.0:
-        # A plate that goes down first, no faster than the projectile falls, has a longer way up
-        fall = min(limits.speed / rig.gravity, 1.5 * math.sqrt(limits.travel / rig.gravity))
-        longest += fall + limits.rise_time
-    yield longest
-    count = max(4, math.ceil(math.log(longest / (0.6 * contact)) / 0.04))
-    yield from np.geomspace(0.6 * contact, longest, count)[:-1].tolist()
-
-
-class _Problem(NamedTuple):
-    """Arguments of a search for a motion, and the strains that its solutions have exceeded."""
-
-    rig: Rig
-    limits: PlateLimits
-    loads: Limits
-    cancelled: Cancelled | None
-    critical: Critical
-
-
-def _shortest_time(problem: _Problem) -> tuple[float, float]:
-    """Return the shortest time with nearly the largest speed, and the speed; 0 without a throw."""
-    longest, *shorter = _times(problem.rig, problem.limits)
-    programme = _Programme(problem, longest, is_fine=False)
-
-    def speed_at(time: float) -> float:
-        check_cancelled(problem.cancelled)
-        return programme.solve(time)[1]
-
-    speed = speed_at(longest)
-    if not speed > 0.0:
-        return longest, 0.0
-    index = bisect.bisect_left(shorter, (1.0 - _WAITING_GAIN) * speed, key=speed_at)
-    return [*shorter, longest][index], speed
-
-
 class _Programme:
-    """The linear programmes of a problem, up to a largest time of release."""
+    """
+    The linear programmes for times of release up to a largest one.
+
+    The unknowns are the control points of the height over speed and step. Their differences are
+    pulses over speed, whose differences bound the acceleration.
+    """
 
     def __init__(
         self,
-        problem: _Problem,
+        rig: Rig,
+        limits: PlateLimits,
+        loads: Limits,
         longest: float,
         *,
-        is_fine: bool,
-        others: Sequence[Mapping[str, float]] = (),
+        coarse: _Programme | None = None,
+        others: Sequence[Changes] = (),
     ) -> None:
-        self._rig, self._limits, self._loads, _, self._critical = problem
-        self._is_fine = is_fine
-        rig, (per_crossing, max_pulses) = problem.rig, _FINE if is_fine else _COARSE
-        step = max(rig.crossing_time / per_crossing, longest / max_pulses)
-        self._step = _whole_ns(step)
+        self._rig, self._limits, self._loads, self._is_fine = rig, limits, loads, bool(coarse)
+        per_crossing, max_pulses = _FINE if coarse else _COARSE
+        self._step = _whole_ns(max(rig.crossing_time / per_crossing, longest / max_pulses))
         self._count = math.ceil(longest / self._step) + 1
         self._gravity = 1e3 / self._step  # keeps the projectile in contact, changes nothing else
         states, strains = self._responses(rig)
@@ -426,6 +363,12 @@ class _Programme:
         self._forces = [(rig, states[:, PROJECTILE_FORCE])]
         for other in (rig_with(rig, change) for change in others):
             self._forces.append((other, self._responses(other)[0][:, PROJECTILE_FORCE]))
+        self._exceeded = np.zeros(self._strains.shape, bool)
+        """Strains that solutions exceeded, by their height and steps before the release."""
+        if coarse:
+            heights, steps = coarse._exceeded.nonzero()
+            steps = np.rint(steps * coarse._step / self._step).astype(int)
+            self._exceeded[heights, np.minimum(steps, self._count - 1)] = True
 
     def _responses(self, rig: Rig) -> tuple[Floats, Floats]:
         """Return states and strains after a pulse of 1 m/s; the forces are without the weight."""
@@ -449,46 +392,48 @@ class _Programme:
         release = min(round(time / step), self._count - 1)
         # Later pulses do not reach the projectile before the release.
         count = max(release - int(rig.crossing_time / step), 1)
-        braking = 1.2 * limits.rise_time + 2.0 * limits.acceleration_time
-        size = count + math.ceil(braking / step) + 6
-        # The unknowns are the control points of the height over speed and step.
-        # Differences of control points are pulses.
-        # Differences of pulses bound acceleration and jerk.
-        rise = np.diff(np.eye(size + 1), axis=0)
-        steps, bends = (np.diff(np.pad(rise, ((n, n), (0, 0))), n, axis=0) for n in (1, 2))
-        pushes = [self._pushing(*item, release, size) for item in self._forces]
-        force, min_force = map(np.concatenate, zip(*pushes, strict=True))
-        max_force = self._loads.max_acceleration * rig.projectile.mass
-        max_force /= limits.speed * rig.layer.impedance
-        min_speed = np.where(np.arange(size) < count, -1.0, 0.0)
-        ranges = [
-            (force @ rise, min_force, np.full(min_force.shape, max_force)),
-            (rise, min_speed, np.ones(size)),
-        ]
-        for matrix, limit in ((steps, limits.acceleration), (bends, limits.jerk * step)):
-            if limit < math.inf:
-                bound = np.ones(len(matrix))
-                ranges.append((matrix * (limits.speed / (limit * step)), -bound, bound))
-        rows = np.concatenate([sign * matrix for matrix, _, _ in ranges for sign in (1.0, -1.0)])
-        bounds = np.concatenate([item for _, low, high in ranges for item in (high, -low)])
-        is_limit = bounds < math.inf
+        size = count + math.ceil(1.2 * limits.rise_time / step) + 6
+        rise, pulse = np.diff(np.eye(size + 1), axis=0), np.eye(size)
         goal = np.zeros(size)
         goal[:count] = -self._velocity[release - np.arange(count)]
         goal[count:] = 1e-5 * step / rig.crossing_time  # brake as early as it does not matter
+        force, least = map(np.concatenate, zip(
+            *(self._pushing(*item, release, size) for item in self._forces), strict=True
+        ))
+        # rows for the pulses over the largest speed, and their upper bounds
+        parts = [
+            (-force, -least),
+            (pulse, np.ones(size)),
+            (-pulse, np.where(np.arange(size) < count, 1.0, 0.0)),
+        ]
+        if self._loads.max_acceleration < math.inf:
+            most = self._loads.max_acceleration * rig.projectile.mass
+            most /= limits.speed * rig.layer.impedance
+            parts.append((force, np.full(least.shape, most)))
+        if limits.acceleration < math.inf:
+            steps = np.diff(np.pad(pulse, ((1, 1), (0, 0))), axis=0)
+            most = limits.acceleration * step / limits.speed
+            parts += [(sign * steps, np.full(len(steps), most)) for sign in (-1.0, 1.0)]
+        strains = _lagged(self._strains, np.arange(release + 1), size)
+        exceeded = self._exceeded[:, release::-1]  # by the steps after the start, a view
         for _ in range(_MAX_ROUNDS):
-            strain, strain_bounds = self._strain_limits(release, size)
-            limited = np.concatenate([rows[is_limit], strain @ rise])
-            limited_bounds = np.concatenate([bounds[is_limit], strain_bounds])
-            result = self._optimise(goal @ rise, limited, limited_bounds)
+            static = self._static_strains[exceeded.nonzero()[0]]
+            limited = [
+                (sign * limits.speed * strains[exceeded], self._loads.max_strain - sign * static)
+                for sign in (-1.0, 1.0)
+            ]
+            rows, bounds = map(np.concatenate, zip(*parts, *limited, strict=True))
+            result = self._optimise(goal @ rise, rows @ rise, bounds)
             if result is None:
                 return None, 0.0
             if self._is_fine:
-                result = self._smoothest(result, goal @ rise, limited, limited_bounds, bends)
+                result = self._smoothest(result, goal @ rise, rows @ rise, bounds)
             pulses = limits.speed * (rise @ result)
-            excessive = self._excessive(pulses, release)
-            if excessive <= self._critical:
+            strain = np.abs(strains @ pulses + self._static_strains[:, None])
+            new = strain > (1.0 + _STRAIN_TOLERANCE) * self._loads.max_strain
+            if not (new & ~exceeded).any():
                 break
-            self._critical |= excessive
+            exceeded |= new
         pulses[np.abs(pulses) < 1e-6 * np.abs(pulses).max()] = 0.0
         if rig.gravity == 0.0:  # negative rounding errors before the start would release it
             start = int((np.abs(pulses) > 1e-3 * np.abs(pulses).max()).argmax())
@@ -497,85 +442,56 @@ class _Programme:
 
     def _optimise(self, goal: Floats, rows: Floats, bounds: Floats) -> Floats | None:
         """Solve a linear programme; None if it has no solution."""
-        for method, iterations in _METHODS.items():
-            result = scipy.optimize.linprog(
-                goal,
-                A_ub=scipy.sparse.csr_matrix(rows),
-                b_ub=bounds,
-                bounds=(0.0, self._limits.travel / (self._limits.speed * self._step)),
-                method=method,
-                options={'maxiter': iterations, 'time_limit': _PROGRAMME_TIME},
-            )
-            if result.status in (_OPTIMAL, _INFEASIBLE):
-                break
-        return result.x if result.status == _OPTIMAL else None
+        result = scipy.optimize.linprog(
+            goal,
+            A_ub=scipy.sparse.csr_matrix(rows),
+            b_ub=bounds,
+            bounds=(0.0, self._limits.travel / (self._limits.speed * self._step)),
+            method='highs-ds',
+            options={'time_limit': _PROGRAMME_TIME},
+        )
+        return result.x if result.status == 0 else None
 
-    def _smoothest(
-        self, fastest: Floats, goal: Floats, rows: Floats, bounds: Floats, bends: Floats
-    ) -> Floats:
+    def _smoothest(self, fastest: Floats, goal: Floats, rows: Floats, bounds: Floats) -> Floats:
         """Return the motion with the least change of acceleration that is almost as fast."""
-        goals, changes = rows.shape[1], len(bends)
-        best = float(goal @ fastest)
+        rise = np.diff(np.eye(goal.size), axis=0)
+        bends = np.diff(np.pad(rise, ((2, 2), (0, 0))), 2, axis=0)
+        best, size = float(goal @ fastest), np.eye(len(bends))
         # The additional unknowns are upper bounds of the magnitudes of all changes.
-        size = np.eye(changes)
         result = self._optimise(
-            np.repeat((0.0, 1.0), (goals, changes)),
+            np.repeat((0.0, 1.0), bends.shape[::-1]),
             np.block([
-                [rows, np.zeros((len(rows), changes))],
-                [goal, np.zeros(changes)],
+                [rows, np.zeros((len(rows), len(size)))],
+                [goal, np.zeros(len(size))],
                 [bends, -size],
                 [-bends, -size],
             ]),
             np.concatenate([
-                bounds, [best + _SMOOTHING_LOSS * abs(best)], np.zeros(2 * changes)
+                bounds, [best + _SMOOTHING_LOSS * abs(best)], np.zeros(2 * len(size))
             ]),
         )
-        return fastest if result is None else result[:goals]
-
-    def _excessive(self, pulses: Floats, release: int) -> Critical:
-        """Return the strains of a motion that exceed the limit."""
-        excessive: Critical = set()
-        for height, response in enumerate(self._strains):
-            strain = np.convolve(response[: release + 1], pulses)[: release + 1]
-            strain += self._static_strains[height]
-            size = np.pad(np.abs(strain), 1)
-            chosen = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
-            chosen[::_STRAIN_STRIDE] = True
-            chosen &= size[1:-1] > (1.0 + _STRAIN_TOLERANCE) * self._loads.max_strain
-            for n in np.flatnonzero(chosen).tolist():
-                before = (release - n) * self._step
-                excessive.add((height, before, math.copysign(1.0, strain[n])))
-        return excessive
-
-    def _strain_limits(self, release: int, size: int) -> tuple[Floats, Floats]:
-        """Return rows for the pulses, and bounds, that limit all strains known to be critical."""
-        critical = [
-            (height, release - round(before / self._step), sign)
-            for height, before, sign in sorted(self._critical)
-            if before < (release - 1) * self._step
-        ]
-        rows, bounds = np.zeros((len(critical), size)), np.empty(len(critical))
-        for row, (height, n, sign) in enumerate(critical):
-            response = self._strains[height, n::-1][:size]
-            rows[row, :response.size] = sign * self._limits.speed * response
-            bounds[row] = self._loads.max_strain - sign * self._static_strains[height]
-        return rows, bounds
+        return fastest if result is None else result[:goal.size]
 
     def _pushing(
         self, rig: Rig, force: Floats, release: int, size: int
     ) -> tuple[Floats, Floats]:
         """Return the force on a projectile over time, and its lower bound, against rest."""
         step, nominal = self._step / _FINER, self._rig
-        scale = self._limits.speed * nominal.layer.impedance
-        index = np.arange(1, _FINER * release + 1)[:, None] - _FINER * np.arange(size)
-        rows = np.where(index > 0, force[np.maximum(index, 0)], 0.0) / nominal.layer.impedance
+        rows = _lagged(force, np.arange(1, _FINER * release + 1), size, _FINER)
+        rows /= nominal.layer.impedance
         rows[np.abs(rows) < 1e-9 * np.abs(rows).max()] = 0.0
-        least = _MIN_CONTACT_FORCE if rig is nominal else 0.0
-        bound = np.full(len(rows), (least - 1.0) * rig.projectile.mass * rig.gravity / scale)
+        least = (_MIN_CONTACT_FORCE if rig is nominal else 0.0) - 1.0
+        scale = self._limits.speed * nominal.layer.impedance
+        bound = np.full(len(rows), least * rig.projectile.mass * rig.gravity / scale)
         times = step * np.arange(1, len(rows) + 1)
         crossing = rig.crossing_time
-        inside = (times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)
-        bound[inside] += _MIN_WAVE_FORCE
+        bound[(times > 1.5 * crossing) & (times < times[-1] - 0.5 * crossing)] += _MIN_WAVE_FORCE
         # a faster rig may release earlier
         kept = math.ceil(len(rows) * min(1.0, (crossing / nominal.crossing_time) ** 2))
         return rows[:kept], bound[:kept]
+
+
+def _lagged(response: Floats, indices: NDArray[np.intp], size: int, stride: int = 1) -> Floats:
+    """Return the responses to pulses at some indices of time, one column for each pulse."""
+    lag = indices[:, None] - stride * np.arange(size)
+    return np.where(lag > 0, response[..., np.maximum(lag, 0)], 0.0)

@@ -4,11 +4,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import throw_many
+
+_OF_LAYER = ('thickness', 'wave_speed', 'density', 'youngs_modulus', 'loss_tangent')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,12 +36,8 @@ class PredictedThrow:
     kinetic_energy: float  # of the projectile at the release [J]
 
     def values(self) -> dict[str, float | str | bool]:
-        """Return all that is one value by its name."""
-        return {
-            name: value
-            for name, value in vars(self).items()
-            if isinstance(value, (bool, float, str))
-        }
+        """Return everything by name, with a dot between the name of a part and of its value."""
+        return flat_values(vars(self))
 
 
 def predict(rig: Rig) -> PredictedThrow:
@@ -60,11 +60,7 @@ def predict(rig: Rig) -> PredictedThrow:
             f'{rig.speed_ratio:g}, gravity {rig.gravity_ratio:g} of the largest acceleration'
         )
     return PredictedThrow(
-        thickness=layer.thickness,
-        wave_speed=layer.wave_speed,
-        density=layer.density,
-        youngs_modulus=layer.youngs_modulus,
-        loss_tangent=layer.loss_tangent,
+        **{name: getattr(layer, name) for name in _OF_LAYER},
         mass_ratio=rig.mass_ratio,
         speed_ratio=rig.speed_ratio,
         **{name: float(getattr(throws, name)) for name in throws._fields if name != 'status'},
@@ -77,3 +73,16 @@ def gain_text(gain: float) -> str:
     if gain >= 0.95:
         return f'{1.0 + gain:.3g} times the energy'
     return f'{100.0 * abs(gain):.2g} % {"more" if gain >= 0.0 else "less"} energy'
+
+
+def flat_values(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a record, and those of its parts with the name of the part before."""
+    flat: dict[str, Any] = {}
+    for name, value in record.items():
+        parts = value._asdict() if hasattr(value, '_asdict') else value
+        parts = vars(parts) if isinstance(parts, PredictedThrow) else parts
+        if isinstance(parts, Mapping):
+            flat |= {f'{name}.{key}': item for key, item in parts.items()}
+        elif isinstance(parts, (bool, float, str)):
+            flat[name] = parts
+    return flat

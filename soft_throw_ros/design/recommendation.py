@@ -13,9 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 import math
-from typing import get_args, Literal, NamedTuple, TypeAlias
+from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
@@ -25,6 +26,8 @@ from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
 from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score
 from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
 
+Floats = NDArray[np.float64]
+
 Vary: TypeAlias = Literal['thickness', 'wave_speed', 'both', 'library']
 
 TOLERATED_LOSS = 0.02
@@ -33,8 +36,7 @@ TOLERATED_LOSS = 0.02
 MAX_STUCK_FRACTION = 0.05
 """Share of throws without a release, within the uncertainties, of a layer to recommend. [-]"""
 
-_SMALLEST_CHANGE, _LARGEST_CHANGE = 2e-3, 0.5  # relative tolerances of a layer [-]
-_HALVINGS = 7  # of the interval in which a tolerance ends, a factor of 2
+_LARGEST_CHANGE = 0.5  # largest relative tolerance of a layer [-]
 _EQUAL = 1e-9  # relative difference of equal scores; then the present layer is kept [-]
 _COARSE_ERROR = 2e-3  # relative error of scores with `SEARCH_CELLS` [-]
 _STRONG_GRAVITY = 0.2  # over the largest acceleration of the plate; beyond, maxima are narrow [-]
@@ -77,12 +79,16 @@ class Recommendation(PredictedThrow):
     def summary(self) -> str:
         """A sentence with the new layer, the gain of energy, the tolerances, and doubts."""
         name = 'alpha' if math.isclose(self.score, self.energy_transfer) else 'worst alpha'
-        text = f'keep your layer: none within the limits is better ({name} {self.score:.2f})'
-        if self.rig.layer != self.present.layer:
-            text = f'{self._changes()}: the present layer throws nothing'
-            if self.now_score:
-                text = f'{self._changes()}: {gain_text(self.gain)}{self._excuse()}'
-            text += f' ({name} {self.now_score:.2f} -> {self.score:.2f})'
+        held, text = self.now_stuck_fraction, 'the present layer throws nothing'
+        if self.now_score > 0.0:
+            text = gain_text(self.gain)
+            if self.gain < 0.0 and held > MAX_STUCK_FRACTION:
+                text += f', but the present layer has no release in {100.0 * held:.2g} %'
+            elif self.gain < 0.0:
+                text += ', because the present layer exceeds the limits'
+        text = f'{self._changes()}: {text} ({name} {self.now_score:.2f} -> {self.score:.2f})'
+        if self.rig.layer == self.present.layer:
+            text = f'keep your layer: none within the limits is better ({name} {self.score:.2f})'
         if self.stuck_fraction > MAX_STUCK_FRACTION:
             text = f'no release in {100.0 * self.stuck_fraction:.2g} % of all cases; {text}'
         thickness, wave_speed = self.tolerances['thickness'], self.tolerances['wave_speed']
@@ -103,28 +109,10 @@ class Recommendation(PredictedThrow):
             )
         return ' and '.join(changes)
 
-    def _excuse(self) -> str:
-        """Say why a layer is recommended that throws with less energy."""
-        if self.gain >= 0.0:
-            return ''
-        if self.now_stuck_fraction > MAX_STUCK_FRACTION:
-            share = 100.0 * self.now_stuck_fraction
-            return f', but the present layer has no release in {share:.2g} %'
-        return ', because the present layer exceeds the limits'
-
     def values(self) -> dict[str, float | str | bool]:
         """Return everything by name, with a dot between the name of a part and of its value."""
-        groups: dict[str, Mapping[str, float]] = {
-            name: vars(throw)
-            for name in ('now', 'by_thickness', 'by_wave_speed')
-            if (throw := getattr(self, name))
-        }
-        groups['tolerance'] = self.tolerances
-        groups['candidate'] = {item.layer: item.score for item in self.candidates}
-        return super().values() | {
-            f'{name}.{key}': value
-            for name, group in groups.items() for key, value in group.items()
-        }
+        scores = {f'candidates.{item.layer}': item.score for item in self.candidates}
+        return super().values() | scores
 
 
 def recommend(
@@ -140,34 +128,13 @@ def recommend(
     """
     Recommend the layer that throws best.
 
-    Only the layer changes: either thickness and wave speed, at the same density and loss tangent,
-    so that another wave speed means another modulus; or the whole layer, as one of a library.
+    Only the layer changes: its thickness and wave speed, at the same density and loss tangent, so
+    that another wave speed means another modulus; or the whole layer, as one of a library of
+    `materials`, of which idealised ones are not recommended. The `limits` of the layer do not
+    apply to parameters that may not change. Within the `uncertainties`, those of the paper if not
+    given, at most `MAX_STUCK_FRACTION` of the throws have no release, if a layer allows that. The
+    result is the present layer if no other is better, and the thinner one of equals.
 
-    Parameters
-    ----------
-    rig : Rig
-        Rig with the present layer.
-    vary : {'thickness', 'wave_speed', 'both', 'library'}
-        Part of the layer that may change.
-    objective : Objective, optional
-        Score to maximise, as in `score.OBJECTIVES`; the energy of the throw if not given.
-    limits : Limits, optional
-        Limits of the layer and its loads. They do not apply to parameters that may not change.
-    materials : mapping of str to Material, optional
-        The library, if `vary` is 'library'; idealised materials are not recommended.
-    uncertainties : Uncertainties, optional
-        Errors within which at most `MAX_STUCK_FRACTION` of the throws may have no release, if a
-        layer allows that; those of the paper if not given.
-    cancelled : callable, optional
-        Called every few tenths of a second; returns whether to give up.
-
-    Returns
-    -------
-    Recommendation
-        The present layer if no other is better, and the thinner one of equals.
-
-    Notes
-    -----
     The score is within 0.1 % of the best, as seen in random rigs, objectives and limits beside
     fine grids; except as said in `soft_throw_ros.design.maximise`.
 
@@ -182,10 +149,8 @@ def recommend(
         raise ValueError(f'vary must be one of {", ".join(get_args(Vary))}, got {vary!r}')
     limits, uncertainties = limits or Limits(), uncertainties or Uncertainties()
     search = _Search(objective or peak, limits, cancelled)
-    by = {
-        name: search.rank(_spaces(rig, name, limits, {})) for name in ('thickness', 'wave_speed')
-    }
-    spaces = _spaces(rig, vary, limits, materials or {})
+    by = {name: search.rank(_spaces(rig, name, limits)) for name in ('thickness', 'wave_speed')}
+    spaces = _spaces(rig, vary, limits, materials)
     ranked = by[vary] if vary in by else search.rank(
         spaces, [item.rig.layer for items in by.values() for item in items]
     )
@@ -197,8 +162,8 @@ def recommend(
     box = Box(limits.thickness, limits.wave_speed) if vary == 'library' else spaces[0].box
     present = search.evaluate(rig)
     if present.score > 0.0 and box.contains(rig.layer.thickness, rig.layer.wave_speed):
-        is_best = not ranked or present.score >= (1.0 - _EQUAL) * ranked[0].score
-        ranked = [present, *ranked] if is_best else [*ranked, present]
+        ranked = [present, *ranked]
+        ranked.sort(key=lambda item: -item.score * (1.0 + _EQUAL * (item is present)))
     if not ranked:
         raise ThrowUnresolvedError(
             f'no layer{" from the library" if vary == "library" else ""} throws with {vary} '
@@ -206,59 +171,55 @@ def recommend(
             'acceleration of the plate'
         )
 
-    def stuck_fraction_of(item: _Candidate) -> float:
+    def stuck(item: _Candidate) -> float:
         return stuck_fraction(item.rig, uncertainties, cancelled=cancelled)
 
-    best, stuck = ranked[0], stuck_fraction_of(ranked[0])
-    if stuck > MAX_STUCK_FRACTION:
+    best = ranked[0]
+    if stuck(best) > MAX_STUCK_FRACTION:
         safe = search._replace(objective=partial(robust, uncertainties=uncertainties))
         others = [search.evaluate(item.rig, item.name) for item in safe.rank(spaces)]
-        for other in sorted([*ranked[1:], *others], key=lambda item: -item.score):
-            if (share := stuck_fraction_of(other)) <= MAX_STUCK_FRACTION:
-                best, stuck = other, share
-                break
-    score = Score(rig, search.objective, cancelled=cancelled)
-    now_score = float(score(rig.layer.thickness, rig.layer.wave_speed)[0])
-    throws = {name: predict(items[0].rig) for name, items in by.items() if items}
+        others = sorted([*ranked, *others], key=lambda item: -item.score)
+        best = next((item for item in others if stuck(item) <= MAX_STUCK_FRACTION), best)
+    now_score = search._replace(limits=Limits()).evaluate(rig).score
+    throws: dict[str, Any] = {
+        f'by_{name}': predict(items[0].rig) if items else None for name, items in by.items()
+    }
     score = Score(best.rig, search.objective, cells=SEARCH_CELLS, cancelled=cancelled)
     return Recommendation(
         **vars(predict(best.rig)),
+        **throws,
         rig=best.rig,
         present=rig,
         vary=vary,
         layer=best.name,
         score=best.score,
-        stuck_fraction=stuck,
+        stuck_fraction=stuck(best),
         now=predict(rig) if now_score > 0.0 else None,
         now_score=now_score,
-        now_stuck_fraction=stuck_fraction_of(present),
-        by_thickness=throws.get('thickness'),
-        by_wave_speed=throws.get('wave_speed'),
+        now_stuck_fraction=stuck(present),
         candidates=candidates,
-        tolerances={
-            name: _tolerance(score, best.rig.layer, name) for name in ('thickness', 'wave_speed')
-        },
+        tolerances={name: _tolerance(score, best.rig.layer, name) for name in by},
     )
 
 
 def _tolerance(score: Score, layer: Layer, name: str) -> float:
     """Return the change of a value of a layer, up or down, that costs `TOLERATED_LOSS` [SI]."""
-    values = np.array([layer.thickness, layer.wave_speed])
-    is_changed = np.array([name == 'thickness', name == 'wave_speed'])
-    least = (1.0 - TOLERATED_LOSS) * float(score(*values)[0])
+    value = float(getattr(layer, name))
 
-    def is_tolerated(change: float) -> bool:
-        ends = [values * (1.0 + sign * change * is_changed) for sign in (-1.0, 1.0)]
-        thickness, wave_speed = np.transpose(ends)
-        return bool((score(thickness, wave_speed, least) >= least).all())
+    def scores_of(changed: ArrayLike, needed: float = 0.0) -> Floats:
+        values = {'thickness': layer.thickness, 'wave_speed': layer.wave_speed, name: changed}
+        return score(values['thickness'], values['wave_speed'], needed)
 
-    low, high = 0.0, _SMALLEST_CHANGE
-    while high < _LARGEST_CHANGE and is_tolerated(high):
-        low, high = high, 1.4 * high
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_tolerated(middle) else (low, middle)
-    return float(getattr(layer, name)) * low
+    least = (1.0 - TOLERATED_LOSS) * float(scores_of(value)[0])
+    low, high = 0.0, _LARGEST_CHANGE
+    for _ in range(3):  # each divides the interval by 16
+        changes = np.linspace(low, high, 17)[1:]
+        ends = value * (1.0 + np.concatenate([-changes, changes]))
+        scores = scores_of(ends, least).reshape(2, -1).min(axis=0)
+        if (scores >= least).all():
+            return value * high
+        low, high = np.append(low, changes)[(scores < least).argmax() + np.arange(2)].tolist()
+    return value * low
 
 
 class _Space(NamedTuple):
@@ -270,7 +231,7 @@ class _Space(NamedTuple):
 
 
 def _spaces(
-    rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material]
+    rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material] | None = None
 ) -> list[_Space]:
     """List the spaces of a request, of the library one for each material or for its sheets."""
     layer = rig.layer
@@ -283,7 +244,7 @@ def _spaces(
         speeds = limits.wave_speed if vary != 'thickness' else (layer.wave_speed,) * 2
         return [_Space(rig, Box(thickness, speeds))]
     spaces = []
-    for material in materials.values():
+    for material in (materials or {}).values():
         speed = material.wave_speed
         if material.is_ideal or not limits.wave_speed_min <= speed <= limits.wave_speed_max:
             continue

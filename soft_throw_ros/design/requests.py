@@ -30,17 +30,16 @@ def solve_request(
     `rig` is the rig that the settings describe, if it exists already. A ValueError has the reason
     why a request is impossible; SearchCancelledError follows when `cancelled` returns True.
     """
-    rig, request, limits = rig or rig_of(settings), _request(settings), limits_of(settings)
+    rig, limits = rig or rig_of(settings), limits_of(settings)
+    request = {name.removeprefix('recommendation.'): value for name, value in settings.items()}
     uncertainties = Uncertainties.from_settings(settings)
     if request['objective'] == 'aim':
         height, speed = request['target_height'] or None, request['target_speed'] or None
         return aim(rig, height=height, speed=speed, limits=limits, cancelled=cancelled)
     if request['vary'] == 'motion':
         if request['objective'] != 'peak':
-            raise ValueError(
-                "recommendation.vary 'motion' is for recommendation.objective 'peak' alone, got "
-                f'{request["objective"]!r}'
-            )
+            rule = "recommendation.vary 'motion' is for recommendation.objective 'peak' alone"
+            raise ValueError(f'{rule}, got {request["objective"]!r}')
         now = vars(PlateLimits.of(rig.engine))
         plate = PlateLimits(**{name: request.get(f'plate_{name}') or now[name] for name in now})
         return design_motion(
@@ -52,7 +51,7 @@ def solve_request(
         vary=request['vary'],
         objective=OBJECTIVES[request['objective']](settings),
         limits=limits,
-        materials=library(str(settings['layer.library'])).materials if is_from_library else None,
+        materials=library(settings['layer.library']).materials if is_from_library else None,
         uncertainties=uncertainties,
         cancelled=cancelled,
     )
@@ -60,10 +59,5 @@ def solve_request(
 
 def limits_of(settings: Settings) -> Limits:
     """Return the limits that the settings set; 0 is none."""
-    request = _request(settings)
-    return Limits(**{item.name: request[item.name] or math.inf for item in fields(Limits)})
-
-
-def _request(settings: Settings) -> Settings:
-    """Return the settings `recommendation.*` by their last names."""
-    return {name.removeprefix('recommendation.'): value for name, value in settings.items()}
+    values = {item.name: settings[f'recommendation.{item.name}'] for item in fields(Limits)}
+    return Limits(**{name: value or math.inf for name, value in values.items()})

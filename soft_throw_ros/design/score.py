@@ -118,18 +118,9 @@ class Score:
     """
     Scores of layers for an objective: the function that `maximise` maximises.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig; each call sets thickness and wave speed of its layer.
-    objective : Objective
-        The throws that count.
-    limits : Limits, optional
-        Limits of the loads, which hold for every throw that counts; the search itself keeps
-        those of thickness and wave speed.
-    cells, cancelled : optional
-        Arguments of `throw_many`.
-
+    Each call sets thickness and wave speed of the layer of the rig. Limits of the loads hold for
+    every throw that counts; the search itself keeps those of thickness and wave speed. `cells` and
+    `cancelled` are arguments of `throw_many`.
     """
 
     def __init__(

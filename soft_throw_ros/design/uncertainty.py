@@ -31,6 +31,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import SEARCH_CELLS, throw_many, Throws
+from soft_throw_ros.design.prediction import flat_values
 
 Floats = NDArray[np.float64]
 
@@ -47,18 +48,11 @@ _ROOT = 1.1347241384015194  # of x^6 = x + 1, for the five uncertain values
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertainties:
-    """
-    Largest errors of a rig, up or down; the defaults are those of [1]_.
-
-    References
-    ----------
-    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
-
-    """
+    """Largest errors of a rig, up or down; the defaults are those of the paper."""
 
     wave_speed: float = 0.3  # of the layer [m/s]
     thickness: float = 0.1e-3  # [m]
-    mass: float = 0.01  # relative; [1]_ gives lengths to 0.1 mm, 1 % of 8.2 mm [-]
+    mass: float = 0.01  # relative; the paper gives lengths to 0.1 mm, 1 % of 8.2 mm [-]
     frequency: float = 0.1  # of the plate [Hz]
     damping_ratio: float = 0.003  # [-]
 
@@ -74,16 +68,13 @@ class Uncertainties:
 
     def variants(self, rig: Rig, offsets: Floats) -> Floats:
         """Return `variants` of a rig with errors: shares from -1 to 1, shape (n, 5)."""
-        for name, uncertain in (
-            ('thickness', rig.layer.thickness),
-            ('wave_speed', rig.layer.wave_speed),
-            ('frequency', rig.engine.frequency),
-        ):
-            value = getattr(self, name)
-            if value >= uncertain:
+        for name in ('thickness', 'wave_speed', 'frequency'):
+            error = getattr(self, name)
+            value = getattr(rig.engine if name == 'frequency' else rig.layer, name)
+            if error >= value:
                 raise ValueError(
                     f'uncertainty.{name} must be below the {name.replace("_", " ")} itself, '
-                    f'{uncertain:g}, got {value:g}'
+                    f'{value:g}, got {error:g}'
                 )
         errors = np.array(list(vars(self).values()))
         errors[2] *= rig.projectile.mass
@@ -118,41 +109,25 @@ def changes_of(
 
 
 class Interval(NamedTuple):
-    """Where a predicted value lies, with the probability `COVERAGE`."""
+    """Where a predicted value lies, with the probability `COVERAGE`, half of the rest beside."""
 
     low: float
     high: float
-
-    @classmethod
-    def of(cls, values: Floats) -> Interval:
-        """Leave out as much at one end as at the other."""
-        return cls(*np.quantile(values, [0.5 - 0.5 * COVERAGE, 0.5 + 0.5 * COVERAGE]).tolist())
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictionUncertainty:
     """Intervals of a prediction, from the uncertainties of the rig."""
 
-    ejection_time: Interval
-    """:math:`t_e`. [s]"""
-    ejection_speed: Interval
-    """:math:`V_e` for the given amplitude, in proportion to the amplitude. [m/s]"""
-    energy_transfer: Interval
-    r""":math:`\alpha`. [-]"""
-    jumps: bool
-    """Whether the release jumps within the uncertainties, so that throws fall into groups."""
-    stuck_fraction: float
-    """Share of the throws without a release; the intervals do not include them. [-]"""
+    ejection_time: Interval  # [s]
+    ejection_speed: Interval  # [m/s]
+    energy_transfer: Interval  # [-]
+    jumps: bool  # whether the release jumps, so that throws fall into groups
+    stuck_fraction: float  # share of the throws without a release, not in the intervals [-]
 
-    def values(self) -> dict[str, float | bool]:
+    def values(self) -> dict[str, float]:
         """Return everything by name, with a dot between the name of an interval and its end."""
-        flat: dict[str, float | bool] = {}
-        for name, value in vars(self).items():
-            if isinstance(value, Interval):
-                flat[f'{name}.low'], flat[f'{name}.high'] = value
-            else:
-                flat[name] = value
-        return flat
+        return flat_values(vars(self))
 
     def __str__(self) -> str:
         time, speed, transfer = (
@@ -163,9 +138,7 @@ class PredictionUncertainty:
                 (self.energy_transfer, 1.0, '.3f'),
             )
         )
-        text = f'{time} ms, {speed} m/s, alpha {transfer}'
-        if self.jumps:
-            text += ', with a jump between'
+        text = f'{time} ms, {speed} m/s, alpha {transfer}{", with a jump between" * self.jumps}'
         if self.stuck_fraction > 0.0:
             text += f'; no release in {100.0 * self.stuck_fraction:.2g} % of all cases'
         return text
@@ -191,13 +164,14 @@ def prediction_uncertainty(
     is_released = throws.ejection_speed > 0.0
     if not is_released.any():
         raise ThrowUnresolvedError('the projectile does not leave within the uncertainties')
-    times = throws.ejection_time[is_released]
-    gaps = np.diff(np.sort(times))
+    ends = 0.5 + 0.5 * COVERAGE * np.array([-1.0, 1.0])
+    times = np.sort(throws.ejection_time[is_released])
     return PredictionUncertainty(
-        ejection_time=Interval.of(times),
-        ejection_speed=Interval.of(throws.ejection_speed[is_released]),
-        energy_transfer=Interval.of(throws.energy_transfer[is_released]),
-        jumps=bool(gaps.size and gaps.max() > _JUMP * np.ptp(times)),
+        **{
+            name: Interval(*np.quantile(getattr(throws, name)[is_released], ends).tolist())
+            for name in ('ejection_time', 'ejection_speed', 'energy_transfer')
+        },
+        jumps=bool(np.diff(times).max(initial=0.0) > _JUMP * np.ptp(times)),
         stuck_fraction=1.0 - float(is_released.mean()),
     )
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.least_squares import Estimate, FitError
 from soft_throw_ros.identification.rig_fit import RigFit
@@ -69,19 +70,22 @@ def ejection_of(result: RigFit) -> Ejection:
     of its parameters, since :math:`t_e` and :math:`\alpha` jump and have no derivative there, and
     the systematic errors of the release.
     """
-    releases = result.releases(_DRAWS)
-    is_released = ~np.isnan(releases.time)
+    rigs = [result.rig, *result.draw(_DRAWS)]
+    time, speed, energy_transfer = np.transpose([throw_many(rig)[:3] for rig in rigs])
+    is_released = ~np.isnan(time)
     if not is_released[0]:
         raise FitError(
             'the projectile of the fitted rig does not leave the layer '
             f'({100.0 * is_released.mean():.2g} % of the rigs within the errors throw it)'
         )
-    echoes = releases.echoes - releases.echoes[0]
+    crossings = time / [rig.crossing_time for rig in rigs]
+    echoes = ((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64)
+    echoes -= echoes[0]
     columns = {
-        'ejection.time': releases.time,
-        'ejection.speed': releases.speed,
-        'ejection.peak_plate_speed': releases.peak_plate_speed,
-        'ejection.energy_transfer': releases.energy_transfer,
+        'ejection.time': time,
+        'ejection.speed': speed,
+        'ejection.peak_plate_speed': speed / np.sqrt(energy_transfer),
+        'ejection.energy_transfer': energy_transfer,
     }
 
     def release(count: int) -> Release:
@@ -91,40 +95,32 @@ def ejection_of(result: RigFit) -> Ejection:
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
             estimates.append(with_floor(name, Estimate(value, error), result.growth))
-        time, speed, plate_speed, energy_transfer = estimates
         share = float(chosen.sum() / is_released.sum())
-        return Release(time, speed, plate_speed, energy_transfer, count, share)
+        return Release(*estimates, echoes=count, probability=share)
 
     others = [release(int(count)) for count in np.unique(echoes[is_released]) if count]
     likely = [item for item in others if item.probability > _MIN_PROBABILITY]
     return Ejection(release(0), tuple(sorted(likely, key=lambda item: -item.probability)))
 
 
-class Verdict(NamedTuple):
-    """Whether a fit is good enough to choose a layer, and the reason if it is not."""
-
-    is_good_enough: bool
-    reason: str = ''
-
-
-def judge(result: RigFit, ejection: Ejection | None) -> Verdict:
+def doubt(result: RigFit, ejection: Ejection | None) -> str:
     """
-    Return whether a fit is good enough to choose a layer.
+    Return why a fit is not good enough to choose a layer; empty if it is.
 
-    The energy transfer is known to `GOOD_ENOUGH`, also if the projectile leaves after another
-    number of echoes, and there is neither a warning nor an assumption.
+    It is if the energy transfer is known to `GOOD_ENOUGH`, also if the projectile leaves after
+    another number of echoes, and there is neither a warning nor an assumption.
     """
     if assumed := result.model.description.assumed:
-        return Verdict(False, f'nobody stated {", ".join(assumed)}')
+        return f'nobody stated {", ".join(assumed)}'
     if ejection is None:
-        return Verdict(False, 'no release is predicted')
+        return 'no release is predicted'
     if warnings := fit_warnings(result.fit):
-        return Verdict(False, warnings[0])
+        return warnings[0]
     value, error = ejection.first.energy_transfer
     others = [item.energy_transfer.value for item in ejection.alternatives]
     if max((abs(other - value) for other in others), default=0.0) > GOOD_ENOUGH * value:
-        return Verdict(False, 'another number of echoes is possible')
+        return 'another number of echoes is possible'
     if error > GOOD_ENOUGH * value:
         known = f'{100.0 * error / value:.2g} %, more than {100.0 * GOOD_ENOUGH:g} %'
-        return Verdict(False, f'the energy transfer is known to {known}')
-    return Verdict(True)
+        return f'the energy transfer is known to {known}'
+    return ''

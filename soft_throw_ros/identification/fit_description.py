@@ -3,14 +3,13 @@
 """
 Treatments of the parameters of a fit: free, fixed or known with an error.
 
-Command line, YAML file and Python share them. `ParameterLayout` puts the values in an order.
+Command line, YAML file and Python share them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 import math
 from operator import attrgetter
 from pathlib import Path
@@ -21,7 +20,6 @@ from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import rig_with
 from soft_throw_ros.identification.least_squares import Estimate, FitError
-from soft_throw_ros.identification.tracks import ThrowTracks
 
 ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
 LOSS = 'layer.loss_tangent'
@@ -107,17 +105,7 @@ IDEAL_BENCH: Mapping[str, Treatment] = {
 
 @dataclass(frozen=True)
 class FitDescription:
-    """
-    The treatments of all parameters of a fit; raise ValueError for an unknown name.
-
-    Examples
-    --------
-    >>> fit = FitDescription({**IDEAL_BENCH, 'layer.thickness': Treatment(True, error=1e-4)})
-    >>> [name for name in DEFAULTS if fit.treatment(name).is_varied]
-    ['engine.frequency', 'engine.damping_ratio', 'engine.amplitude', 'layer.wave_speed', \
-'layer.thickness']
-
-    """
+    """The treatments of all parameters of a fit; raise ValueError for an unknown name."""
 
     parameters: Mapping[str, Treatment] = field(default_factory=dict)
     """Treatments of some parameters; the others have their `DEFAULTS`."""
@@ -128,25 +116,22 @@ class FitDescription:
 
     def __post_init__(self) -> None:
         for name in self.parameters:
-            check_name(name)
+            _check_name(name)
 
     @classmethod
-    def from_file(cls, path: str | Path, base: FitDescription | None = None) -> FitDescription:
+    def from_file(cls, path: str | Path) -> FitDescription:
         """
-        Read a description from a YAML file.
+        Read a description from a YAML file; raise ValueError with the file and the wrong value.
 
         It is a mapping with the keys `free` and `per_throw` (lists of names), `fixed` (names to
-        values), `prior` (names to values and standard errors) and `topic`. All keys are optional;
-        the defaults are those of `base`.
-
-        Raise ValueError, naming the file and the value, if something is wrong.
+        values), `prior` (names to values and standard errors) and `topic`, all of them optional.
         """
-        description, tree = base or cls(), read_yaml(path)
+        tree = read_yaml(path)
         try:
-            description = description.change(_read_treatments(tree, description))
+            treatments = _read_treatments(tree)
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
-        return replace(description, topic=str(tree['topic'])) if 'topic' in tree else description
+        return cls(treatments, str(tree['topic']) if 'topic' in tree else None)
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
@@ -168,12 +153,8 @@ class FitDescription:
         return self.parameters.get(name, DEFAULTS[name])
 
     def is_free(self, name: str) -> bool:
-        """Return whether a parameter is fitted without a prior."""
+        """Return whether the fit determines a parameter without a prior."""
         return self.treatment(name).is_free
-
-    def searches(self, name: str) -> bool:
-        """Whether a parameter is fitted if the tracks show it: nothing is said about it."""
-        return name not in self.parameters
 
     def value(self, name: str, rig: Rig) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
@@ -206,50 +187,49 @@ def parse_error(text: str, value: str) -> Treatment:
     return Treatment(True, error=0.01 * error if is_relative else error, is_relative=is_relative)
 
 
-def _read_treatments(tree: Mapping[str, Any], base: FitDescription) -> dict[str, Treatment]:
+def _read_treatments(tree: Mapping[str, Any]) -> dict[str, Treatment]:
     """Return the treatments of a fit file."""
-    for name in tree:
-        if name not in _KEYS:
-            raise ValueError(f'must be one of {", ".join(_KEYS)}, got {name!r}')
-    treatments = dict.fromkeys(_names(tree.get('free', [])), FREE)
-    for key in ('fixed', 'prior'):
-        values = tree.get(key, {})
-        if not isinstance(values, dict):
-            raise ValueError(f'{key} must be a mapping, got {values!r}')
-        for name, value in values.items():
-            check_name(name)
-            treatments[name] = _known(name, value, has_error=key == 'prior')
-    for name in _names(tree.get('per_throw', [])):
-        treatment = treatments.get(name) or base.treatment(name)
+    for key in tree:
+        if key not in _KEYS:
+            raise ValueError(f'must be one of {", ".join(_KEYS)}, got {key!r}')
+    treatments = dict.fromkeys(_section(tree, 'free', list), FREE)
+    for name, value in _section(tree, 'fixed', dict).items():
+        treatments[name] = Treatment(False, _finite(name, [value], 'a finite number')[0])
+    for name, value in _section(tree, 'prior', dict).items():
+        mean, error = _finite(name, value, '[VALUE, ERROR]')
+        treatments[name] = Treatment(True, mean, error)
+    for name in _section(tree, 'per_throw', list):
+        treatment = treatments.get(name, DEFAULTS[name])
         if not treatment.is_varied:
             raise ValueError(f'{name} must be free or have a prior')
         treatments[name] = treatment._replace(is_per_throw=True)
     return treatments
 
 
-def _names(value: Any) -> list[str]:
-    """Return a list of names of parameters."""
-    if not isinstance(value, list):
-        raise ValueError(f'must be a list of names, got {value!r}')
-    for name in value:
-        check_name(name)
-    return value
+def _section(tree: Mapping[str, Any], key: str, kind: type) -> Any:
+    """Return a list, or the keys of a mapping, of names of parameters."""
+    section = tree.get(key, kind())
+    is_right = isinstance(section, kind)
+    if not is_right:
+        raise ValueError(f'{key} must be a {kind.__name__} of names, got {section!r}')
+    for name in section:
+        _check_name(name)
+    return section
 
 
-def _known(name: str, value: Any, *, has_error: bool) -> Treatment:
-    """Return the treatment of a parameter with a value, or with a value and an error."""
-    items = value if isinstance(value, list) else [value]
+def _finite(name: str, values: Any, rule: str) -> list[float]:
+    """Return a finite value, or one with a positive error."""
+    items = values if isinstance(values, list) else [values]
     numbers = [float_of(str(item)) for item in items]
     finite = [number for number in numbers if number is not None and math.isfinite(number)]
-    if not len(items) == len(finite) == 1 + has_error or (has_error and finite[1] <= 0.0):
-        rule = '[VALUE, ERROR] with an error above 0' if has_error else 'a finite number'
-        raise ValueError(f'{name} must be {rule}, got {value!r}')
-    return Treatment(has_error, finite[0], finite[1] if has_error else None)
+    if not len(items) == len(finite) == 1 + rule.count(',') or min(finite[1:], default=1.0) <= 0.0:
+        raise ValueError(f'{name} must be {rule}, got {values!r}')
+    return finite
 
 
-def check_name(name: str) -> None:
+def _check_name(name: str) -> None:
     """Raise ValueError if a name is not that of a parameter of a fit."""
-    if name not in DEFAULTS:
+    if name not in tuple(DEFAULTS):
         raise ValueError(f'a parameter must be one of {", ".join(DEFAULTS)}, got {name!r}')
 
 
@@ -261,57 +241,3 @@ def values_of(rig: Rig, names: Iterable[str]) -> dict[str, float]:
 def changed_rig(rig: Rig, values: Mapping[str, float]) -> Rig:
     """Return a copy of a rig with some of `PARAMETERS` changed."""
     return rig_with(rig, {name.rpartition('.')[2]: value for name, value in values.items()})
-
-
-@dataclass(frozen=True)
-class ParameterLayout:
-    """The order of the values of a fit, first those that all throws share; made by `of`."""
-
-    values: tuple[tuple[str, int | None], ...]
-    """Parameter of each value, and the number of its throw, None if all throws share it."""
-    throws: int
-    """Number of throws."""
-
-    @classmethod
-    def of(cls, throws: Sequence[ThrowTracks], description: FitDescription) -> ParameterLayout:
-        """Return the layout of a fit."""
-        thrown = [number for number, throw in enumerate(throws) if throw.projectile is not None]
-        shared, own = [], []
-        for name in DEFAULTS:
-            of_plate = name.startswith(('engine', 'plate'))
-            measured = range(len(throws)) if of_plate else thrown
-            if not measured or not description.treatment(name).is_varied:
-                continue
-            if description.treatment(name).is_per_throw:
-                own += [(name, number) for number in measured]
-            else:
-                shared.append((name, None))
-        zeros = [
-            (name, number) for number in range(len(throws)) for name in OWN
-            if name != PROJECTILE_ZERO or number in thrown
-        ]
-        return cls((*shared, *own, *zeros), len(throws))
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.indices
-
-    @cached_property
-    def indices(self) -> dict[str, dict[int, int]]:
-        """Indices of each parameter among the values, by throw."""
-        indices: dict[str, dict[int, int]] = {}
-        for index, (name, throw) in enumerate(self.values):
-            throws = range(self.throws) if throw is None else [throw]
-            indices.setdefault(name, {}).update(dict.fromkeys(throws, index))
-        return indices
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the values; of those of one of several throws with its number from 1."""
-        return tuple(
-            name if throw is None or self.throws == 1 else f'{name}[{throw + 1}]'
-            for name, throw in self.values
-        )
-
-    def indices_of(self, name: str) -> list[int]:
-        """Return the indices of a parameter among the values, of all throws."""
-        return sorted(set(self.indices[name].values()))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 import math
 import time
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from soft_throw_ros.core.stepper import (
     PROJECTILE_VELOCITY,
     Stepper,
 )
-from soft_throw_ros.core.throw import make_stepper, throw_many
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.least_squares import FitError
 
 Floats = NDArray[np.float64]
@@ -29,10 +29,6 @@ _MAX_COST = 0.16
 
 _MAX_CACHED = 64
 """Largest number of cached throws."""
-
-
-class DeadlineExceeded(Exception):
-    """A fit takes too long."""
 
 
 class ProjectilePath(NamedTuple):
@@ -45,7 +41,7 @@ class ProjectilePath(NamedTuple):
 
 class ThrowSimulator:
     """
-    Simulate throws until a deadline; raise `DeadlineExceeded` after it.
+    Simulate throws until a deadline; raise FitError after it.
 
     The deadline is in seconds of the processor time of this thread, from now.
     """
@@ -53,6 +49,11 @@ class ThrowSimulator:
     def __init__(self, seconds: float = math.inf) -> None:
         self._deadline = time.thread_time() + seconds
         self._cache: dict[Hashable, ProjectilePath] = {}
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the deadline is over."""
+        return time.thread_time() > self._deadline
 
     def follow(self, rig: Rig, moments: Floats, *, by_cells: bool = False) -> ProjectilePath:
         """
@@ -64,8 +65,10 @@ class ThrowSimulator:
         """
         key = rig, by_cells, moments.tobytes()
         if key not in self._cache:
-            if time.thread_time() > self._deadline:
-                raise DeadlineExceeded
+            if self.is_late:
+                raise FitError(
+                    'the fit takes too long; leave out late samples, or fit fewer parameters'
+                )
             if len(self._cache) >= _MAX_CACHED:
                 self._cache.pop(next(iter(self._cache)))
             self._cache[key] = _follow(rig, moments, by_cells=by_cells)
@@ -89,7 +92,16 @@ def _follow(rig: Rig, time: Floats, *, by_cells: bool) -> ProjectilePath:
         _check_cost(stepper, until, rig)
         stepper.advance_to(until)
         events = stepper.events()
-        states, is_flying = _flights(events, moments, rig.gravity)
+        states, is_flying = np.empty((2, moments.size)), np.zeros(moments.size, dtype=bool)
+        ends = [*(event.time for event in events[1:]), math.inf]
+        for release, end in zip(events, ends, strict=False):
+            if release.kind == 'release':
+                flight = (moments >= release.time) & (moments < end)
+                since = moments[flight] - release.time
+                mean_velocity = release.velocity - 0.5 * rig.gravity * since
+                states[0, flight] = release.position + mean_velocity * since
+                states[1, flight] = release.velocity - rig.gravity * since
+                is_flying |= flight
         stepper.reset()
         for index in np.flatnonzero(~is_flying).tolist():
             stepper.advance_to(float(moments[index]))
@@ -111,56 +123,3 @@ def _check_cost(stepper: Stepper, until: float, rig: Rig) -> None:
             f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
             f'{cost:.2g} s to simulate, the limit is {_MAX_COST:g} s; leave out late samples'
         )
-
-
-def _flights(
-    events: Sequence[Event], moments: Floats, gravity: float
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """
-    Compute heights and velocities of the flights between a release and the next contact.
-
-    Returns an array of shape (2, n), and whether the projectile flies at each moment; the columns
-    of the other moments are 0.
-    """
-    states = np.zeros((2, moments.size))
-    if not events:
-        return states, np.zeros(moments.size, dtype=bool)
-    times, heights, speeds = np.array([event[1:] for event in events]).T
-    is_release = np.array([event.kind == 'release' for event in events])
-    last = np.searchsorted(times, moments, side='right') - 1
-    is_flying = (last >= 0) & is_release[last]
-    start = last[is_flying]
-    since = moments[is_flying] - times[start]
-    states[0, is_flying] = heights[start] + since * (speeds[start] - 0.5 * gravity * since)
-    states[1, is_flying] = speeds[start] - gravity * since
-    return states, is_flying
-
-
-class FirstReleases(NamedTuple):
-    """First releases, as arrays over rigs; NaN for rigs without a release."""
-
-    time: Floats
-    """Time since the plate began to move. [s]"""
-    speed: Floats
-    """[m/s]"""
-    peak_plate_speed: Floats
-    """[m/s]"""
-    echoes: NDArray[np.int64]
-    """Number of echoes of the wave before; time and energy jump where this number changes."""
-
-    @property
-    def energy_transfer(self) -> Floats:
-        """Square of the speed over that of the plate [-]."""
-        return (self.speed / self.peak_plate_speed) ** 2
-
-
-def first_releases(rigs: Sequence[Rig]) -> FirstReleases:
-    """Compute the first releases of rigs."""
-    time, speed, energy_transfer = np.transpose([throw_many(rig)[:3] for rig in rigs])
-    crossings = time / [rig.crossing_time for rig in rigs]
-    return FirstReleases(
-        time=time,
-        speed=speed,
-        peak_plate_speed=speed / np.sqrt(energy_transfer),
-        echoes=((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64),
-    )

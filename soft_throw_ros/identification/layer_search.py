@@ -16,13 +16,13 @@ import contextlib
 from dataclasses import replace
 import math
 from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
+    ENGINE,
     LAYER,
     LOSS,
     PARAMETERS,
@@ -35,6 +35,8 @@ from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
+
+_SPEED, _THICKNESS = 'layer.wave_speed', 'layer.thickness'
 
 MAX_EXCESS = 9.0
 """Largest increase of chi squared at another minimum that is reported. [-]"""
@@ -56,6 +58,7 @@ _MAX_SAMPLES = 60  # largest number of samples of a track in a window
 _MAX_MINIMA = 2  # largest number of minima of a window
 _MAX_RATIO = 10.0  # chi squared of a minimum of a window, relative to the best
 _MAX_EVALUATIONS = 10  # largest number of evaluations of the model in a fit of a candidate
+_MAX_RIVAL_EVALUATIONS = 50  # largest number of evaluations in a fit of another minimum
 _MAX_RIVALS = 2  # largest number of fits of other minima, the most promising ones first
 _RIVAL_RATIO = 3.0  # chi squared of a rival up to two periods, relative to the best
 _GOOD = 1.1  # chi squared per degree of freedom of a fit that needs no other start
@@ -64,31 +67,12 @@ _MIN_SEPARATION = 4.0  # smallest distance of another minimum, in chi squared of
 _LAYER_TOLERANCE = 5e-3  # relative difference below which two layers count as equal
 
 
-class LayerCandidate(NamedTuple):
-    """A rig to start from, the values of its fit by name, and its chi squared."""
-
-    chi2: float
-    rig: Rig
-    values: dict[str, float]
-
-    def is_like(self, other: LayerCandidate) -> bool:
-        """Return whether two layers are almost equal."""
-        layer, rival = self.rig.layer, other.rig.layer
-        pairs = (layer.wave_speed, rival.wave_speed), (layer.thickness, rival.thickness)
-        return all(math.isclose(*pair, rel_tol=_LAYER_TOLERANCE) for pair in pairs)
-
-
-def find_layers(model: RigModel) -> list[LayerCandidate]:
+def find_layers(model: RigModel) -> list[Fit]:
     """
-    Find rigs to start a fit from, the most likely one first, in a grid of layers.
+    Fit layers to the first heights, from a grid of layers, the most likely one first.
 
-    A free loss is 0 in the grid: it is small, and the model without it the fastest.
-
-    Raises
-    ------
-    FitError
-        If no layer can be simulated.
-
+    A free loss is 0 in the grid: it is small, and the model without it the fastest. Raise FitError
+    if no layer can be simulated.
     """
     used = [series.throw for series in model.projectiles[:_MAX_THROWS]]
     throws = tuple(
@@ -96,54 +80,48 @@ def find_layers(model: RigModel) -> list[LayerCandidate]:
         for number, throw in enumerate(model.throws)
     )
     model = replace(model, throws=throws)
-    candidates = []
+    fits = []
     for rig in _best_of_grid(model):
         with contextlib.suppress(FitError):
-            candidates.append(_follow_minimum(model, rig))
-    if not candidates:
-        raise FitError('the models can follow no throw of such a projectile on any layer')
-    chosen: list[LayerCandidate] = []
-    for candidate in sorted(candidates, key=attrgetter('chi2')):
-        if not any(map(candidate.is_like, chosen)):
-            chosen.append(candidate)
+            fits.append(_follow_minimum(model, rig))
+    if not fits:
+        raise FitError('no layer can be found, on which such a throw can be simulated in time')
+    chosen: list[Fit] = []
+    for fit in sorted(fits, key=attrgetter('chi2')):
+        if not any(_is_same_layer(fit, other) for other in chosen):
+            chosen.append(fit)
     return chosen
 
 
-def find_best_minimum(model: RigModel, fit: Fit, candidates: Sequence[LayerCandidate]) -> Fit:
+def find_best_minimum(model: RigModel, fit: Fit, candidates: Sequence[Fit]) -> Fit:
     """Fit rivals of the first candidate; return the best fit with near alternatives."""
-    if 'layer.wave_speed' not in model.layout or not candidates:
-        return fit
-    limit = _RIVAL_RATIO * candidates[0].chi2
-    fits = [fit]
-    starts = [item.values for item in candidates[1:][:_MAX_RIVALS] if item.chi2 < limit]
-    if fit.reduced_chi2 > _GOOD and 'layer.wave_speed' in candidates[0].values:
+    starts = [
+        rival.by_name for rival in candidates[1:][:_MAX_RIVALS]
+        if rival.chi2 < _RIVAL_RATIO * candidates[0].chi2
+    ]
+    if candidates and fit.reduced_chi2 > _GOOD and _SPEED in candidates[0]:
         # a kink may stop the solver at once, where a contact begins or ends
-        first = candidates[0].values
-        starts += [
-            {**first, 'layer.wave_speed': factor * first['layer.wave_speed']}
-            for factor in _NEIGHBOURS
-        ]
+        first = candidates[0].by_name
+        starts += [{**first, _SPEED: factor * first[_SPEED]} for factor in _NEIGHBOURS]
+    fits = [fit]
     for values in starts:
         with contextlib.suppress(FitError):
-            rival = replace(model, initial={**model.initial, **values})
-            fits.append(rival.fit(rival.start(), max_evaluations=_MAX_EVALUATIONS))
+            fits.append(model.fit(model.start(values), max_evaluations=_MAX_RIVAL_EVALUATIONS))
     best, *others = sorted(fits, key=attrgetter('chi2'))
-    if best is not fit:
-        best = model.fit(best.values)
     minima = [best]
     for other in others:
-        if _is_new(other, minima):
-            ended = model.fit(other.values)  # which may join another minimum
-            if _is_new(ended, minima):
-                minima.append(ended)
-    best, *others = sorted(minima, key=attrgetter('chi2'))
-    return best.spanning([Alternative(item.values, item.chi2 - best.chi2) for item in others])
+        if other.chi2 - best.chi2 < MAX_EXCESS and all(
+            _is_separate(minimum, other) for minimum in minima
+        ):
+            minima.append(other)
+    return best.spanning([Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]])
 
 
-def _is_new(fit: Fit, minima: Sequence[Fit]) -> bool:
-    """Return whether a fit is nearly as good as the first minimum, and apart from all."""
-    return fit.chi2 - minima[0].chi2 < MAX_EXCESS and all(
-        _is_separate(minimum, fit) for minimum in minima
+def _is_same_layer(fit: Fit, other: Fit) -> bool:
+    """Return whether two fits have almost the same layer."""
+    return all(
+        math.isclose(fit[name].value, other[name].value, rel_tol=_LAYER_TOLERANCE)
+        for name in (_SPEED, _THICKNESS) if name in fit
     )
 
 
@@ -156,32 +134,30 @@ def _is_separate(fit: Fit, other: Fit) -> bool:
 
 def _best_of_grid(model: RigModel) -> list[Rig]:
     """Return the rigs at the lowest minima of each window, without loss."""
-    start = model.start()
-    rig = model.rig
+    start, rig = model.start(), model.rig
     if model.description.is_free(LOSS):
         rig = changed_rig(rig, {LOSS: 0.0})
-    speeds = [rig.layer.wave_speed]
-    if model.description.is_free('layer.wave_speed'):
+    speeds, thicknesses = [rig.layer.wave_speed], [rig.layer.thickness]
+    if model.description.is_free(_SPEED):
         speeds = sorted([*_WAVE_SPEEDS, *speeds])  # the given one may be right
-    chosen: dict[tuple[float, float], Rig] = {}
-    minima: list[list[tuple[float, Rig]]] = [[] for _ in _WINDOWS]
-    for thickness in _thicknesses(model):
-        rigs = [
-            changed_rig(rig, {'layer.thickness': thickness, 'layer.wave_speed': speed})
+    if model.description.is_free(_THICKNESS):
+        thicknesses = [factor * thicknesses[0] for factor in _THICKNESSES]
+    minima: list[list[tuple[float, tuple[float, float]]]] = [[] for _ in _WINDOWS]
+    for thickness in thicknesses:
+        row = np.array([
+            _mismatches(model, start, changed_rig(rig, {_THICKNESS: thickness, _SPEED: speed}))
             for speed in speeds
-        ]
-        row = np.array([_mismatches(model, start, item) for item in rigs])
+        ])
         edge = np.full((1, len(_WINDOWS)), math.inf)
         padded = np.concatenate([edge, row, edge])
         is_minimum = (row <= padded[:-2]) & (row <= padded[2:]) & np.isfinite(row)
         for index, window in zip(*np.nonzero(is_minimum), strict=True):
-            minima[window].append((float(row[index, window]), rigs[index]))
-    for of_window in minima:
-        of_window.sort(key=lambda item: item[0])
-        for chi2, item in of_window[:_MAX_MINIMA]:
-            if chi2 <= _MAX_RATIO * of_window[0][0]:
-                chosen.setdefault((item.layer.thickness, item.layer.wave_speed), item)
-    return list(chosen.values())
+            minima[window].append((float(row[index, window]), (thickness, speeds[index])))
+    chosen = dict.fromkeys(  # in their order
+        layer for of_window in map(sorted, minima) for chi2, layer in of_window[:_MAX_MINIMA]
+        if chi2 <= _MAX_RATIO * of_window[0][0]
+    )
+    return [changed_rig(rig, {_THICKNESS: size, _SPEED: speed}) for size, speed in chosen]
 
 
 def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
@@ -211,30 +187,20 @@ def _spread(indices: NDArray[np.intp]) -> NDArray[np.intp]:
     return indices[:: max(1, -(-indices.size // _MAX_SAMPLES))]
 
 
-def _follow_minimum(model: RigModel, rig: Rig) -> LayerCandidate:
+def _follow_minimum(model: RigModel, rig: Rig) -> Fit:
     """Fit the layer and the projectile in growing windows, with the plates as they are."""
     if model.description.is_free(LOSS):
         rig = changed_rig(rig, {LOSS: _INITIAL_LOSS})
+    model = replace(model, rig=rig)
     only = [
         name for name in (*PARAMETERS, 'projectile.scale', 'projectile.delay', PROJECTILE_ZERO)
-        if name in model.layout and not name.startswith('engine')
+        if name in model.indices and name not in ENGINE
     ]
-    model = replace(model, rig=rig)
     found: dict[str, float] = {}
     for window in _WINDOWS[1:]:
         part = model.cut_after(window / rig.engine.frequency)
         if not part.projectiles:
             part = model
-        part = replace(part, initial={**model.initial, **found})
-        fit = part.fit(part.start(), only=only, max_evaluations=_MAX_EVALUATIONS)
+        fit = part.fit(part.start(found), only=only, max_evaluations=_MAX_EVALUATIONS)
         found = fit.by_name
-    found.pop(PROJECTILE_ZERO, None)
-    values = replace(model, initial={**model.initial, **found}).start()
-    return LayerCandidate(fit.chi2, model.rig_of(values), found)
-
-
-def _thicknesses(model: RigModel) -> list[float]:
-    """Return the thicknesses of the grid [m]."""
-    if not model.description.is_free('layer.thickness'):
-        return [model.rig.layer.thickness]
-    return [factor * model.rig.layer.thickness for factor in _THICKNESSES]
+    return fit

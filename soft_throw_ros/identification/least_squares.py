@@ -14,8 +14,7 @@ by chi squared of the means of `_SLOW_WINDOW` residuals, in which a slow misfit 
 residuals hide. No sample contributes more than the square of the limit.
 
 A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, hence :math:`C =
-\sum_i C F_i C`: each term is the contribution of one source, noise or prior, to a variance
-(`Fit.budget`).
+\sum_i C F_i C`: each term is the contribution of one source, noise or prior, to a variance.
 
 """
 
@@ -29,7 +28,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, sparse
-from scipy.ndimage import uniform_filter1d
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
@@ -102,14 +100,6 @@ class TrackResidual:
         return float(np.sqrt(np.mean(self.values[np.abs(self.scaled) <= self.limit] ** 2)))
 
     @property
-    def worst_part(self) -> tuple[float, float]:
-        """Begin and end of the section with the largest mean residual [s]."""
-        width = min(_SLOW_WINDOW, self.track.time.size)
-        slow = np.abs(uniform_filter1d(self.values, width, mode='constant'))
-        times = self.track.time[max(0, int(np.argmax(slow)) - width // 2):][:width]
-        return float(times[0]), float(times[-1])
-
-    @property
     def usual(self) -> Floats:
         """Scaled residuals within the limit."""
         return self.scaled[np.abs(self.scaled) <= self.limit]
@@ -173,17 +163,6 @@ class Fit:
         scale = np.outer(self.errors, self.errors)
         zeros = np.zeros_like(scale)
         return np.asarray(np.divide(self.covariance, scale, out=zeros, where=scale > 0.0))
-
-    def budget(self, name: str) -> dict[str, float]:
-        """Return the contributions of noise and priors to the error [SI]."""
-        index = self.names.index(name)
-        row = self.covariance[index]
-        contributions = {
-            self.names[other]: abs(float(row[other])) / known.error
-            for other, known in self.known.items()
-        }
-        noise = row[index] - sum(contribution**2 for contribution in contributions.values())
-        return {'noise': math.sqrt(max(float(noise), 0.0)), **contributions}
 
     def spanning(self, alternatives: Sequence[Alternative]) -> Fit:
         """Extend the intervals of 95 % to other minima."""
@@ -249,13 +228,6 @@ def fit_tracks(
         slopes = np.concatenate([model.jacobian(values) / noise[:, None], priors])
         return sparse.csr_matrix(slopes) if values.size > _MAX_DENSE_PARAMETERS else slopes
 
-    def huber(squares: Floats) -> Floats:
-        is_far = (squares > 1.0) & (np.arange(squares.size) < samples)  # priors are no outliers
-        root = np.sqrt(np.where(is_far, squares, 1.0))
-        return np.stack([
-            np.where(is_far, 2.0 * root - 1.0, squares), 1.0 / root, -0.5 * is_far / root**3
-        ])
-
     def solve(begin: Floats, **loss: Any) -> Any:
         try:
             with np.errstate(divide='raise', over='raise', invalid='raise'):
@@ -265,14 +237,12 @@ def fit_tracks(
                     ftol=_TOLERANCE, gtol=_TOLERANCE, max_nfev=max_evaluations, **loss,
                 )
         except FloatingPointError:
-            raise FitError(
-                'the numbers of the fit overflow; check the heights of the tracks'
-            ) from None
+            raise FitError('the heights of the tracks are too large for a fit') from None
 
     solution = solve(np.clip(start, model.low, model.high))
     limit = _LIMIT * max(1.0, _NORMAL * float(np.median(np.abs(solution.fun))))
     if (np.abs(solution.fun[:samples]) > limit).any():
-        solution = solve(solution.x, loss=huber, f_scale=limit)
+        solution = solve(solution.x, loss='huber', f_scale=limit)
     squares = solution.fun**2
     squares[:samples] = np.minimum(squares[:samples], limit**2)
     chi2 = float(squares.sum())

@@ -15,20 +15,21 @@ initial guess.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.identification.fit_description import ENGINE, PLATE_ZERO, START
 from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError, FitModel
 from soft_throw_ros.identification.tracks import Track
 
 Floats = NDArray[np.float64]
 
-NAMES = ('frequency', 'damping_ratio', 'amplitude', 'start_time', 'offset')
-"""Parameters of the fit; the last is the height of the plate at rest."""
+NAMES = (*ENGINE, START, PLATE_ZERO)
+"""Parameters of the fit, by their names in a fit of a whole rig."""
 
 MAX_DAMPING_RATIO = 0.99
 """Largest damping ratio."""
@@ -41,71 +42,46 @@ _MAX_MISMATCH = 0.08  # largest residual of a plate, over the amplitude (rms)
 _BLOCK = 2**18  # numbers per block of the table, to limit memory
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlateFit:
-    """Motion of the plate, fitted to its track."""
-
-    fit: Fit
-    """Fit of the parameters `NAMES`, or of all but the last."""
-    offset: float
-    """Height of the plate at rest [m]."""
-
-    @property
-    def start_time(self) -> float:
-        """Start of the motion, on the clock of the track [s]."""
-        return self.fit['start_time'].value
-
-
-def fit_plate(track: Track, *, offset: float | None = None) -> PlateFit:
+def fit_plate(track: Track) -> Fit:
     """
-    Fit the plate's motion to a track with its rest, its rise, and some of the settling.
+    Fit the plate's motion, `NAMES`, to a track with its rest, its rise, and some of the settling.
 
-    `offset` is the height at rest, fitted if None [m]. Raise FitError if the track does not look
-    like such a motion; the message describes the difference.
+    Raise FitError if the track does not look like such a motion; the message has the difference.
     """
-    free = len(NAMES) if offset is None else len(NAMES) - 1
-    fixed = () if offset is None else (offset,)
-    start = _start(track.without_spikes())[:free]
-    frequency, amplitude = start[0], max(start[2], 1e-12)
-    units = np.array([frequency, 1.0, amplitude, 1.0 / frequency, amplitude])[:free]
-    low = np.array([1e-6, 0.0, 0.0, track.time[0] - track.duration, -np.inf])[:free]
-    high = np.array([np.inf, MAX_DAMPING_RATIO, np.inf, track.time[-1], np.inf])[:free]
-    model = FitModel(  # of the deviations from the start, which are of order 1 in these units
-        names=NAMES[:free],
-        predict=lambda steps: _position(np.append(start + units * steps, fixed), track.time),
-        low=(low - start) / units,
-        high=(high - start) / units,
+    start = _start(track.without_spikes())
+    origin = np.array([0.0, 0.0, 0.0, start[3], start[4]])  # then all values are of order 1
+
+    def position(values: Floats, time: Floats) -> Floats:
+        frequency, damping_ratio, amplitude, start_time, offset = (values + origin).tolist()
+        motion = Underdamped(
+            frequency=frequency,
+            damping_ratio=damping_ratio,
+            amplitude=max(amplitude, 1e-15),  # may touch 0 during the search
+        )
+        return np.asarray(offset + motion.position(time - start_time))
+
+    earliest, latest = track.time[0] - track.duration - start[3], track.time[-1] - start[3]
+    model = FitModel(
+        names=NAMES,
+        predict=lambda values: position(values, track.time),
+        low=np.array([1e-6, 0.0, 0.0, earliest, -np.inf]),
+        high=np.array([np.inf, MAX_DAMPING_RATIO, np.inf, latest, np.inf]),
     )
-    best = fit_tracks(model, np.zeros(free), [('plate', track)], max_evaluations=200)
-    covariance = best.covariance * np.outer(units, units)
-    best = replace(best, values=start + units * best.values, covariance=covariance)
-    if best.values[2] < 3.0 * best.errors[2] or best.values[2] <= 0.0:
+    best = fit_tracks(model, start - origin, [('plate', track)], max_evaluations=200)
+    amplitude = best['engine.amplitude']
+    if amplitude.value < 3.0 * amplitude.error or amplitude.value <= 0.0:
         raise FitError(
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
     usual = track.without_spikes()
-    residual = float(np.std(usual.position - _position(np.append(best.values, fixed), usual.time)))
-    if residual > max(_MAX_MISMATCH * best.values[2], 5.0 * track.noise):
+    residual = float(np.std(usual.position - position(best.values, usual.time)))
+    if residual > max(_MAX_MISMATCH * amplitude.value, 5.0 * track.noise):
         raise FitError(
-            f'the plate does not move as a damped step: the best of {best.values[2]:.2g} m leaves '
-            f'{residual:.2g} m; its track must begin before it moves'
+            f'the plate does not move as a damped step: the best of {amplitude.value:.2g} m '
+            f'leaves {residual:.2g} m; its track must begin before it moves'
         )
-    return PlateFit(fit=best, offset=best['offset'].value if offset is None else offset)
-
-
-def _motion(values: Floats) -> Underdamped:
-    """Return the motion; during the search the amplitude may touch 0."""
-    return Underdamped(
-        frequency=float(values[0]),
-        damping_ratio=float(values[1]),
-        amplitude=max(float(values[2]), 1e-15),
-    )
-
-
-def _position(values: Floats, time: Floats) -> Floats:
-    """Compute heights for values of `NAMES`."""
-    return np.asarray(values[4] + _motion(values).position(time - values[3]))
+    return replace(best, values=best.values + origin)
 
 
 def _start(track: Track) -> Floats:

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from typing import NamedTuple
 
@@ -19,23 +19,18 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULTS,
     ENGINE,
     FitDescription,
+    FREE,
+    LOSS,
     NUISANCE_PARAMETERS,
-    ParameterLayout,
+    OWN,
     PARAMETERS,
     PLATE_ZERO,
     PROJECTILE_ZERO,
     START,
-    values_of,
 )
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import (
-    Estimate,
-    Fit,
-    fit_tracks,
-    FitError,
-    FitModel,
-)
-from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO, PlateFit
+from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError, FitModel
+from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
 Floats = NDArray[np.float64]
@@ -56,14 +51,12 @@ _STEP = 3e-4
 """Relative step of derivatives, large against the errors of steppers. [-]"""
 
 _STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # absolute
-_MASS_POWERS = {'layer.density': -1.0, 'layer.diameter': -2.0}
-"""Powers of parameters that enter by the mass of the projectile over that of the layer. [-]"""
+
+_OWN = FREE._replace(is_per_throw=True)
+"""Treatment of the parameters that every throw has."""
 
 _MAX_ERROR = 1e30
 """Error in SI units beyond which a parameter is not seen at all."""
-
-IN_FLIGHT = 0.97
-"""Share of the time until the landing that a fit uses. [-]"""
 
 _MAX_EVALUATIONS = 200
 """Largest number of evaluations of the model in one run of the solver."""
@@ -91,10 +84,8 @@ class RigModel:
 
     Notes
     -----
-    The fitted values form a vector, see `layout`: first the values that all throws share, then the
-    values of one or some throws. Derivatives by parameters of the rig are forward differences, one
-    simulation each; those by density and diameter follow from that by the mass. All others need
-    no simulation.
+    The fitted values form a vector, see `parameters`. Derivatives are forward differences, which
+    need a simulation only for the parameters of the rig.
 
     """
 
@@ -102,16 +93,13 @@ class RigModel:
     rig: Rig
     description: FitDescription
     simulator: ThrowSimulator
-    plates: tuple[PlateFit, ...]
-    """Fits of the plates alone, throw by throw."""
-    initial: Mapping[str, float] = field(default_factory=dict)
-    """Start values from an earlier fit or a search, by the names of the values."""
+    initial: Mapping[str, float]
+    """Start values by `names`, at least those of the starts and of the plates at rest."""
 
     @property
     def by_cells(self) -> bool:
         """Whether the layer needs cells, or its loss is fitted."""
-        is_varied = self.description.treatment('layer.loss_tangent').is_varied
-        return is_varied or self.rig.layer.needs_cells
+        return self.description.treatment(LOSS).is_varied or self.rig.layer.needs_cells
 
     @cached_property
     def series(self) -> list[Series]:
@@ -128,49 +116,64 @@ class RigModel:
         """Tracks of projectiles alone."""
         return [item for item in self.series if item.body == 'projectile']
 
-    @property
-    def sample_count(self) -> int:
-        """Number of samples of all tracks."""
-        return sum(item.track.time.size for item in self.series)
+    @cached_property
+    def parameters(self) -> list[tuple[str, int | None]]:
+        """
+        Parameter of each value, and the number of its throw, None if all throws share it.
+
+        The shared ones come first, and the starts and the heights at rest last.
+        """
+        thrown, shared, own = [item.throw for item in self.projectiles], [], []
+        for name in (*DEFAULTS, *OWN):
+            is_of_plate = name.startswith(('engine', 'plate', START))
+            throws = range(len(self.throws)) if is_of_plate else thrown
+            treatment = _OWN if name in OWN else self.description.treatment(name)
+            if throws and treatment.is_varied and treatment.is_per_throw:
+                own += [(name, throw) for throw in throws]
+            elif throws and treatment.is_varied:
+                shared.append((name, None))
+        return [*shared, *own]
 
     @cached_property
-    def layout(self) -> ParameterLayout:
-        """Return the order of the values that are fitted."""
-        return ParameterLayout.of(self.throws, self.description)
+    def names(self) -> tuple[str, ...]:
+        """Names of the values; of those of one of several throws with its number from 1."""
+        return tuple(
+            name if throw is None else self.own_name(name, throw)
+            for name, throw in self.parameters
+        )
+
+    def own_name(self, name: str, throw: int) -> str:
+        """Return the name of a value of one throw, which throws count from 0."""
+        return name if len(self.throws) == 1 else f'{name}[{throw + 1}]'
 
     @cached_property
-    def known(self) -> dict[int, Estimate]:
-        """Priors by the indices of the values."""
-        priors = {
-            index: self.description.known(name, self.rig)
-            for index, (name, _) in enumerate(self.layout.values) if name in DEFAULTS
-        }
-        return {index: known for index, known in priors.items() if known is not None}
+    def indices(self) -> dict[str, dict[int, int]]:
+        """Indices of each parameter among the values, by throw."""
+        indices: dict[str, dict[int, int]] = {}
+        for index, (name, throw) in enumerate(self.parameters):
+            throws = range(len(self.throws)) if throw is None else [throw]
+            indices.setdefault(name, {}).update(dict.fromkeys(throws, index))
+        return indices
+
+    def indices_of(self, name: str) -> list[int]:
+        """Return the indices of a parameter among the values, of all throws."""
+        return sorted(set(self.indices[name].values()))
 
     def value(self, values: Floats, name: str, throw: int) -> float:
         """Return a value of a throw; the default if it is not fitted."""
-        index = self.layout.indices.get(name, {}).get(throw)
+        index = self.indices.get(name, {}).get(throw)
         if index is not None:
             return float(values[index])
         return self.description.value(name, self.rig) if name in NUISANCE_PARAMETERS else 0.0
 
     def rig_of(self, values: Floats, throw: int | None = None) -> Rig:
         """Return the rig of a throw, or by default that with the means of values per throw."""
-        layout = self.layout
         return changed_rig(self.rig, {
-            name: float(np.mean(values[layout.indices_of(name)])) if throw is None
+            name: float(np.mean(values[self.indices_of(name)])) if throw is None
             else float(values[by_throw[throw]])
-            for name, by_throw in layout.indices.items()
+            for name, by_throw in self.indices.items()
             if name in PARAMETERS and (throw is None or throw in by_throw)
         })
-
-    def tracks(self) -> list[tuple[str, Track]]:
-        """All tracks with their names."""
-        several = len(self.throws) > 1
-        return [
-            (f'{body} of {self.throws[throw].name}' if several else body, track)
-            for throw, body, track in self.series
-        ]
 
     def predict(self, values: Floats) -> Floats:
         """Heights of all tracks in one series; see `trajectory`."""
@@ -207,79 +210,48 @@ class RigModel:
         share = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
         return np.asarray(share * self.rig.engine.amplitude)
 
-    def jacobian(self, values: Floats, only: Sequence[str] | None = None) -> Floats:
+    def jacobian(self, values: Floats, only: Collection[str] = ()) -> Floats:
         """Return the derivatives of `predict` by all or some parameters."""
-        jacobian = np.zeros((self.sample_count, values.size))
-        begin = 0
-        for series in self.series:
-            rows = slice(begin, begin + series.track.time.size)
-            begin = rows.stop
-            indices = {
-                name: throws[series.throw] for name, throws in self.layout.indices.items()
-                if series.throw in throws and (not only or name in only)
-            }
-            for name, slope in self._slopes(values, series, indices).items():
-                jacobian[rows, indices[name]] = slope
-        return jacobian
+        blocks = []
+        for throw, body, track in self.series:
+            block = np.zeros((track.time.size, values.size))
+            now = self.trajectory(values, throw, body, track.time)
+            for name, by_throw in self.indices.items():
+                is_of_body = name in (START, *ENGINE) or name.startswith(
+                    'plate' if body == 'plate' else ('projectile', 'layer')
+                )
+                if throw not in by_throw or not is_of_body or (only and name not in only):
+                    continue
+                index = by_throw[throw]
+                if name in (START, 'projectile.delay'):
+                    block[:, index] = -now.velocity
+                    continue
+                moved = values.copy()
+                moved[index] += self._step(name, float(values[index]))
+                change = self.trajectory(moved, throw, body, track.time).height - now.height
+                block[:, index] = change / (moved[index] - values[index])
+            blocks.append(block)
+        return np.concatenate(blocks)
 
-    def _slopes(
-        self, values: Floats, series: Series, names: Collection[str]
-    ) -> dict[str, Floats | float]:
-        """Return the derivatives of one track by some parameters, without those that are 0."""
-        throw, body, track = series
-        rig = self.rig_of(values, throw)
-        now = self.trajectory(values, throw, body, track.time)
-        slopes: dict[str, Floats | float] = {
-            START: -now.velocity, f'{body}.drift': self._drift(throw, track.time)
-        }
-        if body == 'plate':
-            slopes[PLATE_ZERO] = 1.0
-        else:
-            zero = self.value(values, PROJECTILE_ZERO, throw)
-            drift = self.value(values, 'projectile.drift', throw) * slopes['projectile.drift']
-            scale = self.value(values, 'projectile.scale', throw)
-            slopes |= {
-                PROJECTILE_ZERO: 1.0,
-                'projectile.delay': -now.velocity,
-                'projectile.scale': (now.height - zero - drift) / scale,
-            }
+    @staticmethod
+    def _step(name: str, value: float) -> float:
+        """Return a step for a derivative that remains within the bounds."""
+        step = _STEPS.get(name, _STEP * (abs(value) if name in PARAMETERS else 1.0))
+        return step if value + step < _BOUNDS.get(name, _UNBOUNDED)[1] else -step
 
-        @cache
-        def by(name: str) -> Floats:
-            value = values_of(rig, [name])[name]
-            step = _STEPS.get(name, _STEP * value)
-            if value + step > _BOUNDS[name][1]:
-                step = -step
-            moved = changed_rig(rig, {name: value + step})
-            change = self.trajectory(values, throw, body, track.time, moved).height
-            return np.asarray((change - now.height) / step)
-
-        for name in names:
-            if name in ENGINE or (name in PARAMETERS and body == 'projectile'):
-                power = _MASS_POWERS.get(name)
-                if power is None:
-                    slopes[name] = by(name)
-                else:
-                    ratio = rig.projectile.mass / values_of(rig, [name])[name]
-                    slopes[name] = power * ratio * by('projectile.mass')
-        return {name: slope for name, slope in slopes.items() if name in names}
-
-    def start(self, before: Fit | None = None) -> Floats:
-        """Return start values, from a fit of fewer or more parameters, `initial` or the plates."""
-        values = np.zeros(len(self.layout.names))
-        fitted = before.by_name if before else self.initial
-        for index, (name, throw) in enumerate(self.layout.values):
-            plate, projectile = self.plates[throw or 0], self.throws[throw or 0].projectile
-            engine = zip(ENGINE, plate.fit.values[:3].tolist(), strict=True)
-            own = {START: plate.start_time, PLATE_ZERO: plate.offset, **dict(engine)}
-            if self.layout.names[index] in fitted:
-                values[index] = fitted[self.layout.names[index]]
-            elif throw is not None and name in own:
-                values[index] = own[name]
+    def start(self, before: Mapping[str, float] | None = None) -> Floats:
+        """Return start values: those of `before`, of `initial`, or of the description."""
+        values = np.zeros(len(self.names))
+        fitted = {**self.initial, **(before or {})}
+        for index, (name, throw) in enumerate(self.parameters):
+            if self.names[index] in fitted:
+                values[index] = fitted[self.names[index]]
             elif name in DEFAULTS:
                 values[index] = self.description.value(name, self.rig)
-            elif projectile is not None:  # its zero is the last value of a throw
-                path = self.trajectory(values, throw or 0, 'projectile', projectile.time)
+            elif throw is not None:  # the zero of the projectile, after all others
+                projectile = self.throws[throw].projectile
+                assert projectile is not None
+                path = self.trajectory(values, throw, 'projectile', projectile.time)
                 values[index] = float(np.median(projectile.position - path.height))
         return values
 
@@ -288,29 +260,36 @@ class RigModel:
         start: Floats,
         *,
         max_evaluations: int = _MAX_EVALUATIONS,
-        only: Sequence[str] | None = None,
+        only: Collection[str] = (),
     ) -> Fit:
         """Fit all values, or only some parameters, by `fit_tracks`."""
-        names = [name for name, _ in self.layout.values]
-        free = [index for index, name in enumerate(names) if not only or name in only]
-        low, high = np.transpose([_BOUNDS.get(names[index], _UNBOUNDED) for index in free])
+        free = [i for i, (name, _) in enumerate(self.parameters) if not only or name in only]
+        kinds = [self.parameters[index][0] for index in free]
+        priors = {
+            k: self.description.known(name, self.rig)
+            for k, name in enumerate(kinds) if name in DEFAULTS
+        }
+        low, high = np.transpose([_BOUNDS.get(name, _UNBOUNDED) for name in kinds])
 
         def whole(values: Floats) -> Floats:
             full: Floats = start.copy()
             full[free] = values
             return full
 
+        several = len(self.throws) > 1
         model = FitModel(
-            names=tuple(self.layout.names[index] for index in free),
+            names=tuple(self.names[index] for index in free),
             predict=lambda values: self.predict(whole(values)),
             jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
             low=low,
             high=high,
-            known={k: self.known[index] for k, index in enumerate(free) if index in self.known},
+            known={k: prior for k, prior in priors.items() if prior is not None},
         )
-        result = fit_tracks(
-            model, start[free], self.tracks(), max_evaluations=max_evaluations
-        )
+        tracks = [
+            (f'{body} of {self.throws[throw].name}' if several else body, track)
+            for throw, body, track in self.series
+        ]
+        result = fit_tracks(model, start[free], tracks, max_evaluations=max_evaluations)
         unseen = np.flatnonzero(~(result.errors < _MAX_ERROR))
         if unseen.size:
             raise FitError(
@@ -318,23 +297,15 @@ class RigModel:
             )
         return result
 
+    def start_of(self, throw: int) -> float:
+        """Return the start of a throw that counts from 0, on the clock of its tracks [s]."""
+        return self.initial[self.own_name(START, throw)]
+
     def cut_after(self, after: float) -> RigModel:
         """Remove the samples of projectiles later than a time after the start [s]."""
-        throws = []
-        for throw, plate in zip(self.throws, self.plates, strict=True):
-            projectile = throw.projectile
-            if projectile is not None:
-                end = plate.start_time + after
-                is_measured = int((projectile.time <= end).sum()) >= FEWEST
-                projectile = projectile.between(-math.inf, end) if is_measured else None
-            throws.append(replace(throw, projectile=projectile))
+        throws = list(self.throws)
+        for throw, _, track in self.projectiles:
+            is_early = track.time <= self.start_of(throw) + after
+            rest = track.where(is_early) if is_early.sum() >= FEWEST else None
+            throws[throw] = replace(throws[throw], projectile=rest)
         return replace(self, throws=tuple(throws))
-
-    def flight_end(self, rig: Rig) -> float:
-        """Return the time since the start until which a fit uses the flight of a rig [s]."""
-        longest = max(
-            float(track.time[-1]) - self.plates[throw].start_time
-            for throw, _, track in self.projectiles
-        )
-        landing = self.simulator.landing_time(rig, max(longest, 0.0), by_cells=self.by_cells)
-        return IN_FLIGHT * landing

@@ -51,11 +51,11 @@ FLOORS: Mapping[str, Floor] = {
     'engine.damping_ratio': Floor(5e-4, ''),
     'engine.amplitude': Floor(0.15, '%'),
     # A stress law that another wave speed does not explain, and modes of the plate
-    'layer.wave_speed': Floor(1.5, '%'),
+    'layer.wave_speed': Floor(2.5, '%'),
     # Modes of the plate, which look like a loss
     'layer.loss_tangent': Floor(0.015, ''),
     # A layer that holds the projectile after the computed release
-    'ejection.time': Floor(1.5e-4, 's'),
+    'ejection.time': Floor(1e-4, 's'),
     'ejection.speed': Floor(0.1, '%'),
     'ejection.energy_transfer': Floor(0.2, '%'),
 }
@@ -72,11 +72,6 @@ def with_floor(name: str, estimate: Estimate, growth: float = 1.0) -> Estimate:
         return estimate
     floor = growth * FLOORS[name].of(estimate.value)
     return Estimate(estimate.value, math.hypot(estimate.error, floor))
-
-
-def plate_speed(engine: Engine) -> float:
-    """Return the amplitude of the speed of an undamped plate [m/s]."""
-    return 2.0 * math.pi * engine.frequency * engine.amplitude
 
 
 def growth_by(residual: TrackResidual, engine: Engine, start: float) -> float:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,16 +13,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate
-from scipy.ndimage import (
-    maximum_filter1d,
-    median_filter,
-    minimum_filter1d,
-    uniform_filter1d,
-)
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
 from soft_throw_ros.configuration.csv_rows import MIN_STEP
-from soft_throw_ros.core import checks
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -36,9 +29,6 @@ MAX_TIME, MAX_HEIGHT = 1e12, 1e6
 
 _NOISE_SIGMAS = 5.0  # deviation from the cubic that is a kink and not noise [median deviations]
 _MIN_STEP = 1e-5  # smallest step of rounded heights that matters, over their range
-_NOISE_ROUNDS = 4  # number of selections of slow samples, which show the noise alone
-_SLOW = 0.5  # largest error by the time of a slow sample [noise]
-_FEWEST_SLOW = 40  # smallest number of slow samples, from which the noise is known to 11 %
 _SPEED_SAMPLES = 5  # samples in a mean height from which the speed is computed
 
 _SPIKE_LIMIT = 8.0  # deviation of a spike from the cubic through neighbours [noise]
@@ -47,8 +37,8 @@ _USUAL = 17  # number of samples whose median deviation is usual
 _MAX_SPIKE_SHARE = 0.1  # share of spikes above which they are part of the motion
 
 _MIN_STILL = 3  # smallest number of equal heights that may stand still
-_MAX_STILL_SIDE = 8  # largest number of samples on either side that show the motion
-_STILL_STEPS = 6.0  # motion of a body before it stands still [smallest step or noise]
+_MAX_STILL_SIDE = 8  # largest number of samples before, which show the motion
+_STILL_STEPS = 10.0  # motion before [smallest step or noise]; 9 where a parabola turns
 
 _MAX_BREAK = 1.0  # longest gap within a throw [s]
 _MAX_BREAK_SAMPLES = 100.0  # longest gap within a throw [intervals between samples]
@@ -97,17 +87,13 @@ class Track:
                 f'got shapes {time.shape} and {position.shape}'
             )
         for name, values, most in (('time', time, MAX_TIME), ('position', position, MAX_HEIGHT)):
-            if not np.isfinite(values).all():
-                raise TrackError(f'{name} must be finite, got {values[~np.isfinite(values)][0]}')
-            if np.abs(values).max() > most:
-                far = values[np.abs(values).argmax()]
-                raise TrackError(f'{name} must be within +- {most:g}, got {far:g}')
+            is_far = ~(np.abs(values) <= most)  # or not a number
+            if is_far.any():
+                raise TrackError(f'{name} must be within +- {most:g}, got {values[is_far][0]:g}')
         is_bad = np.diff(time) < MIN_STEP
         if is_bad.any():
             index = int(np.flatnonzero(is_bad)[0])
             raise TrackError(f'time must increase, got {time[index + 1]} after {time[index]}')
-        if self.known_noise is not None:
-            checks.require_positive('known_noise', self.known_noise)
         object.__setattr__(self, 'time', time)
         object.__setattr__(self, 'position', position)
 
@@ -142,28 +128,18 @@ class Track:
         """
         Return which samples repeat a height while the body must move.
 
-        Programs write 0 for a lost sample, and a laser its largest height. Before, the body moves
-        by many rounding steps; the height is not that at rest, and not on the cubic through the
-        samples on either side, where a body turns.
+        Programs write 0 for a lost sample, and a laser its largest height. As many samples before,
+        the body is farther away than where it turns, and the height is not that at rest.
         """
-        time, height = self.time, self.position
-        step = max(_smallest_step(height) or float(np.ptp(height)), self.noise)
+        height = self.position
+        far = _STILL_STEPS * max(_smallest_step(height) or float(np.ptp(height)), self.noise)
         rest = float(np.median(height[:_MIN_STILL]))
         edges = np.flatnonzero(np.diff(height)) + 1
         flags = np.zeros(height.size, dtype=bool)
         for begin, end in pairwise([0, *edges.tolist(), height.size]):
-            side = min(end - begin, begin, _MAX_STILL_SIDE)
-            if side < _MIN_STILL or abs(height[begin] - rest) < _STILL_STEPS * step:
-                continue
-            around = [begin - side, begin - 1, end, end + side - 1]
-            expected = math.inf
-            if around[-1] < height.size:
-                middle = time[(begin + end) // 2]
-                expected = float(interpolate.barycentric_interpolate(
-                    time[around] - middle, height[around], 0.0
-                ))
-            is_moving = np.ptp(height[begin - side:begin + 1]) > _STILL_STEPS * step
-            flags[begin:end] = is_moving and abs(expected - height[begin]) > _STILL_STEPS * step
+            if end - begin >= _MIN_STILL and abs(height[begin] - rest) > far:
+                side = min(end - begin, begin, _MAX_STILL_SIDE)
+                flags[begin:end] = np.ptp(height[begin - side:begin + 1]) > far
         return flags
 
     def where(self, kept: Flags | Indices) -> Track:
@@ -215,6 +191,14 @@ class ThrowTracks:
                 projectile = self.projectile.between(start, end)
         return replace(self, plate=self.plate.between(start, end), projectile=projectile)
 
+    def split(self, spans: Sequence[tuple[float, float]], word: str) -> list[ThrowTracks]:
+        """Cut the record into spans [s], several ones with a number; whole without any."""
+        parts = [self.between(*span) for span in spans] or [self]
+        return parts if len(parts) == 1 else [
+            replace(part, name=f'{part.name}, {word} {number}')
+            for number, part in enumerate(parts, 1)
+        ]
+
     def apply(self, change: Callable[[Track], Track]) -> ThrowTracks:
         """Change both tracks alike."""
         return replace(
@@ -231,36 +215,26 @@ def noise_of(time: Floats, position: Floats, stamp_noise: Floats | None = None) 
     The estimate uses the deviation of each sample from the cubic through the two samples on either
     side, over the deviation for unit noise. A motion of n even samples per period contributes its
     amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`. Deviations beyond five median deviations, at
-    kinks and jumps, are excluded, and samples whose errors by the times `stamp_noise` [m] are not
-    small. The result is at least :math:`1 / \sqrt{12}` of the smallest step, the error of rounded
-    heights, and never 0.
+    kinks and jumps, are excluded, and the half of the samples with the larger errors by the times,
+    `stamp_noise` [m]. The result is at least :math:`1 / \sqrt{12}` of the smallest step, the error
+    of rounded heights, and never 0.
 
     """
     deviation, spread = _beside_neighbours(time, position)
     scatter = (deviation / spread)[2:-2]
-    step = _smallest_step(position) / math.sqrt(12.0)
-    least = max(step, 1e-9 * float(np.ptp(position)), 1e-15)
-    noise = max(_rms_without_outliers(scatter), least)
-    if stamp_noise is None or not stamp_noise.any():
-        return noise
-    slowest = np.argsort(stamp_noise[2:-2], kind='stable')
-    for _ in range(_NOISE_ROUNDS):
-        count = max(_FEWEST_SLOW, int(np.sum(stamp_noise[2:-2] < _SLOW * noise)))
-        noise = max(_rms_without_outliers(scatter[slowest[:count]]), least)
-    return noise
+    if stamp_noise is not None:
+        scatter = scatter[stamp_noise[2:-2] <= np.median(stamp_noise[2:-2])]
+    usual = 1.4826 * float(np.median(np.abs(scatter)))
+    kept = scatter[np.abs(scatter) <= _NOISE_SIGMAS * usual]
+    rounding = _smallest_step(position) / math.sqrt(12.0)
+    rms = float(np.sqrt(np.mean(kept**2)))
+    return max(rms, rounding, 1e-9 * float(np.ptp(position)), 1e-15)
 
 
 def _smallest_step(position: Floats) -> float:
     """Return the smallest step of rounded heights, 0 for a single height [m]."""
     steps = np.diff(np.unique(position))
     return float(min(steps[steps > _MIN_STEP * np.ptp(position)], default=0.0))
-
-
-def _rms_without_outliers(values: Floats) -> float:
-    """Return the root mean square of all values within `_NOISE_SIGMAS`."""
-    usual = 1.4826 * float(np.median(np.abs(values)))
-    kept = values[np.abs(values) <= _NOISE_SIGMAS * usual]
-    return float(np.sqrt(np.mean(kept**2))) if usual > 0.0 else 0.0
 
 
 def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
@@ -291,26 +265,14 @@ def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
     """
     time = record.plate.time
     longest = max(_MAX_BREAK, _MAX_BREAK_SAMPLES * record.plate.interval)
-    breaks = np.flatnonzero(np.diff(time) > longest) + 1
-    pieces = [item for item in np.split(time, breaks) if item.size >= FEWEST]
-    if not breaks.size or not pieces:
-        return [record]
-    parts = [record.between(float(piece[0]), float(piece[-1])) for piece in pieces]
-    return _numbered(parts, 'part')
+    pieces = np.split(time, np.flatnonzero(np.diff(time) > longest) + 1)
+    spans = [(float(piece[0]), float(piece[-1])) for piece in pieces if piece.size >= FEWEST]
+    return record.split(spans if len(pieces) > 1 else [], 'part')
 
 
-def _numbered(parts: list[ThrowTracks], word: str) -> list[ThrowTracks]:
-    """Add numbers to the names of several parts."""
-    if len(parts) == 1:
-        return parts
-    return [
-        replace(part, name=f'{part.name}, {word} {number}') for number, part in enumerate(parts, 1)
-    ]
-
-
-def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
+def find_throws(plate: Track) -> list[tuple[float, float]]:
     """
-    Cut a long record into its throws.
+    Find begin and end [s] of the throws in a record.
 
     Notes
     -----
@@ -318,15 +280,9 @@ def split_into_throws(record: ThrowTracks) -> list[ThrowTracks]:
     rest, a throw lasts from a quarter of a plate period before its start to at most six periods
     after, so the plate must not be put back earlier. Of several throws, the last one is dropped if
     the record ends within two periods after its start. A record in which the plate rests there
-    only once, or never, is one throw and remains complete.
+    only once, or never, is one throw; the result is empty.
 
     """
-    parts = [record.between(*span) for span in find_throws(record.plate)]
-    return _numbered(parts or [record], 'throw')
-
-
-def find_throws(plate: Track) -> list[tuple[float, float]]:
-    """Find begin and end [s] of throws in a record in which the plate returns to rest."""
     plate = plate.without_spikes()
     time = plate.time
     period = dominant_period(plate)

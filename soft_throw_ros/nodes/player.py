@@ -81,8 +81,7 @@ class Player(RunnableNode):
     def start(self) -> None:
         """Start playing after `_DISCOVERY_TIME`."""
         for channel, reason in self.skipped.items():
-            count = self._reader.counts[channel]
-            self.get_logger().warning(f'{channel.topic} is skipped, {count} messages: {reason}')
+            self.get_logger().warning(f'{channel.topic} is skipped: {reason}')
         if not self._is_paused_first:
             self._schedule.resume(time.monotonic_ns() + round(_DISCOVERY_TIME * SECOND))
         self._thread.start()

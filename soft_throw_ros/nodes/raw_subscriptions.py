@@ -242,5 +242,5 @@ def _offered(topic: str, kind: str, offer: QoSProfile) -> dict[str, object]:
     profile = profile_to_dict(offer)
     known = find_topic(topic, kind)
     if profile['history'] == 'unknown' and known is not None:
-        profile.update(history='keep_last', depth=known.topic.depth)
+        profile.update(history='keep_last', depth=known[1].depth)
     return profile

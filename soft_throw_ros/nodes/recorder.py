@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-The node `recorder`: records topics into a bag.
+The node `recorder`: records topics into a bag, and may start a viewer that shows them live.
 
 One thread takes the received messages every few milliseconds; another one writes them.
 """
@@ -10,10 +10,14 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
+import contextlib
 from datetime import datetime
 from functools import partial
 import gc
+import json
 from pathlib import Path
+import subprocess
+import sys
 import threading
 import time
 from typing import Any
@@ -29,10 +33,12 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, R
 from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
+from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin.session import RequestRejected
 
 _DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
+_VIEWER_TIMEOUT = 2.0  # longest wait for the end of the viewer [s]
 _DRAIN_TIME = 0.01  # time between two calls that take the received messages [s]
 
 PUBLISHER_TIMEOUT = 2.0
@@ -128,7 +134,6 @@ class Recording:
         """Take the last messages, and finish the bag; see `writer.error` and `has_failed`."""
         self._is_stopping.set()
         self._thread.join()
-        self.writer.flush()  # first, since the process may be killed soon
         self.subscriptions.close()
         losses, refused = self.losses(), self.subscriptions.refused
         counts = {'total': losses.total(), **losses}
@@ -196,6 +201,7 @@ class Recorder(RunnableNode):
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('recorder', **kwargs)
         self.recording: Recording | None = None  # the one under way
+        self._viewer: subprocess.Popen[bytes] | None = None  # while it runs
         self.add_cleanup(self.close)
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
@@ -216,12 +222,19 @@ class Recorder(RunnableNode):
             self.begin()
         else:
             self._report()
+        if self.parameters.settings['rerun.sink'] != 'none':
+            self._viewer = self._start_viewer(self.parameters.settings)
         self.get_logger().info('ready')
 
     def close(self) -> None:
-        """Finish the recording under way, and set the exit code."""
+        """Finish the recording under way, end the viewer, and set the exit code."""
+        if self._viewer is not None:
+            self._viewer.terminate()  # it ends while the bag is finished
         if self.recording is not None:
             self.end()
+        if self._viewer is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._viewer.wait(_VIEWER_TIMEOUT)
         if self._has_failed:
             self.exit_code = 1
 
@@ -245,6 +258,23 @@ class Recorder(RunnableNode):
         self.log(self._last, is_error=recording.has_failed)
         return recording.has_failed
 
+    def _start_viewer(self, settings: Settings) -> subprocess.Popen[bytes]:
+        """Start a viewer of the same topics, which never outlives this process."""
+        path = self.recording.bag if self.recording is not None else None
+        parameters = {
+            'topics': list(settings['topics']),
+            'sink': settings['rerun.sink'],
+            'file': f'{(path or bag_path(settings)).absolute()}.rrd',
+        }
+        rules = [f'{name}:={json.dumps(value)}' for name, value in parameters.items()]
+        command = [sys.executable, '-m', 'soft_throw_ros', 'viewer', '--ros-args']
+        command += ['-r', f'__ns:={self.get_namespace()}']
+        return subprocess.Popen(
+            bound_to_parent([*command, *(word for rule in rules for word in ('-p', rule))]),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C reaches only the recorder
+        )
+
     def _on_start(self) -> str:
         if self.recording is not None:
             stop = RECORDER_SERVICES.stop.name
@@ -265,6 +295,9 @@ class Recorder(RunnableNode):
 
     def _on_second(self) -> None:
         """Publish the state of the recording, and log its problems."""
+        if self._viewer is not None and self._viewer.poll() is not None:
+            code, self._viewer = self._viewer.returncode, None
+            self.log(f'the viewer has ended with exit code {code}', is_error=True)
         if self.recording is not None:
             for problem in self.recording.new_problems():
                 self.get_logger().warning(problem)

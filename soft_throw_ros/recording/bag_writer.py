@@ -46,8 +46,8 @@ class BagWriter:
 
     `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
     whether to try again, which is False by default. After any BagError the bag can only be closed.
-    `counts` are the numbers of messages in the bag at the last flush, or in whole chunks if the
-    disk has failed. The folder is locked (`flock`) while it is written.
+    `counts` are the numbers of messages in whole chunks on the disk. The folder is locked
+    (`flock`) while it is written.
     """
 
     def __init__(
@@ -64,13 +64,11 @@ class BagWriter:
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
         self.counts: Counter[Channel] = Counter()
         self._written: Counter[Channel] = Counter()  # accepted by `write`
-        self._in_chunks: Counter[Channel] = Counter()  # in whole chunks on the disk
         self._distribution = distribution
         self._compression = CompressionType[compression.upper()]
         self._max_size = max_size or math.inf
         self._max_duration = round(max_duration * 1e9) or math.inf
         self._sync = sync
-        self._is_closed = False
         self._error = ''  # after which the bag can only be closed
         self._files: list[_File] = []
         try:
@@ -84,7 +82,7 @@ class BagWriter:
         try:
             self._begin_file()
         except BagError:
-            self._close_files()
+            self._release()
             shutil.rmtree(self.folder, ignore_errors=True)
             raise
 
@@ -99,11 +97,6 @@ class BagWriter:
         """Size of all data handed to the operating system [bytes]."""
         return sum(file.size for file in self._files)
 
-    @property
-    def lost(self) -> Counter[Channel]:
-        """Numbers of messages not saved before the end, by channel."""
-        return self._written - self.counts if self._is_closed else Counter()
-
     def write(self, message: Message) -> None:
         """
         Write a message, and with its channel's first one the channel.
@@ -111,18 +104,21 @@ class BagWriter:
         BagError is raised if the bag is closed, or the disk does not take a chunk; ValueError, if
         a time is negative or too large for ROS.
         """
+        channel, data, log_time, publish_time, sequence = message
         if not message.has_valid_times:
             raise ValueError(
-                f'{message.channel.topic}: times must be at least 0 and below 2**63 ns, '
-                f'got {message.log_time} and {message.publish_time}'
+                f'{channel.topic}: times must be at least 0 and below 2**63 ns, got {log_time} '
+                f'and {publish_time}'
             )
         file = self._file()
-        is_long = message.log_time - file.first >= self._max_duration
-        if is_long or file.size > self._max_size:
+        if log_time - file.first >= self._max_duration or file.size > self._max_size:
             self.split()
             file = self._file()
-        self._written[message.channel] += 1
-        file.add(message)
+        self._written[channel] += 1
+        file.count += 1
+        file.first, file.last = min(file.first, log_time), max(file.last, log_time)
+        number = file.channels.get(channel) or file.define(channel)
+        file.writer.add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write named texts."""
@@ -142,7 +138,8 @@ class BagWriter:
         """
         file = self._file()
         file.writer.flush()
-        self._mark_saved(file)
+        if self._sync:
+            self._try(file.path, os.fsync, file.descriptor)
 
     def close(self) -> None:
         """
@@ -150,17 +147,16 @@ class BagWriter:
 
         BagError is raised if that fails; the bag is closed all the same, with all that was saved.
         """
-        if not self._is_closed:
+        if self._lock >= 0:
             try:
-                self.flush()
                 self._finish_file()
                 self._write_metadata()
             finally:
-                self._close_files()
+                self._release()
 
     def _file(self) -> _File:
         """Return the present file; raise BagError if the bag is closed or has failed."""
-        if self._is_closed:
+        if self._lock < 0:
             raise BagError(f'{self.folder} is closed')
         if self._error:
             raise BagError(self._error)
@@ -175,19 +171,11 @@ class BagWriter:
                 reason = f'{path}: {error.strerror}'
                 if not self.wait_for_disk(reason):
                     self._error = reason
-                    if not self._sync:
-                        self.counts = self._in_chunks
                     raise BagError(reason) from None
 
-    def _mark_saved(self, file: _File) -> None:
-        """Note that all messages so far are on the disk."""
-        if self._sync:
-            self._try(file.path, os.fsync, file.descriptor)
-        self.counts = self._written.copy()
-
     def _on_chunk(self) -> None:
-        """Note that the messages so far are in whole chunks, whose index may be missing."""
-        self._in_chunks = self._written.copy()
+        """Count all messages so far as saved, although the index of their chunk may be missing."""
+        self.counts = self._written.copy()
 
     def _begin_file(self) -> None:
         """Begin the next file, with all that it needs to be read alone."""
@@ -198,12 +186,13 @@ class BagWriter:
         self._write_metadata()
 
     def _finish_file(self) -> None:
-        """Write the end of the present file."""
+        """Write the last chunk and the end of the present file."""
+        self.flush()
         file = self._file()
         information = {'serialized_metadata': dump_yaml(self._information())}
         file.writer.add_metadata('rosbag2', information)
         file.writer.finish()
-        self._mark_saved(file)
+        self.flush()
         file.close()
 
     def _write_metadata(self) -> None:
@@ -212,11 +201,11 @@ class BagWriter:
         if self._sync:
             self._try(self.folder, os.fsync, self._lock)  # that there are such files
 
-    def _close_files(self) -> None:
-        self._is_closed = True
+    def _release(self) -> None:
         for file in self._files[-1:]:
             file.close()
         os.close(self._lock)
+        self._lock = -1
 
     def _information(self) -> dict[str, object]:
         """Return the metadata of the bag that rosbag2 expects as YAML."""
@@ -279,7 +268,7 @@ class _File:
         self.size = 0  # [bytes]
         self._act = act
         self._on_chunk = on_chunk
-        self._ids: dict[Channel, int] = {}
+        self.channels: dict[Channel, int] = {}  # numbers of the defined ones
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self.descriptor = act(path, os.open, path, flags, 0o666)
@@ -312,18 +301,11 @@ class _File:
         if schema not in self._schemas:
             self._schemas[schema] = self.writer.register_schema(*schema)
         metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
-        self._ids[channel] = number = self.writer.register_channel(
+        number = self.writer.register_channel(
             channel.topic, 'cdr', self._schemas[schema], metadata
         )
+        self.channels[channel] = number
         return number
-
-    def add(self, message: Message) -> None:
-        """Add a message, and its channel if that is new."""
-        channel, data, log_time, publish_time, sequence = message
-        number = self._ids.get(channel) or self.define(channel)
-        self.writer.add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
-        self.count += 1
-        self.first, self.last = min(self.first, log_time), max(self.last, log_time)
 
     def close(self) -> None:
         if self.descriptor >= 0:

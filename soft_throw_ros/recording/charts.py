@@ -6,19 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-import functools
 import io
 import time
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration import Settings
+from soft_throw_ros.configuration import rig_of, rig_values, Settings, TWIN
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.recording.rerun_text import Values
@@ -28,37 +25,24 @@ Bytes = NDArray[np.uint8]
 Marks = Iterable[tuple[str, float, float]]
 """Marked points: title, and values on both axes."""
 
-DPI = 100
+_DPI = 100
 """Resolution of the images for Rerun, in pixels per inch, which suits a window of usual size."""
 
-_STRAIN_SIZE = 6.2, 1.9
-"""Width and height of the strain of a throw. [inch]"""
-
-STRAIN_BOX = 50, 28, 490, 117
-"""Left and upper edge, width and height of the strain within its frame. [pixel]"""
-
-_STRAIN_AXES, _BAR_AXES = (
-    (left / 620, 45 / 190, width / 620, 117 / 190) for left, width in ((50, 490), (550, 12))
-)
-"""The same of the strain and of its bar of colours, from the lower edge, over the frame."""
-
-_BACKGROUND, _TEXT, _LINE = '#0d1011', 'white', '#b0b0b0'
-
 _STYLE: dict[Any, Any] = {
-    'axes.edgecolor': _LINE,
-    'axes.labelcolor': _TEXT,
-    'figure.facecolor': _BACKGROUND,
+    'axes.edgecolor': '#b0b0b0',
+    'axes.labelcolor': 'white',
+    'figure.facecolor': '#0d1011',
     'font.size': 9.0,
-    'text.color': _TEXT,
-    'xtick.color': _LINE,
-    'ytick.color': _LINE,
+    'legend.facecolor': '0.3',
+    'text.color': 'white',
+    'xtick.color': '#b0b0b0',
+    'ytick.color': '#b0b0b0',
 }
 """Style of figures in the viewer, in the colours of Rerun."""
 
 # Both are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
-_SIGNED = mpl.colormaps['PuOr'].with_extremes(bad=_LINE)
+_SIGNED = mpl.colormaps['PuOr'].with_extremes(bad='#b0b0b0')
 _UNSIGNED = 'viridis'
-
 
 _MAP_SIZE = 6.2, 2.5
 """Width and height of the map of all layers. [inch]"""
@@ -123,79 +107,41 @@ def draw_map(
         )
 
 
-@functools.lru_cache(maxsize=16)
-def strain_frame(
-    duration: float, thickness: float, limit: float, ejection_time: float | None
-) -> bytes:
+def draw_energy_map(values: Values, settings: Settings) -> Figure:
     """
-    Draw the axes around the strain of a throw, and the bar of its colours, as PNG.
+    Draw alpha over layers, with marks at that of the rig and at the recommended one.
 
-    The strain itself is another image, in `STRAIN_BOX`, since many throws have the same frame, and
-    one takes 100 ms. The axes end at `duration` [s] and `thickness` [m], the colours at `limit`.
+    `values` are those of `~/recommendation`, with its rig. The limits in the settings of the twin,
+    and the marks, select the layers.
     """
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=_STRAIN_SIZE)
-        panel = figure.add_axes(_STRAIN_AXES)
-        panel.set(
-            xlim=(0.0, 1e3 * duration), ylim=(0.0, 1e3 * thickness),
-            xlabel='t (ms)', ylabel='y (mm)',
-        )
-        if ejection_time is not None:
-            panel.text(
-                ejection_time / duration, 1.04, f'tₑ {1e3 * ejection_time:.2f} ms', ha='center',
-                transform=panel.transAxes,
-            )
-        colours = ScalarMappable(Normalize(-100.0 * limit, 100.0 * limit), _SIGNED)
-        figure.colorbar(colours, cax=figure.add_axes(_BAR_AXES), label='ε (%)')
-        return to_png(figure)
-
-
-def _energy_transfer(rig: Rig, thickness: Floats, wave_speed: Floats) -> Floats:
-    """Compute alpha of a rig with other layers, without loss; NaN where nothing is thrown [-]."""
-    layer = Layer(density=rig.layer.density, diameter=rig.layer.diameter)
-    rig = replace(rig, engine=replace(rig.engine, motion=None), layer=layer)
-    return throw_many(rig, {'thickness': thickness, 'wave_speed': wave_speed}).energy_transfer
-
-
-def draw_energy_map(rig: Rig, settings: Settings, recommendation: Values) -> Figure:
-    """
-    Draw the map for a rig with its marks and a legend; the marks are within it.
-
-    The limits in the settings of the twin select the layers. The marks use the values of
-    `~/recommendation` for this rig, which may be empty, so that they agree with the table.
-    """
+    rig = rig_of({**TWIN.defaults(), **{name: values[name] for name in rig_values(Rig())}})
+    lossless = replace(rig, layer=Layer(density=rig.layer.density, diameter=rig.layer.diameter))
     layers = {'now': (rig.layer.thickness, rig.layer.wave_speed)}
-    match [recommendation.get(name) for name in _MAP_COUNTS]:
+    match [values.get(name) for name in _MAP_COUNTS]:
         case float(thickness), float(wave_speed):
             layers['recommended'] = thickness, wave_speed
-    marks, limits = [], {}
-    for name, layer in layers.items():
-        alpha = recommendation.get('now.energy_transfer' if name == 'now' else 'energy_transfer')
-        if not isinstance(alpha, float):
-            alpha = float(_energy_transfer(rig, *np.array(layer)))
-        text = f'α {alpha:.3f}' if alpha > 0.0 else 'no release'
-        marks.append((f'{name}: {text}', 1e3 * layer[0], layer[1]))
-    for column, axis in enumerate(_MAP_COUNTS):
-        low, high = (settings[f'recommendation.{axis}_{limit}'] for limit in ('min', 'max'))
-        marked = [layer[column] for layer in layers.values()]
-        limits[axis] = min(low, *marked), max(high, *marked)
+    limits = []
+    for name, marked in zip(_MAP_COUNTS, zip(*layers.values(), strict=True), strict=True):
+        low, high = (settings[f'recommendation.{name}_{limit}'] for limit in ('min', 'max'))
+        limits.append((min(low, *marked), max(high, *marked)))
     for coarseness in (8, 4, 2, 1):
         begin = time.monotonic()
         thicknesses, wave_speeds = (
-            np.geomspace(*limits[axis], count // coarseness) for axis, count in _MAP_COUNTS.items()
+            np.geomspace(*ends, count // coarseness)
+            for ends, count in zip(limits, _MAP_COUNTS.values(), strict=True)
         )
-        transfer = _energy_transfer(rig, thicknesses[:, None], wave_speeds)
-        if 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:  # duration of the next grid
+        layers_of_map = {'thickness': thicknesses[:, None], 'wave_speed': wave_speeds}
+        transfer = throw_many(lossless, layers_of_map).energy_transfer
+        # Duration of the next grid; the first one loads the kernels
+        if coarseness < 8 and 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:
             break
     axes = MapAxis('Lₛ (mm)', 1e3 * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
+    marks = [(name, 1e3 * thickness, speed) for name, (thickness, speed) in layers.items()]
     title = 'α, lossless' if rig.layer.loss_tangent else 'α'
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=_MAP_SIZE, layout='constrained')
         draw_map(figure.subplots(), axes, transfer, label=title, marks=marks)
-        figure.legend(
-            loc='outside upper center', ncols=2, facecolor='0.3', labelcolor='white',
-            frameon=True,
-        )
+        figure.legend(loc='outside upper center', ncols=2)
     return figure
 
 
@@ -205,7 +151,7 @@ def signed_colours(values: Floats, limit: float) -> Bytes:
     return np.ascontiguousarray(_SIGNED(scaled, bytes=True)[..., :3])
 
 
-def to_png(figure: Figure, *, dpi: float = DPI) -> bytes:
+def to_png(figure: Figure, *, dpi: float = _DPI) -> bytes:
     """Return a figure as PNG."""
     output = io.BytesIO()
     figure.savefig(output, format='png', dpi=dpi, metadata={'Software': None})

@@ -14,10 +14,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-import itertools
 import struct
 
-from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TEXT, TWIN_TOPICS
+import numpy as np
+from soft_throw_ros.configuration.interface import find_topic, JOINTS, TWIN_TOPICS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
 from soft_throw_ros.storage.message import BagError, Message
@@ -94,21 +94,17 @@ class CheckResult:
 
 def check_bag(reader: BagReader) -> list[CheckResult]:
     """Check every twin in a bag, which is read twice for each; CheckError if there is none."""
-    types = {channel.topic: channel.type for channel in reader.channels}
-    ending = TWIN_TOPICS.journal.at('').name
-    nodes = [
-        topic.removesuffix(ending)
-        for topic, type_name in types.items()
-        if topic.endswith(ending) and type_name == TEXT
-    ]
-    nodes = [
-        node for node in nodes if types.get(TWIN_TOPICS.joint_states.at(node).name) == JOINT_STATE
-    ]
+    topics = [item for channel in reader.channels
+              if (item := find_topic(channel.topic, channel.type)) is not None]
+    nodes = dict.fromkeys(
+        node for node, topic in topics
+        if topic == TWIN_TOPICS.journal and (node, TWIN_TOPICS.joint_states) in topics
+    )
     if not nodes:
         raise CheckError(
             f'{reader.path}: the bag needs the topics {TWIN_TOPICS.journal.relative_name} and '
             f'{TWIN_TOPICS.joint_states.relative_name} of a twin, and has '
-            f'{", ".join(types) or "none"}'
+            f'{", ".join(item.topic for item in reader.channels) or "none"}'
         )
     return [_Check(reader, node).run() for node in nodes]
 
@@ -125,12 +121,13 @@ class _Check:
         self._reader = reader
         self._node = node
         self._result = CheckResult(twin=node)
-        self._states = _RecordedStates(reader, TWIN_TOPICS.joint_states.at(node).name)
+        self._states: dict[int, list[bytes]] = {}  # recorded ones by stamp [ns]
         self._is_repeated = False
 
     def run(self) -> CheckResult:
         """Repeat the journal, and return the result."""
         result, lines, last = self._result, deque[journal.Entry](), -1
+        unreadable = self._read_states()
         topic = TWIN_TOPICS.journal.at(self._node).name
         for message in self._reader.messages([topic], by_log_time=False):
             try:
@@ -149,37 +146,43 @@ class _Check:
         self._repeat_all(lines)
         if not self._is_repeated:
             result.reason = result.reason or 'not compared: the journal has no start of a throw'
-            return result
-        for count, reason in (
-            (self._states.count_strays(), 'states are of no step of the session'),
-            (self._states.unreadable, 'messages are no state of plate and projectile'),
-        ):
-            if count:
-                result.states.different += count
-                result.differences.append(f'{count} {reason}')
+        elif unreadable:
+            result.states.different += unreadable
+            result.differences.append(f'{unreadable} messages are no state of the rig')
         return result
+
+    def _read_states(self) -> int:
+        """Read the recorded states; return the number of messages that are none."""
+        reader, unreadable = JointStateReader(), 0
+        for message in self._reader.messages([TWIN_TOPICS.joint_states.at(self._node).name]):
+            try:
+                (stamp,), _, *series = reader.read_all([message.data])
+            except MessageError:
+                series = []
+            if [numbers.size for numbers in series] == [len(JOINTS)] * 3:
+                self._states.setdefault(int(stamp), []).append(np.hstack(series).tobytes())
+            else:
+                unreadable += 1
+        return unreadable
 
     def _repeat_all(self, lines: deque[journal.Entry]) -> None:
         """Repeat lines without a gap, from the next throw on if some cannot be repeated."""
         while lines:
             first = lines.popleft()
-            if first['kind'] in ('start', 'throw') and self._is_of_these_versions(first):
+            if first['kind'] not in ('start', 'throw'):
+                continue
+            versions = first.get('versions', {})
+            others = [
+                f'{name} {versions.get(name)!s:.40}, and this is {ours}'
+                for name, ours in journal.VERSIONS.items() if versions.get(name) != ours
+            ]
+            if others:
+                self._result.reason = (
+                    'not compared, because other versions compute other last bits: recorded with '
+                    + '; '.join(others)
+                )
+            else:
                 self._repeat(first, lines)
-
-    def _is_of_these_versions(self, entry: journal.Entry) -> bool:
-        """Return whether a session can be compared here; note the reason if not."""
-        recorded = entry.get('versions', {})
-        others = [
-            f'{name} {recorded.get(name)!s:.40}, and this is {journal.VERSIONS.get(name)}'
-            for name in {**journal.VERSIONS, **recorded}
-            if recorded.get(name) != journal.VERSIONS.get(name)
-        ]
-        if others:
-            self._result.reason = (
-                'not compared, because other versions compute other last bits: recorded with '
-                + '; '.join(others)
-            )
-        return not others
 
     def _repeat(self, first: journal.Entry, lines: deque[journal.Entry]) -> None:
         """Repeat a session from a line on, up to the end or a line that cannot be repeated."""
@@ -236,53 +239,17 @@ class _Check:
 
     def _compare_states(self, session: Session, outputs: Iterable[Outputs]) -> None:
         """Compare the recorded states of steps, all those of the same stamp, to the last bit."""
-        count, first = self._result.states, None
         for item in outputs:
             self._is_repeated = True
-            due = session.due_ns(item.step)
-            first = due if first is None else first
-            rows = self._states.take(first, due)
-            count.missing += not rows
+            rows = self._states.get(session.due_ns(item.step), [])
+            self._result.states.missing += not rows
             for row in rows:
                 difference = ''
                 if row != _STATE.pack(*item.state):
                     recorded = State(*_STATE.unpack(row))._asdict()
                     difference = _first_difference(recorded, item.state._asdict())
                     difference = difference or 'other bits of a value'
-                self._result.count(count, f'states: step {item.step}', difference)
-
-
-class _RecordedStates:
-    """The states on a topic of a bag, as bytes by their stamps."""
-
-    def __init__(self, reader: BagReader, topic: str) -> None:
-        self.unreadable = 0  # number of messages that are no state of plate and projectile
-        self._rows: dict[int, list[bytes]] = {}
-        self._spans: dict[int, int] = {}  # last stamps of compared steps by their first ones [ns]
-        read = JointStateReader().read
-        for message in reader.messages([topic]):
-            try:
-                stamp, _, *series = read(message.data)
-            except MessageError:
-                series = []
-            if [len(numbers) for numbers in series] == [len(JOINTS)] * 3:
-                row = _STATE.pack(*itertools.chain(*series))
-                self._rows.setdefault(stamp, []).append(row)
-            else:
-                self.unreadable += 1
-
-    def take(self, first: int, stamp: int) -> list[bytes]:
-        """Remove and return the states of a step, in steps that are compared from `first` on."""
-        self._spans[first] = stamp
-        return self._rows.pop(stamp, [])
-
-    def count_strays(self) -> int:
-        """Return the number of states without a step between states that have one."""
-        return sum(
-            len(rows)
-            for stamp, rows in self._rows.items()
-            if any(first < stamp < last for first, last in self._spans.items())
-        )
+                self._result.count(self._result.states, f'states: step {item.step}', difference)
 
 
 def _entry(message: Message) -> journal.Entry:

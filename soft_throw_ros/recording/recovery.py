@@ -10,18 +10,10 @@ from pathlib import Path
 import shutil
 
 from mcap import records as mcap
-from mcap.stream_reader import breakup_chunk, StreamReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.bag_lock import is_being_written
-from soft_throw_ros.storage.bag_reader import (
-    BagFolder,
-    check_size,
-    make_channel,
-    make_message,
-    MAX_RECORD,
-    open_mcap,
-)
-from soft_throw_ros.storage.message import BagError, Channel
+from soft_throw_ros.storage.bag_reader import BagFolder, open_mcap, read_records
+from soft_throw_ros.storage.message import BagError, Message
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,27 +63,15 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
 
 def _copy(path: Path, writer: BagWriter) -> str:
     """Copy a file up to its end or the first damage; return a description of the remainder."""
-    schemas: dict[int, mcap.Schema] = {}
-    channels: dict[int, Channel] = {}
-    count = end = 0  # messages, and the end of the last whole record
+    end = 0  # of the last whole record
     with open_mcap(path) as stream:
         size = path.stat().st_size
-        reader = StreamReader(stream, emit_chunks=True, record_size_limit=MAX_RECORD)
         try:
-            for record in reader.records:
-                for item in _unpack(record):
-                    match item:
-                        case mcap.Schema():
-                            schemas[item.id] = item
-                        case mcap.Channel() if item.schema_id in schemas:
-                            channels[item.id] = make_channel(item, schemas)
-                        case mcap.Message():
-                            writer.write(make_message(item, channels))
-                            count += 1
-                        case mcap.Metadata() if item.name != 'rosbag2':
-                            writer.add_metadata(item.name, item.metadata)
-                        case mcap.Statistics():
-                            _check_complete(item, count)
+            for item in read_records(stream):
+                if isinstance(item, Message):
+                    writer.write(item)
+                elif isinstance(item, mcap.Metadata) and item.name != 'rosbag2':
+                    writer.add_metadata(item.name, item.metadata)
                 end = stream.tell()
         except BagError as error:
             raise BagError(f'{path}: {error}') from None
@@ -100,17 +80,3 @@ def _copy(path: Path, writer: BagWriter) -> str:
                 reason = str(error) or type(error).__name__
                 return f'{path}: the last {size - end} of {size} bytes, {reason:.200}'
     return ''
-
-
-def _unpack(record: mcap.McapRecord) -> list[mcap.McapRecord]:
-    """Return the records of a chunk, or any other record alone."""
-    if not isinstance(record, mcap.Chunk):
-        return [record]
-    check_size(record.uncompressed_size)
-    return breakup_chunk(record, validate_crc=True)
-
-
-def _check_complete(statistics: mcap.Statistics, count: int) -> None:
-    """Raise ValueError if a file had more messages than were read before its index."""
-    if statistics.message_count > count:
-        raise ValueError(f'{statistics.message_count - count} messages are missing')

@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
-from soft_throw_ros.configuration.interface import ENERGIES, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import ENERGIES, Topic, TWIN_TOPICS
 
 STAMP = 'stamp'
 """Timeline of the messages' stamps."""
@@ -30,7 +30,6 @@ ORANGE = (0xE6, 0x9F, 0x00)
 GREEN = (0x00, 0x9E, 0x73)
 PURPLE = (0xCC, 0x79, 0xA7)
 RED = (0xD5, 0x5E, 0x00)
-BLACK = (0x00, 0x00, 0x00)
 
 PHASES = {
     'rest': (0x60, 0x60, 0x60),
@@ -44,38 +43,38 @@ PHASES = {
 class Lines(NamedTuple):
     """Lines of a plot, in one entity."""
 
+    topic: Topic
+    quantity: str  # of its messages JointState; empty for a cloud
     names: tuple[str, ...]
     colours: tuple[Colour, ...]
-    factor: float = 1.0  # from SI units to the units of the plot
-    width: float | tuple[float, ...] = 1.5  # of all lines, or of each
+    factors: float | tuple[float, ...] = 1.0  # from SI units to the units of the plot
+    widths: float | tuple[float, ...] = 1.0  # of all lines, or of each
 
 
-BODIES = ('plate', 'projectile')
+_STATES = TWIN_TOPICS.joint_states
+_BODIES = ('plate', 'projectile')
 
 LINES = {
-    'position': Lines(BODIES, (GREY, BLUE), 1e3),
-    'velocity': Lines(BODIES, (GREY, BLUE)),
-    'force': Lines(('at the plate', 'at the projectile'), (GREY, BLUE)),
+    'position': Lines(_STATES, 'position', _BODIES, (GREY, BLUE), 1e3, 1.5),
+    'velocity': Lines(_STATES, 'velocity', _BODIES, (GREY, BLUE), 1.0, 1.5),
+    'force': Lines(
+        _STATES, 'effort', ('at the plate', 'at the projectile'), (GREY, BLUE), (-1.0, 1.0), 1.5
+    ),
     'energy': Lines(
+        TWIN_TOPICS.throw_energies, '',
         ('work of the plate', *ENERGIES[2:4], 'projectile + layer'),
-        (GREY, BLUE, ORANGE, GREEN),
-        1e3,
-        (4.0, 1.5, 1.5, 1.5),
+        (GREY, BLUE, ORANGE, GREEN), 1e3, (4.0, 1.5, 1.5, 1.5),
     ),
     'position/measured': Lines(
-        ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3, 1.0
+        TWIN_TOPICS.measured_joint_states, 'position',
+        ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3,
     ),
-    'position/predicted': Lines(('projectile, predicted',), (GREEN,), 1e3, 1.0),
-    'residual': Lines(BODIES, (GREY, BLUE), 1e6, 1.0),
+    'position/predicted': Lines(
+        TWIN_TOPICS.predicted_joint_states, 'position', ('projectile, predicted',), (GREEN,), 1e3
+    ),
+    'residual': Lines(TWIN_TOPICS.residual, 'position', _BODIES, (GREY, BLUE), 1e6),
 }
 """Lines by entity below that of the twin; the first part of its name is the plot."""
-
-POSITIONS = {
-    TWIN_TOPICS.measured_joint_states: 'position/measured',
-    TWIN_TOPICS.predicted_joint_states: 'position/predicted',
-    TWIN_TOPICS.residual: 'residual',
-}
-"""Entities of positions that are not those of the states."""
 
 _PLOTS = {
     'position': 'Position z (mm)',
@@ -87,6 +86,12 @@ _PLOTS = {
 
 _OPTIONAL = {'energy', 'residual', 'track', LOG}
 """Panels that are left out while they would be empty."""
+
+STRAIN_WIDTH = 4.0
+"""Width of the picture of the strain over time, whose height is 1, in its view."""
+
+STRAIN_VIEW = rrb.VisualBounds2D(x_range=[-0.5, STRAIN_WIDTH + 0.9], y_range=[-0.4, 1.3])
+"""Section of this view, whose vertical axis points downwards."""
 
 _BEFORE, _AFTER = 0.7, 1.8
 """Time that plots show before and after the cursor. [periods of the plate]"""
@@ -102,7 +107,8 @@ class TwinLayout:
     root: str  # of its entities
     title: str
     period: float  # of the plate, on the timeline that is shown [s]
-    side: tuple[float, float, float]  # half the width of the side view, and its heights [mm]
+    diameter: float  # of the layer [mm]
+    height: float  # of the side view above the plate [mm]
     residual_limit: float  # beyond which the model is reported as wrong [um]
     present: set[str]  # optional panels that are there
 
@@ -116,21 +122,16 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
         rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-before, after)
     )
     window = rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end))
-    root, (half, low, high), limit = twin.root, twin.side, twin.residual_limit
+    half, limit = 1.25 * twin.diameter, twin.residual_limit
 
-    def text(name: str, title: str) -> rrb.View:
-        return rrb.TextDocumentView(origin=f'{root}/{name}', name=title)
+    def view(kind: type[rrb.View], entity: str, title: str, **options: Any) -> rrb.View:
+        return kind(origin=f'{twin.root}/{entity}', name=title, **options)
 
-    def image(name: str, title: str) -> rrb.View:
-        return rrb.Spatial2DView(origin=f'{root}/{name}', name=title)
-
-    def plot(name: str, title: str) -> rrb.View:
-        return rrb.TimeSeriesView(
-            origin=f'{root}/{name}',
-            name=title,
-            axis_x=window,
-            axis_y=rrb.ScalarAxis(range=(-limit, limit)) if name == 'residual' else None,
-            plot_legend=rrb.PlotLegend('RightTop' if name == 'force' else 'LeftTop'),
+    def plot(entity: str, title: str) -> rrb.View:
+        return view(
+            rrb.TimeSeriesView, entity, title, axis_x=window,
+            axis_y=rrb.ScalarAxis(range=(-limit, limit)) if entity == 'residual' else None,
+            plot_legend=rrb.PlotLegend('RightTop' if entity == 'force' else 'LeftTop'),
         )
 
     def column(panels: dict[str, tuple[float, rrb.View]]) -> rrb.Container:
@@ -138,31 +139,34 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
             panel for name, panel in panels.items()
             if name not in _OPTIONAL or name in twin.present
         ]
-        return rrb.Vertical(*(view for _, view in shown), row_shares=[share for share, _ in shown])
+        return rrb.Vertical(*(item for _, item in shown), row_shares=[share for share, _ in shown])
 
     hidden = [rrb.encodings.TimelineColumn(name, visible=False) for name in (STAMP, THROW_TIME)]
     log_columns = rrb.TextLogColumns(
         timeline_columns=hidden, text_log_columns=['LogLevel', 'Body']
     )
     left = {
-        'side': (3.0, rrb.Spatial2DView(
-            origin=f'{root}/side',
-            name='Rig, z (mm)',
-            visual_bounds=rrb.VisualBounds2D(x_range=[-half, half], y_range=[-high, -low]),
+        'side': (3.0, view(
+            rrb.Spatial2DView, 'side', 'Rig, to scale',
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=[-half, half], y_range=[-twin.height, 0.4 * twin.diameter]
+            ),
         )),
-        'throw_result': (2.75, text('throw_result', 'Throw')),
+        'throw_result': (2.75, view(rrb.TextDocumentView, 'throw_result', 'Throw')),
     }
     middle = {
-        'phase': (1.5, rrb.StateTimelineView(
-            origin=f'{root}/phase', name='Phase', time_view=window
-        )),
+        'phase': (1.5, view(rrb.StateTimelineView, 'phase', 'Phase', time_view=window)),
         **{name: (3.0, plot(name, title)) for name, title in _PLOTS.items()},
     }
     right = {
-        'strain': (2.7, image('strain', 'Strain ε(y, t) in the throw')),
-        'landscape': (3.5, image('landscape', 'Energy transfer α(Lₛ, cₛ)')),
-        'recommendation': (4.15, text('recommendation', 'Recommended layer')),
-        'track': (1.9, text('track', 'Measured track')),
+        'strain': (2.7, view(
+            rrb.Spatial2DView, 'strain', 'Strain ε(y, t) in the throw', visual_bounds=STRAIN_VIEW
+        )),
+        'landscape': (3.5, view(rrb.Spatial2DView, 'landscape', 'Energy transfer α(Lₛ, cₛ)')),
+        'recommendation': (4.15, view(
+            rrb.TextDocumentView, 'recommendation', 'Recommended layer'
+        )),
+        'track': (1.9, view(rrb.TextDocumentView, 'track', 'Measured track')),
         LOG: (2.25, rrb.TextLogView(origin=LOG, name='Log', columns=log_columns)),
     }
     return rrb.Horizontal(

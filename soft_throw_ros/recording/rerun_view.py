@@ -9,14 +9,13 @@ right after the state message of its step, and gets the stamp of this state mess
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import partial
 import math
 from typing import Any
 
-from matplotlib.ticker import MaxNLocator
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -27,11 +26,12 @@ from soft_throw_ros.configuration.interface import (
     Topic,
     TWIN_TOPICS,
 )
+from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
-from soft_throw_ros.recording.rerun_layout import BLUE, Colour, GREY, RED, WHITE
+from soft_throw_ros.recording.rerun_layout import BLUE, GREY, RED, WHITE
 from soft_throw_ros.recording.twin_journal import (
     DECODING_ERRORS,
     identify,
@@ -46,7 +46,7 @@ from soft_throw_ros.storage.cdr import (
     MessageError,
     stamp_of,
 )
-from soft_throw_ros.storage.message import Message, SECOND
+from soft_throw_ros.storage.message import Channel, Message, SECOND
 from soft_throw_ros.twin.results import Floats, Phase
 
 _MILLI, _MICRO = 1e3, 1e6
@@ -56,17 +56,11 @@ _LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
 _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEBUG'))
 """Levels of rcl_interfaces/Log and their names in Rerun."""
 
-_PLATE_WIDTH = 1.5
-"""Width of the plate, over the diameter of the layer."""
+_TRACK_TASKS = ('measurement', 'model', 'identification')
+"""Tasks in /diagnostics about a measured track."""
 
 _STEP_BACK = 1_000_000_000
 """Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
-
-_KEPT_BATCHES = 200
-"""Number of batches of states that are kept for the field of a throw, which comes later. [-]"""
-
-_LARGEST = 1e6
-"""Largest plausible number in SI units; damaged bytes exceed it."""
 
 _LAST_TIME = 2**62  # [ns]
 
@@ -116,8 +110,7 @@ class Scene:
     """
     The drawing of all twins.
 
-    A live drawing shows the latest messages; else times count from the start of `throw`. A picture
-    has no panels for the mouse.
+    A live drawing shows the latest messages; else times count from the start of `throw`.
     """
 
     def __init__(
@@ -125,12 +118,10 @@ class Scene:
         stream: rr.RecordingStream,
         *,
         is_live: bool = False,
-        is_picture: bool = False,
         throw: ThrowStart | None = None,
     ) -> None:
         self.damaged = 0  # number of messages that could not be read
         self.damage = ''  # the error of the first of them
-        self._is_picture = is_picture
         self._canvas = Canvas(stream, throw, is_live=is_live)
         self._twins: dict[str, _TwinView] = {}
         self._arranged: object = None
@@ -140,12 +131,6 @@ class Scene:
         """Whether nothing has come that could be drawn."""
         return not self._drawn_twins()
 
-    @property
-    def span(self) -> tuple[float, float]:
-        """Stamps of the first and the last state of all twins [ns]."""
-        first, last = zip(*(twin.span for twin in self._twins.values()), strict=True)
-        return min(first), max(last)
-
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages topic by topic, in an order that respects their dependencies."""
         waiting: dict[str, dict[Topic, list[Message]]] = {}
@@ -154,10 +139,12 @@ class Scene:
             if topic is None:
                 continue
             is_state = topic == TWIN_TOPICS.joint_states
-            goes_back = is_state and self._twin(node).goes_back(message)
+            back = self._twin(node).step_back(message) if is_state else 0
             # Earlier messages belong to the former rig, or to the former repetition
-            if topic == TWIN_TOPICS.journal or goes_back:
+            if topic == TWIN_TOPICS.journal or back:
                 self._draw(node, waiting.pop(node, {}))
+            if back:  # draw the repetition after what is drawn
+                self._twin(node).canvas.delay += back
             waiting.setdefault(node, {}).setdefault(topic, []).append(message)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
             self._draw(node, groups)
@@ -176,7 +163,7 @@ class Scene:
         self._canvas.stream.send_blueprint(
             rrb.Blueprint(
                 views[0] if len(views) == 1 else rrb.Tabs(*views),
-                rrb.TopPanel(state='hidden' if self._is_picture else 'expanded'),
+                rrb.TopPanel(state='expanded' if is_live else 'collapsed'),
                 rrb.BlueprintPanel(state='hidden'),
                 rrb.SelectionPanel(state='hidden'),
                 rrb.TimePanel(
@@ -222,7 +209,7 @@ class Scene:
                     self._attempt(draw, [message])
             else:
                 self.damaged += 1
-                self.damage = self.damage or f'{messages[0].channel.topic}: {error}'
+                self.damage = self.damage or f'{messages[0].channel.topic}: {error!r:.200}'
 
     def _draw_line(self, message: Message) -> None:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
@@ -247,51 +234,49 @@ class _TwinView:
 
     def __init__(self, node: str, canvas: Canvas) -> None:
         self.canvas = canvas
-        self.span = math.inf, -math.inf  # stamps of the first and the last state [ns]
         self._journal = TwinJournal()
+        self._readers: dict[Channel, JointStateReader] = defaultdict(JointStateReader)
         self._node = node
         self._root = rr.new_entity_path(node.split('/'))
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
         self._offset = 0  # from the time of publishing to the stamp [ns]
-        self._recent: deque[tuple[Stamps, Floats]] = deque(maxlen=_KEPT_BATCHES)  # positions
-        self._rig: Rig | None = None  # of the table and the map; None while unknown
-        self._recommendation = words.NO_RECOMMENDATION, words.NO_VALUES  # the last one
         self._largest_strain = 0.2  # where the colours end; until the first throw a usual one [-]
-        self._track: dict[str, str] = {}  # texts by the task of the node
+        self._track: dict[str, str] = {}  # texts by the task of a node
         self._present: set[str] = set()  # optional panels that are there
-        self._size = 12.0, 60.0  # of the side view, before the first rig: diameter, height [mm]
+        self._diameter, self._height = 12.0, 60.0  # of the side view, before the first rig [mm]
         phases = rr.StateConfiguration(
             values=list(layout.PHASES), colors=list(layout.PHASES.values())
         )
         self._style('phase', phases)
-        for name, (titles, colours, _, width) in layout.LINES.items():
-            widths = np.broadcast_to(width, len(titles))
-            self._style(name, rr.SeriesLines(names=titles, colors=colours, widths=widths))
+        for name, line in layout.LINES.items():
+            widths = np.broadcast_to(line.widths, len(line.names))
+            self._style(name, rr.SeriesLines(names=line.names, colors=line.colours, widths=widths))
         pixels = rr.components.ImageFormat(
             width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
         )
         layer = rr.Image.from_fields(format=pixels, magnification_filter='linear')
-        self._style('side/layer', layer)
+        self._style('side/plate/layer', layer)
         cursor = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
         self._style('strain/now', cursor)
 
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
         """Return the state of the layout."""
-        twin, (diameter, high) = self._journal, self._size
+        twin = self._journal
         scale = twin.time_scale if self.canvas.throw is None else 1.0
         return layout.TwinLayout(
             root=self._root,
             title=self._node,
             period=1.0 if twin.rig is None else 1.0 / (twin.rig.engine.frequency * scale),
-            side=(1.25 * diameter, -0.4 * diameter, high),
+            diameter=self._diameter,
+            height=self._height,
             residual_limit=_MICRO * twin.settings['measured.residual_threshold'],
             present=self._present | ({layout.LOG} if has_log else set()),
         )
 
-    def goes_back(self, state: Message) -> bool:
-        """Return whether stamps go back to a state, as when a replay repeats a bag."""
+    def step_back(self, state: Message) -> int:
+        """Return how far stamps go back to a state, as when a replay repeats a bag [ns]."""
         last, self._newest = self._newest, stamp_of(state.data) or self._newest
-        return last > self._newest + _STEP_BACK
+        return last - self._newest if last > self._newest + _STEP_BACK else 0
 
     def shown_stamp(self, message: Message) -> int:
         """Return where a message without a stamp is drawn [ns]."""
@@ -302,6 +287,9 @@ class _TwinView:
             raise MessageError(f'a time of {message.published} ns')
         return message.published + self._offset
 
+    def _read_joints(self, messages: Sequence[Message]) -> JointStates:
+        return self._readers[messages[0].channel].read_all([item.data for item in messages])
+
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
 
@@ -311,46 +299,40 @@ class _TwinView:
 
     # plots
 
-    def draw_states(self, *messages: Message) -> None:
-        """Draw height, velocity and force of plate and projectile, and move them."""
-        joints = _read_joints(messages)
-        series = joints.position, joints.velocity, joints.effort
-        names = tuple(self._journal.settings[f'joint_names.{joint}'] for joint in JOINTS)
-        if joints.names != names or any(values.shape[1] != len(JOINTS) for values in series):
-            return
-        stamps, last = joints.stamps, int(joints.stamps[-1])
-        if stamps[0] < self._last - _STEP_BACK:  # draw the repetition after what is drawn
-            self.canvas.delay += self._last - int(stamps[0])
-            self._recent.clear()
-        self._offset, self._last = last - messages[-1].published, last
-        self._recent.append((stamps, joints.position))
-        self.span = min(self.span[0], stamps.min()), max(self.span[1], stamps.max())
-        self._draw_lines('position', stamps, joints.position)
-        self._draw_lines('velocity', stamps, joints.velocity)
-        self._draw_lines('force', stamps, joints.effort * [-1.0, 1.0])
-        self._move_bodies(stamps, joints.position)
-
-    def draw_positions(self, *messages: Message, topic: Topic, name: str) -> None:
+    def draw_joints(self, *messages: Message, topic: Topic) -> None:
         """
-        Draw measured positions, predicted positions or residuals; NaN for a joint without them.
+        Draw the lines of a topic, NaN for a joint without values; states move the bodies.
 
         Measured positions are relative to rest, at times by the clock of the twin; they are not
         drawn while the rest is unknown.
         """
-        joints, twin = _read_joints(messages), self._journal
+        joints, twin = self._read_joints(messages), self._journal
         names = [twin.settings[f'joint_names.{joint}'] for joint in topic.joints]
-        if names[0] not in joints.names or joints.position.shape[1] != len(joints.names):
-            return
-        stamps, position = joints.stamps, np.full((len(messages), len(names)), math.nan)
-        for column, joint in enumerate(names):
-            if joint in joints.names:
-                position[:, column] = joints.position[:, joints.names.index(joint)]
+        values = {name: getattr(joints, name) for name in topic.quantities}
+        if names[0] not in joints.names or any(
+            array.shape[1] != len(joints.names) for array in values.values()
+        ):
+            return  # of another machine
+        indices = [joints.names.index(name) if name in joints.names else -1 for name in names]
+        for name, array in values.items():
+            values[name] = np.where(np.array(indices) < 0, math.nan, array[:, indices])
+        stamps = joints.stamps
         if topic == TWIN_TOPICS.measured_joint_states:
             if twin.rest_heights is None or twin.rig is None:
                 return
-            position -= [twin.rest_heights[0], twin.rest_heights[1] - twin.rig.rest_height]
+            values['position'] -= np.array(twin.rest_heights) - [0.0, twin.rig.rest_height]
             stamps = stamps + twin.clock_offset_ns
-        self._draw_lines(name, stamps, position)
+        for name, line in layout.LINES.items():
+            if line.topic == topic:
+                self._draw_lines(name, stamps, values[line.quantity])
+        if topic == TWIN_TOPICS.joint_states:
+            self._last = int(stamps[-1])
+            self._offset = self._last - messages[-1].published
+            translation = np.zeros((stamps.size, 3))
+            for name, height in zip(JOINTS, values['position'].T, strict=True):
+                translation[:, 1] = -_MILLI * height
+                columns = rr.Transform3D.columns(translation=translation)
+                self.canvas.columns(self._path(f'side/{name}'), stamps, columns)
 
     def draw_energies(self, message: Message) -> None:
         """Draw the energies of the throw under way."""
@@ -362,7 +344,7 @@ class _TwinView:
 
     def draw_phases(self, *messages: Message) -> None:
         """Draw phases at the times of their starts."""
-        joints, phases = _read_joints(messages), [phase.value for phase in Phase]
+        joints, phases = self._read_joints(messages), [phase.value for phase in Phase]
         if joints.names == TWIN_TOPICS.phase_change.joints and joints.position.shape[1] == 1:
             for stamp, number in zip(joints.stamps.tolist(), joints.position[:, 0], strict=True):
                 if number in range(len(phases)):
@@ -371,7 +353,7 @@ class _TwinView:
 
     def _draw_lines(self, name: str, stamps: Stamps, values: Floats) -> None:
         """Draw lines of a plot, of values in SI units."""
-        columns = rr.Scalars.columns(scalars=layout.LINES[name].factor * values)
+        columns = rr.Scalars.columns(scalars=values * layout.LINES[name].factors)
         self.canvas.columns(self._path(name), stamps, columns)
         self._present.add(name)
 
@@ -379,105 +361,84 @@ class _TwinView:
 
     def draw_journal(self, message: Message) -> None:
         """Apply a line of the journal; draw the rig if it is another one."""
-        twin = self._journal
-        rig, throw = twin.rig, twin.throw
-        twin.read(message)
-        if twin.rig is not None and twin.rig is not rig:
-            begun = twin.throw if twin.throw is not throw else None
-            self._draw_rig(begun.stamp if begun else self._stamp_of(message), twin.rig)
+        rig = self._journal.rig
+        self._journal.read(message)
+        if self._journal.rig is not None and self._journal.rig is not rig:
+            self._draw_rig(self._stamp_of(message), self._journal.rig)
 
     def _draw_rig(self, stamp: int, rig: Rig) -> None:
-        """Draw the bodies of a rig, and a scale of heights on the left."""
-        diameter, length = _MILLI * rig.layer.diameter, _MILLI * rig.projectile.length
-        thickness = _MILLI * rig.layer.thickness
-        high, width = 1.35 * (thickness + length) + 0.8 * diameter, _PLATE_WIDTH * diameter
-        self._size = diameter, high
-        locator = MaxNLocator(8, steps=[1, 2, 5, 10])
-        ticks = [tick for tick in locator.tick_values(0.0, high) if 0.0 <= tick <= high]
-        x, mark, right = -0.55 * width, 0.08 * diameter, 0.95 * diameter
-        lift = 0.009 * (high + 0.4 * diameter)  # texts stand below their places
-        strips = [[(x, 0.0), (x, -ticks[-1])]]
-        strips += [[(x - mark, -tick), (x, -tick)] for tick in ticks]
-        places = [(x - 0.21 * diameter, -tick - lift) for tick in ticks]
+        """Draw the bodies of a rig with their names, which follow plate and projectile."""
+        self._diameter = diameter = _MILLI * rig.layer.diameter
+        length, thickness = _MILLI * rig.projectile.length, _MILLI * rig.layer.thickness
+        self._height = 1.35 * (thickness + length) + 0.8 * diameter
+        grey, blue = (np.full((1, 1, 3), colour, np.uint8) for colour in (GREY, BLUE))
         for name, content in {
-            'plate/body': _rectangle(GREY, width, 0.0, 0.15 * diameter),
-            'projectile/body': _rectangle(BLUE, diameter, -length, length),
-            'plate/text': _texts([(right, 0.0)], ['plate'], WHITE),
-            'plate/layer_text': _texts([(right, -0.5 * thickness)], ['layer'], WHITE),
-            'projectile/text': _texts([(right, -0.5 * length)], ['projectile'], WHITE),
-            'ruler': [rr.LineStrips2D(strips, colors=[GREY], radii=rr.Radius.ui_points(0.5))],
-            'ruler/texts': _texts(places, [f'{tick:g}' for tick in ticks], GREY),
+            'plate/body': _picture(grey, -0.75 * diameter, 0.0, 1.5 * diameter, 0.15 * diameter),
+            'projectile/body': _picture(blue, -0.5 * diameter, -length, diameter, length),
+            'plate/text': _texts((diameter, 0.0, 'plate'), (diameter, -0.5 * thickness, 'layer')),
+            'projectile/text': _texts((diameter, -0.5 * length, 'projectile')),
         }.items():
             self.canvas.draw(self._path(f'side/{name}'), stamp, *content, stays=True)
-        if self._rig not in (None, rig):  # the last recommendation is of another rig
-            self._recommendation = words.NO_RECOMMENDATION, words.NO_VALUES
-        if self._rig != rig:
-            self._show_recommendation(stamp, rig)
-
-    def _move_bodies(self, stamps: Stamps, position: Floats) -> None:
-        """Move plate and projectile."""
-        translation = np.zeros((stamps.size, 3))
-        for name, height in zip(JOINTS, position.T, strict=True):
-            translation[:, 1] = -_MILLI * height
-            columns = rr.Transform3D.columns(translation=translation)
-            self.canvas.columns(self._path(f'side/{name}'), stamps, columns)
 
     def draw_layer(self, *messages: Message) -> None:
         """Draw the strain of the layer between its ends."""
-        joints, rig = _read_joints(messages), self._journal.rig
+        joints, rig = self._read_joints(messages), self._journal.rig
         height = joints.position
         if height.shape[1] != FIELD_POINTS:
             raise MessageError(f'a layer of {FIELD_POINTS} joints, got {height.shape[1]}')
         if rig is not None:
             step = rig.layer.thickness / (FIELD_POINTS - 1)
             strain = np.asarray(np.gradient(height, step, axis=1) - 1.0)
-            self._stretch_layer(joints.stamps, height[:, 0], height[:, -1], strain)
+            self._stretch_layer(joints.stamps, height[:, -1] - height[:, 0], strain)
 
-    def _stretch_layer(self, stamps: Stamps, bottom: Floats, top: Floats, strain: Floats) -> None:
-        """Draw the colours of the strain, stretched from the lower to the upper end."""
+    def _stretch_layer(self, stamps: Stamps, length: Floats, strain: Floats) -> None:
+        """Draw the colours of the strain, stretched over the length of the layer [m]."""
         pixels = charts.signed_colours(strain[:, ::-1], self._largest_strain)
-        width = self._size[0]
-        corner, scale = np.zeros((top.size, 3)), np.ones((top.size, 3))
-        corner[:, 0], corner[:, 1] = -0.5 * width, -_MILLI * top
-        scale[:, 0], scale[:, 1] = width, _MILLI * (top - bottom) / FIELD_POINTS
+        corner, scale = np.zeros((length.size, 3)), np.ones((length.size, 3))
+        corner[:, 0], corner[:, 1] = -0.5 * self._diameter, -_MILLI * length
+        scale[:, 0], scale[:, 1] = self._diameter, _MILLI * length / FIELD_POINTS
         columns = [
             *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
             *rr.Transform3D.columns(translation=corner, scale=scale),
         ]
-        self.canvas.columns(self._path('side/layer'), stamps, columns)
-
-    # the strain over time and height in one throw
+        self.canvas.columns(self._path('side/plate/layer'), stamps, columns)
 
     def draw_field(self, message: Message) -> None:
-        """Draw the strain of the throw under way with a moving cursor, and the rig over time."""
+        """Draw the strain of the throw under way over time and height, and in the layer."""
         points, throw = _read_cloud(message, TWIN_TOPICS.throw_field), self._journal.throw
         if throw is None:
             return
         times, heights, strain = points[:, 0, 0], points[0, :, 1], points[..., 2]
-        contact = strain[times <= (throw.ejection_time or times[-1])]
-        self._largest_strain = limit = _round_up(max(1.5 * float(np.abs(contact).max()), 1e-6))
-        stamps, path, draw = throw.stamps_at(times), self._path('strain'), self.canvas.draw
-        start, (x, y, width, height) = int(stamps[0]), charts.STRAIN_BOX
-        frame = charts.strain_frame(times[-1], heights[-1], limit, throw.ejection_time)
-        draw(f'{path}/frame', start, _image(frame))
+        ejection_time, end = throw.ejection_time or math.inf, times[-1]
+        largest = float(np.abs(strain[times <= ejection_time]).max())
+        self._largest_strain = limit = max(largest, 1e-6)
+        stamps, width = throw.stamps_at(times), layout.STRAIN_WIDTH
         pixels = charts.signed_colours(strain.T[::-1], limit)
-        pixels[:, times.searchsorted(throw.ejection_time or math.inf):][:, :1] = 0  # a black line
-        draw(f'{path}/picture', start, *_picture(pixels, x, y, width, height))
+        pixels[:, times.searchsorted(ejection_time):][:, :1] = 0  # a black line
+        scale = charts.signed_colours(np.linspace(limit, -limit, FIELD_POINTS)[:, None], limit)
+        marks = [
+            (-0.1, 1.02, '0'), (width - 0.3, 1.02, f't {_MILLI * end:.3g} ms'),
+            (-0.35, 0.0, f'y {_MILLI * heights[-1]:.3g} mm'),
+            (width + 0.55, 0.0, f'ε {100.0 * limit:+.3g} %'),
+            (width + 0.55, 0.7, f'{-100.0 * limit:+.3g} %'),
+        ]
+        if ejection_time < end:
+            place = width * ejection_time / end
+            marks.append((place, -0.3, f'tₑ {_MILLI * ejection_time:.2f} ms'))
+        for name, content in {
+            'picture': _picture(pixels, 0.0, 0.0, width, 1.0),
+            'scale': _picture(scale, width + 0.1, 0.0, 0.1, 1.0),
+            'text': _texts(*marks),
+        }.items():
+            self.canvas.draw(self._path(f'strain/{name}'), int(stamps[0]), *content)
         cursors = np.zeros((stamps.size, 2, 2), np.float32)
-        cursors[:, :, 0] = (x + width * times / times[-1])[:, None]
-        cursors[:, :, 1] = y, y + height
+        cursors[:, :, 0] = (width * times / end)[:, None]
+        cursors[:, 1, 1] = 1.0
         columns = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
         after = 2 * stamps[-1] - stamps[-2]  # when the cursor disappears
-        self.canvas.columns(f'{path}/now', np.append(stamps, after), columns)
-        if self._recent and self._recent[0][0][0] <= stamps[0]:
-            known, positions = (np.concatenate(parts) for parts in zip(*self._recent, strict=True))
-            position = np.column_stack(
-                [np.interp(stamps, known, column) for column in positions.T]
-            )
-            self._move_bodies(stamps, position)
-            bottom = position[:, 0]
-            top = bottom + np.trapezoid(1.0 + strain, heights, axis=1)
-            self._stretch_layer(stamps, bottom, top, strain)
+        self.canvas.columns(self._path('strain/now'), np.append(stamps, after), columns)
+        length = np.asarray(np.trapezoid(1.0 + strain, heights, axis=1))
+        self._stretch_layer(stamps, length, strain)
 
     # texts and the map
 
@@ -492,27 +453,19 @@ class _TwinView:
 
     def draw_track(self, stamp: int, task: str, status: Any, values: words.Values) -> None:
         """Write the diagnostics of the measured track, one line for each task."""
-        if task in words.TRACK_TASKS:
+        if task in _TRACK_TASKS:
             self._present.add('track')
-            self._track[task] = words.track_text(task, status, values)
-            lines = [self._track[name] for name in words.TRACK_TASKS if name in self._track]
-            self._write('track', stamp, '  \n'.join(lines))
+            self._track[task] = words.track_text(task, status.message, values)
+            self._write('track', stamp, '  \n'.join(self._track.values()))
 
     def draw_recommendation(self, message: Message) -> None:
-        """Write a recommendation, and draw the map of its rig."""
+        """Write the table of a recommendation, and draw the map of its rig."""
+        stamp = max(self._stamp_of(message), self._last)
         for _, status, values in _read_statuses(message):
-            self._recommendation = str(status.message), values
-            self._show_recommendation(self._stamp_of(message), self._journal.wanted_rig)
-
-    def _show_recommendation(self, stamp: int, rig: Rig | None) -> None:
-        """Write the table of the last recommendation, and draw the map of a rig."""
-        self._rig, (text, values) = rig, self._recommendation
-        stamp = max(stamp, self._last)
-        text = words.recommendation_text(text, values)
-        self._write('recommendation', stamp, text, stays=True)
-        if rig is not None:
-            figure = charts.draw_energy_map(rig, self._journal.wanted, values)
-            image = _image(charts.to_png(figure))
+            text = words.recommendation_text(status.message, values)
+            self._write('recommendation', stamp, text, stays=True)
+            figure = charts.draw_energy_map(values, self._journal.settings)
+            image = rr.EncodedImage(contents=charts.to_png(figure), media_type='image/png')
             self.canvas.draw(self._path('landscape'), stamp, image, stays=True)
 
     def _write(self, name: str, stamp: int, text: str, *, stays: bool = False) -> None:
@@ -522,10 +475,9 @@ class _TwinView:
 
 _DRAWERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.journal: _TwinView.draw_journal,
-    TWIN_TOPICS.joint_states: _TwinView.draw_states,
     **{
-        topic: partial(_TwinView.draw_positions, topic=topic, name=name)
-        for topic, name in layout.POSITIONS.items()
+        line.topic: partial(_TwinView.draw_joints, topic=line.topic)
+        for line in layout.LINES.values() if line.quantity
     },
     TWIN_TOPICS.layer_joint_states: _TwinView.draw_layer,
     TWIN_TOPICS.phase_change: _TwinView.draw_phases,
@@ -555,21 +507,7 @@ def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
     return (node, topic) if is_drawn else ('', None)
 
 
-def _round_up(value: float) -> float:
-    """Return a round number that is not less than a positive one."""
-    unit = 10.0 ** math.floor(math.log10(value))
-    return unit * next(digit for digit in (1.0, 1.5, 2.0, 3.0, 5.0, 10.0) if digit * unit >= value)
-
-
 # messages
-
-
-def _read_joints(messages: Sequence[Message]) -> JointStates:
-    joints = JointStateReader().read_all([message.data for message in messages])
-    numbers = np.hstack([joints.position, joints.velocity, joints.effort])
-    if (np.abs(numbers) > _LARGEST).any():  # NaN is a missing measurement
-        raise MessageError(f'a number beyond {_LARGEST:g}')
-    return joints
 
 
 def _read_cloud(message: Message, topic: Topic) -> Floats:
@@ -582,38 +520,20 @@ def _read_cloud(message: Message, topic: Topic) -> Floats:
     return np.frombuffer(bytes(cloud.data), '<f8').reshape(shape)
 
 
-def _read_statuses(message: Message) -> list[tuple[int, Any, words.Values]]:
-    """Return stamp, status and its named values, for each status of a DiagnosticArray."""
+def _read_statuses(message: Message) -> Iterator[tuple[int, Any, words.Values]]:
+    """Yield stamp, status and its named values, for each status of a DiagnosticArray."""
     array = decode(message)
-    return [
-        (
-            _to_ns(array.header.stamp),
-            status,
-            {str(item.key): _number_or_text(item.value) for item in status.values},
-        )
-        for status in array.status
-    ]
+    for status in array.status:
+        texts = {str(item.key): str(item.value) for item in status.values}
+        numbers = {key: number for key in texts if (number := float_of(texts[key])) is not None}
+        yield _to_ns(array.header.stamp), status, {**texts, **numbers}
 
 
 def _to_ns(time: Any) -> int:  # a builtin_interfaces/Time
     return int(time.sec * SECOND + time.nanosec)
 
 
-def _number_or_text(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return str(text)
-
-
 # shapes
-
-
-def _rectangle(
-    colour: Colour, width: float, y: float, height: float
-) -> tuple[rr.AsComponents, rr.AsComponents]:
-    """Return a rectangle around x = 0 below y."""
-    return _picture(np.array([[colour]], np.uint8), -0.5 * width, y, width, height)
 
 
 def _picture(
@@ -630,24 +550,15 @@ def _picture(
     return image, rr.Transform3D(translation=[x, y, 0.0], scale=scale)
 
 
-def _image(png: bytes) -> rr.EncodedImage:
-    """Return an image that is drawn behind everything else."""
-    return rr.EncodedImage(
-        contents=png, media_type='image/png', draw_order=-20.0, magnification_filter='linear'
-    )
-
-
-def _texts(
-    points: Sequence[tuple[float, float]], labels: Sequence[str], colour: Colour
-) -> list[rr.AsComponents]:
-    """Return texts whose upper edges are a little below points of a view."""
+def _texts(*places: tuple[float, float, str]) -> list[rr.AsComponents]:
+    """Return texts in front of images, each a little below a point x, y of a view."""
     return [
         rr.Points2D(
-            points,
+            [(x, y) for x, y, _ in places],
             radii=rr.Radius.ui_points(0.0),
-            colors=[colour],
-            labels=labels,
+            colors=[WHITE],
+            labels=[text for *_, text in places],
             show_labels=True,
-            draw_order=40.0,  # in front of images (-10) and lines (30)
+            draw_order=40.0,
         )
     ]

@@ -32,17 +32,9 @@ HOST = '127.0.0.1'
 PORT = 9876
 """Default port of the viewer."""
 
-START_TIME = 20.0
-"""Longest wait for a viewer to listen, and for the end of one that does not answer. [s]"""
-
-_TIMEOUT = 60.0
-"""Longest wait until the viewer has a recording, or has drawn. [s]"""
-
-_POLL = 0.25
-"""Time between two requests. [s]"""
-
-_SETTLE_TIME = 2.0
-"""Time in which axes move to a new time. [s]"""
+_TIMEOUT = 60.0  # longest wait until the viewer listens, has a recording, or has drawn [s]
+_POLL = 0.25  # time between two requests [s]
+_SETTLE_TIME = 2.0  # in which axes move to a new time [s]
 
 _SERVER_MEMORY = '256MB'
 
@@ -51,19 +43,9 @@ _OPTIONS = (
     '--hide-welcome-screen', '--expect-data-soon',
 )
 
-_NO_GRAPHICS = ('render context', 'adapter')
-"""Words in the last message of a viewer that finds no Vulkan."""
-
-_CLIENT_ERRORS = (RuntimeError, OSError)
-"""Exceptions of a client whose viewer is gone or too slow (OSError: connection, timeout)."""
-
 
 class ViewerError(RuntimeError):
     """The viewer cannot be used; the message has the reason and the remedy."""
-
-
-class NoGraphicsError(ViewerError):
-    """The viewer cannot draw, because the machine has no Vulkan."""
 
 
 def new_stream(name: str) -> rr.RecordingStream:
@@ -162,24 +144,23 @@ class Viewer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.end()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self._process.wait()
+        self._errors.close()
 
     def wait(self) -> None:
-        """Wait until it listens; raise ViewerError if it ends, or not within `START_TIME`."""
-        deadline = time.monotonic() + START_TIME
+        """Wait until it listens; raise ViewerError if it ends before."""
         with self._explained_errors():
-            while not listens(self.port):
-                if self._process.poll() is not None or time.monotonic() > deadline:
-                    raise TimeoutError(f'nothing listens at {HOST}:{self.port}')
-                time.sleep(_POLL)
+            self._request(partial(listens, self.port))
 
     def client(self) -> ViewerClient:
-        """Return a client after a first picture; raise NoGraphicsError without Vulkan."""
+        """Return a client after a first picture; raise ViewerError if the viewer cannot draw."""
         self.wait()
         with self._explained_errors():
             client = _client_of(self.port)
             # the viewer answers other requests before it can draw
-            _request(partial(client.take_screenshot, max_size=64))
+            self._request(partial(client.take_screenshot, max_size=64))
         return client
 
     def photograph(self, path: Path, timeline: str, seconds: float | None) -> bytes:
@@ -188,34 +169,23 @@ class Viewer:
         with self._explained_errors():
             _open(client, path, timeline, seconds)
             time.sleep(_SETTLE_TIME)
-            return _request(client.take_screenshot)
+            return self._request(client.take_screenshot)
 
-    def end(self) -> None:
-        """End the process."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.pid, signal.SIGKILL)
-        self._process.wait()
-        self._errors.close()
+    def _request(self, request: Callable[[], Result]) -> Result:
+        return _request(request, lambda: self._process.poll() is None)
 
     @contextlib.contextmanager
     def _explained_errors(self) -> Iterator[None]:
-        """End the process after an error of the client, and raise ViewerError with its reason."""
+        """Raise ViewerError with the last words of the viewer after an error of its client."""
         try:
             yield
-        except _CLIENT_ERRORS as error:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                # without graphics the viewer closes its connections seconds before it ends
-                self._process.wait(START_TIME)
+        except (RuntimeError, OSError) as error:
             self._errors.seek(0)
-            output = self._errors.read()
-            self.end()
-            if any(word in output for word in _NO_GRAPHICS):
-                raise NoGraphicsError(
-                    'the viewer finds no graphics; on Debian and Ubuntu `apt install '
-                    'mesa-vulkan-drivers libvulkan1` installs a software renderer'
-                ) from None
-            reason = output.strip().partition('\n')[0] or 'it has left no message'
-            raise ViewerError(f'the viewer does not draw ({error}): {reason}') from None
+            reason = self._errors.read().strip().partition('\n')[0] or str(error)
+            raise ViewerError(
+                f'the viewer does not draw: {reason}; if there is no Vulkan, `apt install '
+                'mesa-vulkan-drivers libvulkan1` installs a software renderer'
+            ) from None
 
 
 def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
@@ -230,14 +200,14 @@ def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
         Viewer(port, stays=True).wait()
     try:
         _open(_client_of(port), path, timeline, seconds)
-    except _CLIENT_ERRORS as error:
+    except (RuntimeError, OSError) as error:
         raise ViewerError(f'the viewer has not opened the bag: {error}') from None
 
 
 def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> None:
     """Open a recording in a viewer, and move the cursor to a time of it [s]."""
     _request(partial(client.open, str(path)))
-    _request(client.get_state, lambda state: state.recordings and not state.loading)
+    _request(lambda: client.get_state().recordings and not client.get_state().loading)
     if seconds is not None:
         client.set_time(timeline, duration=seconds, play_state='paused')
 
@@ -250,15 +220,13 @@ def _client_of(port: int) -> ViewerClient:
 
 
 def _request(
-    request: Callable[[], Result], is_enough: Callable[[Result], object] = bool
+    request: Callable[[], Result], is_alive: Callable[[], bool] = lambda: True
 ) -> Result:
-    """Repeat a request to a viewer until the result is enough; a busy one may time out."""
+    """Repeat a request to a viewer until it succeeds; a busy one may time out."""
     deadline = time.monotonic() + _TIMEOUT
-    while True:
+    while is_alive() and time.monotonic() < deadline:
         with contextlib.suppress(TimeoutError):
-            result = request()
-            if is_enough(result):
+            if result := request():
                 return result
-        if time.monotonic() > deadline:
-            raise TimeoutError(f'not within {_TIMEOUT:g} s')
         time.sleep(_POLL)
+    raise TimeoutError(f'no answer within {_TIMEOUT:g} s')

@@ -51,9 +51,10 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     done = {type_name}
 
     def texts(name: str) -> Iterator[str]:
-        text = _path_of(name, folders).read_text(encoding='utf-8')
+        path = _path_of(name, folders)
+        text = path.read_text(encoding='utf-8')
         yield text
-        for short in _dependencies(text, _split(name)[0]):
+        for short in _dependencies(text, path.parts[-3]):
             full = '/msg/'.join(short.split('/'))
             if full not in done:
                 done.add(full)
@@ -63,9 +64,15 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     try:
         text = ''.join(texts(type_name))
         description = _path_of(type_name, folders).with_suffix('.json')
-        return Schema(text=text, type_hash=_hash_of(type_name, description))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SchemaError(f'{type_name}: its definition cannot be read, {error}') from None
+        hashes = {}
+        if description.is_file():
+            items = json.loads(description.read_text(encoding='utf-8'))['type_hashes']
+            hashes = {item['type_name']: str(item['hash_string']) for item in items}
+        return Schema(text=text, type_hash=hashes[type_name] if hashes else '')
+    except SchemaError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SchemaError(f'{type_name}: its definition cannot be read, {error!r:.200}') from None
 
 
 def installed_prefixes() -> list[str]:
@@ -76,38 +83,18 @@ def installed_prefixes() -> list[str]:
 
 def _dependencies(text: str, package: str) -> list[str]:
     """List the types that fields have, as `package/Type`, in the order that rosbag2 takes."""
-    result = set()
-    for name in _FIELD_TYPE.findall(text):
-        if name not in _PRIMITIVES:
-            first, _, remainder = name.partition('/')
-            last = remainder.removeprefix('msg/')
-            result.add(f'{first}/{last}' if remainder else f'{package}/{name}')
-    return sorted(result)
-
-
-def _split(type_name: str) -> tuple[str, str]:
-    match = _TYPE.fullmatch(type_name)
-    if match is None:
-        raise SchemaError(f'a message type is named as std_msgs/msg/String, got {type_name!r}')
-    return match[1], match[2]
+    names = {name.replace('/msg/', '/') for name in _FIELD_TYPE.findall(text)} - _PRIMITIVES
+    return sorted({name if '/' in name else f'{package}/{name}' for name in names})
 
 
 def _path_of(type_name: str, folders: list[Path]) -> Path:
-    package, name = _split(type_name)
+    match = _TYPE.fullmatch(type_name)
+    if match is None:
+        raise SchemaError(f'a message type is named as std_msgs/msg/String, got {type_name!r}')
     for folder in folders:
-        path = folder / package / 'msg' / f'{name}.msg'
+        path = folder / match[1] / 'msg' / f'{match[2]}.msg'
         if path.is_file():
             return path
     raise SchemaError(
         f'no definition of {type_name} in {", ".join(map(str, folders)) or "no folder at all"}'
     )
-
-
-def _hash_of(type_name: str, path: Path) -> str:
-    if not path.is_file():
-        return ''
-    try:
-        hashes = json.loads(path.read_text(encoding='utf-8'))['type_hashes']
-        return next(str(item['hash_string']) for item in hashes if item['type_name'] == type_name)
-    except (ValueError, KeyError, TypeError, StopIteration):
-        raise SchemaError(f'{path}: no hash of {type_name} in it') from None

@@ -13,7 +13,7 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
 FLUSH_PERIOD = 0.5
-"""Period of flushes, and of retries after an error of the disk. [s]"""
+"""Period of writing, and of retries after an error of the disk. [s]"""
 
 OPEN_TIMEOUT = 3.0
 """Longest wait for the first attempt to create the bag. [s]"""
@@ -21,7 +21,7 @@ OPEN_TIMEOUT = 3.0
 STALL_TIMEOUT = 15.0
 """Longest time without progress of the disk before closing gives up. [s]"""
 
-_WRITE_PERIOD = 0.1  # period of writing waiting messages [s]
+_POLL = 0.1  # period of looking for progress at the end [s]
 
 
 class WriterThread:
@@ -48,7 +48,6 @@ class WriterThread:
         self._written_size = 0  # [bytes]
         self._closing = threading.Event()
         self._is_last_try = False  # of a disk that takes nothing, at the end
-        self._wake = threading.Event()  # set to request a flush
         self._is_tried = threading.Event()  # set after the first attempt to create the bag
         self._thread = threading.Thread(name='bag', target=self._run, daemon=True)
         self._thread.start()
@@ -77,10 +76,6 @@ class WriterThread:
         """Return the numbers of finally lost messages by channel."""
         return self._unsaved() if self._is_over else self._dropped.copy()
 
-    def flush(self) -> None:
-        """Begin to save all messages so far, without waiting for the next period."""
-        self._wake.set()
-
     def close(self, notes: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """
         Write all messages that wait and named texts, and finish the bag, or set `error`.
@@ -90,10 +85,9 @@ class WriterThread:
         """
         self._notes = notes or {}
         self._closing.set()
-        self._wake.set()
         progress, since = self._progress(), time.monotonic()
         while self._thread.is_alive() and time.monotonic() < since + STALL_TIMEOUT:
-            self._thread.join(_WRITE_PERIOD)
+            self._thread.join(_POLL)
             if progress != self._progress():
                 progress, since = self._progress(), time.monotonic()
         if self._thread.is_alive():
@@ -108,34 +102,31 @@ class WriterThread:
         return len(self._waiting), self._written_size, saved_size
 
     def _run(self) -> None:
-        self._open()
-        self._is_tried.set()
-        next_flush = time.monotonic() + FLUSH_PERIOD
-        try:
-            while not self._closing.is_set():
-                is_requested = self._wake.wait(_WRITE_PERIOD)
-                self._wake.clear()
-                self._write()
-                if is_requested or time.monotonic() >= next_flush:
-                    next_flush = time.monotonic() + FLUSH_PERIOD
-                    self._flush()
-            self._open()
-            self._write()
-        except BagError:
-            pass  # closing raises it again
+        is_last = False
+        while not is_last:
+            is_last = self._closing.is_set()
+            try:
+                self._save()
+                self.error = ''
+            except BagError as error:
+                self.error = str(error)
+            self._is_tried.set()
+            self._closing.wait(FLUSH_PERIOD)
         if self.bag is not None:
             try:
                 with self.bag as bag:
                     for name, values in self._notes.items():
                         bag.add_metadata(name, values)
-                self.error = ''
             except BagError as error:
                 self.error = str(error)
         self._is_over = True
 
-    def _write(self) -> None:
-        """Write the queued messages."""
-        while self._waiting and self.bag is not None:
+    def _save(self) -> None:
+        """Write and flush the queued messages; create the bag if there is none."""
+        if self.bag is None:
+            self.bag = self._open_bag()
+            self.bag.wait_for_disk = self._wait_for_disk
+        while self._waiting:
             message = self._waiting[0]  # which waits until it is written
             if message.has_valid_times:
                 self.bag.write(message)
@@ -143,28 +134,7 @@ class WriterThread:
                 self._dropped[message.channel] += 1
             self._written_size += message.memory
             self._waiting.popleft()
-
-    def _open(self) -> None:
-        """Create the bag if there is none."""
-        if self.bag is not None:
-            return
-        try:
-            self.bag = self._open_bag()
-        except BagError as error:
-            self.error = str(error)
-        else:
-            self.bag.wait_for_disk = self._wait_for_disk
-            self.error = ''
-
-    def _flush(self) -> None:
-        """Create the bag, or flush it."""
-        self._open()
-        if self.bag is not None:
-            try:
-                self.bag.flush()
-                self.error = ''
-            except BagError as error:  # it was deleted
-                self.error = str(error)
+        self.bag.flush()
 
     def _wait_for_disk(self, reason: str) -> bool:
         """Wait for `FLUSH_PERIOD`; return whether to try again, which is once after the end."""

@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 import functools
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from soft_throw_ros.storage.atomic_file import atomic_file
 from soft_throw_ros.storage.regular_file import read_regular_file
@@ -46,32 +46,21 @@ def write_metadata(path: Path, information: Mapping[str, object]) -> None:
         unfinished.write_text(dump_yaml({_KEY: information}), encoding='utf-8')
 
 
-class BagInformation(NamedTuple):
-    """The parts of the file of a bag that are needed to find and read the other files."""
-
-    distribution: str = ''
-    storage: str = ''
-    compression_mode: str = ''
-    files: Sequence[str] = ()
-
-
-def read_metadata(path: Path) -> BagInformation:
+def read_metadata(path: Path) -> tuple[str, str, list[str]]:
     """
-    Read the file of a bag; without one that describes a bag, all values are empty.
+    Read ROS distribution, mode of compression and files of a bag; all empty if that is impossible.
 
     (LibYAML would be faster, but many opening brackets make it overflow its stack.)
     """
     try:
         text = read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode()
         information = yaml.safe_load(text)[_KEY]
-        return BagInformation(
-            distribution=str(information.get('ros_distro') or ''),
-            storage=str(information.get('storage_identifier') or ''),
-            compression_mode=str(information.get('compression_mode') or ''),
-            files=[str(name) for name in information['relative_file_paths']],
-        )
+        files = [str(name) for name in information['relative_file_paths']]
+        names = 'ros_distro', 'compression_mode'
+        distribution, mode = (str(information.get(name) or '') for name in names)
     except (OSError, *_ERRORS):
-        return BagInformation()
+        return '', '', []
+    return distribution, mode.lower(), files
 
 
 def load_profiles(text: str) -> list[Any]:
@@ -87,12 +76,8 @@ def profiles_of(text: str) -> list[dict[str, Any]]:
     """
     Read the quality of service of a channel; return an empty list if it is not as in version 9.
 
-    Examples
-    --------
-    >>> profiles_of('- {depth: 3, reliability: reliable}')
-    [{'depth': 3, 'reliability': 'reliable'}]
-    >>> profiles_of('[{depth: 3, reliability: 1}]'), profiles_of('5')
-    ([], [])
+    >>> profiles_of('- {depth: 3, reliability: reliable}'), profiles_of('[{reliability: 1}]')
+    ([{'depth': 3, 'reliability': 'reliable'}], [])
 
     """
     profiles = load_profiles(text)

@@ -10,7 +10,6 @@ once. The error for a damaged or unfinished bag names the command that recovers 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 import functools
 import heapq
@@ -23,7 +22,8 @@ import sys
 import zlib
 
 from mcap import records as mcap
-from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.reader import SeekingReader
+from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.storage.bag_lock import is_being_written
 from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
@@ -36,15 +36,10 @@ Largest size of a record, of an unpacked chunk, of the index of a file, and of a
 index, whose messages are kept in memory. [bytes]
 """
 
-_CONVERSION = 'convert it, as with rosbags: rosbags-convert --src BAG --dst NEW --dst-storage mcap'
-
-_OTHER_FORMATS = {
-    b'SQLite format 3': f'is a bag in sqlite3, not in MCAP; {_CONVERSION}',
-    b'#ROSBAG V': f'is a bag of ROS 1, not in MCAP; {_CONVERSION}',
-    b'\x28\xb5\x2f\xfd': f'is compressed as a whole; {_CONVERSION}',
-    MAGIC: '',
-}
-"""First bytes of files, with the reason why they are refused."""
+_NO_MCAP = (
+    'is no bag in MCAP, or is compressed; convert it, as with rosbags: rosbags-convert --src BAG '
+    '--dst NEW --dst-storage mcap'
+)
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
@@ -56,10 +51,9 @@ _unique_channel = functools.cache(Channel)
 class UnfinishedError(BagError):
     """A file is damaged or unfinished; `recover` can copy its messages to a new bag."""
 
-    def __init__(self, path: Path, reason: object) -> None:
-        text = f'{str(reason) or type(reason).__name__:.200}'
+    def __init__(self, path: Path, reason: str) -> None:
         super().__init__(
-            f'{path}: {text}; write a new bag of all that can be read: soft-throw recover BAG'
+            f'{path}: {reason}; write a new bag of all that can be read: soft-throw recover BAG'
         )
 
 
@@ -67,11 +61,11 @@ class _BoundedFile(io.BufferedReader):
     """A file that refuses to read more than `MAX_RECORD` at once, whatever its records claim."""
 
     def read(self, size: int | None = -1) -> bytes:
-        check_size(size or 0)
+        _check_size(size or 0)
         return super().read(size)
 
 
-def check_size(size: int) -> None:
+def _check_size(size: int) -> None:
     """Raise ValueError if a record or chunk claims too large a size [bytes]."""
     if size > MAX_RECORD:
         raise ValueError(f'a record or chunk of {size} bytes, more than {MAX_RECORD}')
@@ -80,17 +74,17 @@ def check_size(size: int) -> None:
 def open_mcap(path: Path) -> io.BufferedReader:
     """Open an MCAP file; raise BagError if it cannot be opened, is empty or no MCAP file."""
     try:
-        with open_regular_file(path, max_bytes=sys.maxsize) as file:
-            begin = file.read(16)
+        stream = _BoundedFile(open_regular_file(path, max_bytes=sys.maxsize).detach())
     except OSError as error:
         raise BagError(f'{path}: {error.strerror}') from None
-    reasons = [why for magic, why in _OTHER_FORMATS.items() if begin.startswith(magic)]
-    if reason := 'is empty' if not begin else (*reasons, 'is no MCAP file')[0]:
-        raise BagError(f'{path} {reason}')
-    return _BoundedFile(io.FileIO(path))
+    begin = stream.peek(len(MAGIC))
+    if not begin.startswith(MAGIC):
+        stream.close()
+        raise BagError(f'{path} {_NO_MCAP if begin else "is empty"}')
+    return stream
 
 
-def make_channel(record: mcap.Channel, schemas: Mapping[int, mcap.Schema]) -> Channel:
+def _make_channel(record: mcap.Channel, schemas: Mapping[int, mcap.Schema]) -> Channel:
     """Return a channel; raise BagError if it is not of ROS 2."""
     if record.message_encoding != 'cdr':
         raise BagError(
@@ -108,7 +102,7 @@ def make_channel(record: mcap.Channel, schemas: Mapping[int, mcap.Schema]) -> Ch
     )
 
 
-def make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Message:
+def _make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Message:
     """Return a message; raise ValueError if its channel or its times are invalid."""
     channel = channels.get(record.channel_id)
     if channel is None:
@@ -118,6 +112,39 @@ def make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Messa
     if not message.has_valid_times:
         raise ValueError(f'a message has the times {times} ns, beyond {LATEST}')
     return message
+
+
+def read_records(stream: io.BufferedReader) -> Iterator[Message | mcap.McapRecord]:
+    """
+    Yield the messages and all other records of a file as they were written.
+
+    Damaged bytes may cause any exception. ValueError is raised for too large a record, and if the
+    index counts more messages than there are; BagError, if a channel is not of ROS 2.
+    """
+    schemas: dict[int, mcap.Schema] = {}
+    channels: dict[int, Channel] = {}
+    count = 0
+    reader = StreamReader(
+        stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD
+    )
+    for record in reader.records:
+        items = [record]
+        if isinstance(record, mcap.Chunk):
+            _check_size(record.uncompressed_size)
+            items = breakup_chunk(record, validate_crc=True)
+        for item in items:
+            match item:
+                case mcap.Schema():
+                    schemas[item.id] = item
+                case mcap.Channel() if item.schema_id in schemas:
+                    channels[item.id] = _make_channel(item, schemas)
+                case mcap.Message():
+                    count += 1
+                    yield _make_message(item, channels)
+                    continue
+                case mcap.Statistics() if item.message_count > count:
+                    raise ValueError(f'{item.message_count - count} messages are missing')
+            yield item
 
 
 class BagFolder:
@@ -133,22 +160,14 @@ class BagFolder:
         self.distribution = ''
         self.files = [self.path]
         self.defects: list[str] = []  # files that are missing or empty
-        if self.path.is_dir():
-            self._find_files()
-
-    def _find_files(self) -> None:
-        information = read_metadata(self.path / METADATA_FILE)
-        self.distribution = information.distribution
-        if information.storage not in ('', 'mcap') or any(self.path.glob('*.db3')):
-            storage = information.storage or 'sqlite3'
-            raise BagError(f'{self.path} is a bag in {storage}, not in MCAP; {_CONVERSION}')
-        if information.compression_mode.lower() in ('file', 'message'):
-            raise BagError(f'{self.path} is a bag that rosbag2 has compressed; {_CONVERSION}')
+        if not self.path.is_dir():
+            return
+        self.distribution, compression, names = read_metadata(self.path / METADATA_FILE)
         # `bag_2` before `bag_10`
         present = sorted(self.path.glob('*.mcap'), key=lambda path: (len(path.name), path.name))
-        if not present:
-            raise BagError(f'{self.path} is no bag, it contains no MCAP file')
-        listed = [self.path / Path(name).name for name in information.files]
+        if not present or compression == 'message':
+            raise BagError(f'{self.path} {_NO_MCAP}')
+        listed = [self.path / Path(name).name for name in names]
         self.defects = [f'{path}: the file is missing' for path in listed if path not in present]
         # A loss of power may leave empty files
         empty = [path for path in present if path.is_file() and not path.stat().st_size]
@@ -161,7 +180,7 @@ class _File:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.counts: dict[Channel, int] = {}
+        self.channels: dict[Channel, None] = {}
         self.span: tuple[int, int] | None = None  # log times of the first and last message [ns]
         self._channels: dict[int, Channel] = {}
         self._messages: list[Message] | None = None  # by log time, without an index
@@ -187,7 +206,7 @@ class _File:
             return
         try:
             for _, _, record in self._reader.iter_messages(topics, log_time_order=by_log_time):
-                yield make_message(record, self._channels)
+                yield _make_message(record, self._channels)
         except Exception as error:  # damaged bytes may cause any error in the library
             raise UnfinishedError(self.path, f'a chunk is damaged, {error!s:.150}') from error
 
@@ -197,24 +216,21 @@ class _File:
         self._reader = SeekingReader(self._stream, validate_crcs=True)
         summary = self._reader.get_summary()
         statistics = summary.statistics if summary is not None else None
-        if summary is None or statistics is None:
-            return False
-        indexed = len(summary.chunk_indexes), len(summary.channels)
-        if (statistics.chunk_count, statistics.channel_count) != indexed:
-            return False
-        if statistics.message_count and not summary.chunk_indexes:
+        if (
+            summary is None
+            or statistics is None
+            or statistics.chunk_count != len(summary.chunk_indexes)
+            or statistics.channel_count != len(summary.channels)
+            or (statistics.message_count and not summary.chunk_indexes)
+        ):
             return False
         for chunk in summary.chunk_indexes:
-            check_size(max(chunk.chunk_length, chunk.uncompressed_size))
+            _check_size(max(chunk.chunk_length, chunk.uncompressed_size))
         self._channels = {
-            number: make_channel(channel, summary.schemas)
+            number: _make_channel(channel, summary.schemas)
             for number, channel in summary.channels.items() if channel.schema_id in summary.schemas
         }
-        self.counts = dict.fromkeys(self._channels.values(), 0)
-        for number, count in statistics.channel_message_counts.items():
-            if number not in self._channels:
-                raise ValueError(f'nothing defines channel {number}')
-            self.counts[self._channels[number]] += count
+        self.channels = dict.fromkeys(self._channels.values())
         if statistics.message_count:
             self.span = statistics.message_start_time, statistics.message_end_time
         return True
@@ -225,13 +241,10 @@ class _File:
         if size > MAX_RECORD:
             raise ValueError(f'it has no index, and {size} bytes are more than {MAX_RECORD}')
         self._stream.seek(0)
-        self._messages = []
-        reader = NonSeekingReader(self._stream, validate_crcs=True)
-        for schema, channel, record in reader.iter_messages():
-            if schema is not None:
-                self._channels[channel.id] = make_channel(channel, {schema.id: schema})
-                self._messages.append(make_message(record, self._channels))
-        self.counts = Counter(message.channel for message in self._messages)
+        items = read_records(self._stream)
+        self._messages = [item for item in items if isinstance(item, Message)]
+        self.channels = {message.channel: None for message in self._messages}
+        self._messages.sort(key=lambda message: message.log_time)
         if self._messages:
             self.span = self._messages[0].log_time, self._messages[-1].log_time
 
@@ -272,10 +285,8 @@ class BagReader:
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
                 raise BagError(f'{self.path} is being written; stop the recorder before') from None
             raise
-        self.counts: Counter[Channel] = Counter()  # of messages
-        for file in self._files:
-            self.counts.update(file.counts)
-        self.channels = tuple(self.counts)  # all files share one object for each
+        # All files share one object for each channel
+        self.channels = tuple(dict.fromkeys(c for file in self._files for c in file.channels))
         self._spans = [file.span for file in self._files if file.span is not None]
         # Log times of the first and the last message; 0 if there is none [ns]
         self.start_time = min((first for first, _ in self._spans), default=0)

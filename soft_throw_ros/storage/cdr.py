@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from soft_throw_ros.storage.message import Message, SECOND
 
 Floats = NDArray[np.float64]
+_Series = tuple[float, ...]
+_Values = tuple[int, tuple[str, ...], _Series, _Series, _Series]  # stamp [ns], names, and series
 
 _HEADER = b'\x00\x01\x00\x00'
 """CDR, little endian, no options."""
@@ -65,16 +67,6 @@ def stamp_of(data: bytes) -> int:
     return int(seconds * SECOND + nanoseconds)
 
 
-class JointValues(NamedTuple):
-    """A message sensor_msgs/JointState, its series empty where it has none."""
-
-    stamp_ns: int
-    names: tuple[str, ...]
-    position: tuple[float, ...]
-    velocity: tuple[float, ...]
-    effort: tuple[float, ...]
-
-
 class JointStates(NamedTuple):
     """Messages sensor_msgs/JointState of the same joints."""
 
@@ -88,7 +80,7 @@ class JointStates(NamedTuple):
 
 class JointStateReader:
     """
-    Decoder of messages sensor_msgs/JointState, one by one or many at once.
+    Decoder of messages sensor_msgs/JointState.
 
     The reader keeps the layout of the last message. A message with the same layout takes two
     microseconds; another frame, other joints or other lengths take more. Padding is ignored.
@@ -97,16 +89,6 @@ class JointStateReader:
     def __init__(self) -> None:
         self._last: _Layout | None = None
 
-    def read(self, data: bytes) -> JointValues:
-        """Read a message; raise MessageError if the bytes are no JointState."""
-        values = self._last.unpack(data) if self._last is not None else None
-        if values is None:
-            self._last = _find_layout(data)
-            values = self._last.unpack(data)
-        if values is None:
-            raise MessageError('its lengths do not fit')
-        return values
-
     def read_all(self, datas: Sequence[bytes]) -> JointStates:
         """
         Read at least one message into arrays.
@@ -114,18 +96,25 @@ class JointStateReader:
         MessageError is raised if one is no JointState, or its joints or lengths differ from the
         first.
         """
-        rows = [self.read(data) for data in datas]
-        names, lengths = rows[0].names, [*map(len, rows[0][2:])]
-        if any(row.names != names or [*map(len, row[2:])] != lengths for row in rows):
+        rows = [self._read(data) for data in datas]
+        names = rows[0][1]
+        shapes = {(row[1], *map(len, row[2:])) for row in rows}
+        if len(shapes) > 1:
             raise MessageError(
                 f'messages JointState of one topic are not all of {", ".join(names)} alike'
             )
         stamps, _, *series = zip(*rows, strict=True)
-        position, velocity, effort = [
-            np.array(numbers, float).reshape(len(rows), length)
-            for numbers, length in zip(series, lengths, strict=True)
-        ]
-        return JointStates(np.array(stamps, np.int64), names, position, velocity, effort)
+        arrays = [np.array(values, float) for values in series]
+        return JointStates(np.array(stamps, np.int64), names, *arrays)
+
+    def _read(self, data: bytes) -> _Values:
+        values = self._last.unpack(data) if self._last is not None else None
+        if values is None:
+            self._last = _find_layout(data)
+            values = self._last.unpack(data)
+        if values is None:
+            raise MessageError('its lengths do not fit')
+        return values
 
 
 class _Layout:
@@ -170,7 +159,7 @@ class _Layout:
             first, *values[:first], second, *values[first:both], third, *values[both:],
         )
 
-    def unpack(self, data: bytes) -> JointValues | None:
+    def unpack(self, data: bytes) -> _Values | None:
         """Read a message; return None if it has another layout."""
         if not 0 <= len(data) - self._struct.size <= 7:  # some leave padding behind
             return None
@@ -185,37 +174,32 @@ class _Layout:
             series.append(tuple(fields[end + 1:end + 1 + count]))
             end += 1 + count
         position, velocity, effort = series
-        stamp_ns = seconds * SECOND + nanoseconds
-        return JointValues(stamp_ns, self.names, position, velocity, effort)
+        return seconds * SECOND + nanoseconds, self.names, position, velocity, effort
 
 
 def _find_layout(data: bytes) -> _Layout:
     """Return the layout of a message; raise MessageError if the bytes are no JointState."""
     if data[:2] != _HEADER[:2]:
         raise MessageError(f'not little-endian CDR, which begins 00 01: {data[:8].hex(" ")!r}')
-    at = len(_HEADER) + _STAMP.size
+    body, at = data[len(_HEADER):], _STAMP.size
+
+    def take(size: int, alignment: int = 1) -> bytes:
+        nonlocal at
+        at += -at % alignment + size
+        if at > len(body):
+            raise MessageError(f'{len(body)} bytes after its head, which should be at least {at}')
+        return body[at - size:at]
 
     def number() -> int:
-        nonlocal at
-        at += -(at - len(_HEADER)) % 4 + 4
-        return int.from_bytes(data[at - 4:at], 'little')
+        return int.from_bytes(take(4, 4), 'little')
 
-    def skip(size: int) -> bytes:
-        nonlocal at
-        at += size
-        if at > len(data):
-            raise MessageError(f'{len(data)} bytes, which should be at least {at}')
-        return data[at - size:at]
-
-    texts, counts = [skip(number())], []
-    texts += [skip(number()) for _ in range(number())]
+    texts, counts = [take(number())], []
+    texts += [take(number()) for _ in range(number())]
     for _ in range(3):
         counts.append(number())
-        if counts[-1]:
-            skip(-(at - len(_HEADER)) % 8 + 8 * counts[-1])
-    skip(0)
-    if len(data) - at > 7:
-        raise MessageError(f'{len(data) - at} bytes follow the message')
+        take(8 * counts[-1], 8 if counts[-1] else 1)
+    if len(body) - at > 7:
+        raise MessageError(f'{len(body) - at} bytes follow the message')
     try:
         return _Layout(texts, counts)
     except UnicodeDecodeError as error:

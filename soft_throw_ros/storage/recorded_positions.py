@@ -43,16 +43,16 @@ def read_positions(
     for message in reader.messages(topics):
         topic = message.channel.topic
         try:
-            values = decoders[topic].read(message.data)
+            states = decoders[topic].read_all([message.data])
         except MessageError:
             recorded[topic].unreadable += 1
             continue
         # A message may lack a joint, or all positions
-        positions = dict(zip(values.names, values.position))  # noqa: B905
-        recorded[topic].names.update(values.names)
+        positions = dict(zip(states.names, states.position[0].tolist()))  # noqa: B905
+        recorded[topic].names.update(states.names)
         names = [settings[topic].get(f'joint_names.{joint}', joint) for joint in joints]
         row = [positions.get(name, math.nan) for name in names]
-        recorded[topic].rows.setdefault(values.stamp_ns, row)
+        recorded[topic].rows.setdefault(int(states.stamps[0]), row)
     return recorded
 
 

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 from pathlib import Path
 import stat
-from typing import BinaryIO
 
 
-def open_regular_file(path: str | Path, *, max_bytes: int) -> BinaryIO:
+def open_regular_file(path: str | Path, *, max_bytes: int) -> io.BufferedReader:
     """
     Open a regular file for reading.
 

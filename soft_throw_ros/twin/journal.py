@@ -103,20 +103,7 @@ def encode(entry: Entry) -> str:
 
 
 def decode(line: str) -> Entry:
-    """
-    Parse one line.
-
-    Raises
-    ------
-    JournalError
-        If the line is no entry; the message quotes the line.
-
-    Examples
-    --------
-    >>> decode('{"kind":"input","step":7,"input":"throw"}')['step']
-    7
-
-    """
+    """Parse one line; JournalError, which quotes the line, if it is no entry."""
     with _reading('line of a journal', line):
         entry = json.loads(line)
     if not isinstance(entry, dict) or not {'kind', 'step'} <= entry.keys():
@@ -136,11 +123,7 @@ def checked_settings(entry: Entry, key: str) -> Settings:
 
 
 def motion_source(entry: Entry) -> motions.MotionSource:
-    """
-    Return a source of the motions that an entry contains, by the paths of their files.
-
-    No file is opened: the source raises JournalError for every other path.
-    """
+    """Return a source of the motions in an entry, JournalError for others; it opens no file."""
 
     def motion_of(path: str) -> SampledMotion:
         with _reading(f'motion of {entry["kind"]} {entry["step"]}', path):
@@ -170,14 +153,11 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     `data` contains for each sample the step, the stamp and the other fields of `Sample`, 8 bytes
     each, little endian, compressed by zlib, in base 64.
     """
-    rows = np.zeros(sum(len(samples) for _, samples in batches), _SAMPLE)
-    end = 0
-    for step, samples in batches:
-        begin, end = end, end + len(samples)
-        rows['step'][begin:end], rows['stamp_ns'][begin:end] = step, samples.stamps
-        rows['heights'][begin:end] = samples.heights
-    data = base64.b64encode(zlib.compress(rows.tobytes(), 1)).decode()
-    return {'count': len(rows), 'data': data}
+    parts = [np.zeros(len(samples), _SAMPLE) for _, samples in batches]
+    for rows, (step, samples) in zip(parts, batches, strict=True):
+        rows['step'], rows['stamp_ns'], rows['heights'] = step, samples.stamps, samples.heights
+    content = zlib.compress(b''.join(rows.tobytes() for rows in parts), 1)
+    return {'count': sum(map(len, parts)), 'data': base64.b64encode(content).decode()}
 
 
 def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:

@@ -29,8 +29,11 @@ RISE = 0.125
 REST_WINDOWS = 8
 """Shortest rest of the plate before a throw, in smoothing windows. [-]"""
 
-_LAG = 0.25
-"""Delay of the running mean of the heights, over the smoothing window. [-]"""
+_LAGS = 1.0 / 16.0, 3.0 / 16.0
+"""Delays of two running means of the heights, over the smoothing window. [-]"""
+
+_NOISE_OF_MEANS = 0.29
+"""Largest standard error of the difference of these means at any rate, over the noise. [-]"""
 
 _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
@@ -65,43 +68,51 @@ class _PlateTracker:
     """
     Smoothed height and speed of the plate, and whether it rests or has begun to move.
 
-    The height is a running mean, whose delay times the speed is its difference from the samples.
+    The speed is the difference of two running means over that of their delays.
     """
 
+    config: MeasurementConfig
+    height: float = 0.0  # the mean with the shorter delay [m]
     stamp_ns: int = LONG_AGO  # of the last sample
-    height: float = 0.0  # [m]
     speed: float = 0.0  # [m/s]
     is_armed: bool = False  # whether the plate is at rest, so that a jump starts a throw
     moving_ns: int | None = None  # last time at which the plate was too fast for a rest
     quiet_ns: int = LONG_AGO  # last time at which it was slow enough
     begun_ns: int | None = None  # time at which it reached the speed of a start
 
+    def __post_init__(self) -> None:
+        config, start_speed = self.config, self.config.start_speed
+        self._later = self.height  # the mean with the longer delay [m]
+        self._lags = [lag * config.smoothing_window for lag in _LAGS]
+        error = _NOISE_OF_MEANS * config.position_noise / (self._lags[1] - self._lags[0])
+        self._fast = max(start_speed, OUTLIER_SIGMAS * error)
+        self._slow = max(0.5 * start_speed, _REST_SIGMAS * error)
+
     def disarm(self) -> None:
         """Wait for another rest."""
         self.is_armed, self.moving_ns, self.begun_ns = False, None, None
 
-    def observe(self, stamp_ns: int, height: float, config: MeasurementConfig) -> None:
+    def observe(self, stamp_ns: int, height: float) -> None:
         """Observe the next height of the plate."""
-        lag, window_ns = _LAG * config.smoothing_window, config.smoothing_window_ns
-        since = (stamp_ns - self.stamp_ns) / SECOND
+        window_ns, since_ns = self.config.smoothing_window_ns, stamp_ns - self.stamp_ns
+        since = since_ns / SECOND
         self.stamp_ns = stamp_ns
-        self.height += since / (since + lag) * (height - self.height)
-        self.speed = (height - self.height) / lag
-        error, start_speed = config.position_noise / lag, config.start_speed
+        short, long = self._lags
+        self.height += since / (since + short) * (height - self.height)
+        self._later += since / (since + long) * (height - self._later)
+        self.speed = (self.height - self._later) / (long - short)
         is_over = self.begun_ns is not None and stamp_ns >= self.begun_ns + window_ns
-        if since > config.smoothing_window or is_over:  # a gap, or it was no start
+        if since_ns > window_ns or is_over:  # a gap, or it was no start
             self.disarm()
         if self.moving_ns is None:
             self.moving_ns = stamp_ns
         elif self.begun_ns is not None:
             return
-        elif self.is_armed and config.direction * self.speed > max(
-            start_speed, OUTLIER_SIGMAS * error
-        ):
+        elif self.is_armed and self.config.direction * self.speed > self._fast:
             self.begun_ns = stamp_ns
-        elif abs(self.speed) > max(0.5 * start_speed, _REST_SIGMAS * error):
+        elif abs(self.speed) > self._slow:
             self.moving_ns = stamp_ns
-            self.is_armed &= stamp_ns - self.quiet_ns <= longest_rise(config) * SECOND
+            self.is_armed &= stamp_ns - self.quiet_ns <= longest_rise(self.config) * SECOND
         else:
             self.quiet_ns = stamp_ns
             self.is_armed |= stamp_ns - self.moving_ns >= REST_WINDOWS * window_ns
@@ -132,12 +143,10 @@ class PlateMonitor:
     ) -> None:
         self.buffer = SampleBuffer(config, counts, None if onset is None else onset.samples)
         self._crossing_time = crossing_time
-        self._plate = _PlateTracker()
-        self._rest = math.nan  # height of the plate [m]
-        self._projectile = 0.0, 0.0  # height [m] and speed [m/s], on a slow plate those of it
-        if onset is not None:
-            self._rest = self._plate.height = onset.rest.plate
-            self._projectile = onset.rest.plate, 0.0
+        self._rest = math.nan if onset is None else onset.rest.plate  # height of the plate [m]
+        self._plate = _PlateTracker(config, self._rest if onset else 0.0)
+        # height [m] and speed [m/s], on a slow plate those of the plate
+        self._projectile = self._plate.height, 0.0
         self._faults: dict[str, str] = {}  # by kind; empty once they are reported
         self._diagnosed_ns = LONG_AGO  # stamp of the newest sample at the last diagnosis
 
@@ -145,7 +154,7 @@ class PlateMonitor:
         """Wait for another rest before a throw, and use these parameters from now on."""
         if config != self.buffer.config:
             self.buffer = SampleBuffer(config, self.buffer.counts)
-            self._plate.stamp_ns = LONG_AGO
+            self._plate = _PlateTracker(config, self._plate.height)
         self._crossing_time = crossing_time
         self._plate.disarm()
 
@@ -160,7 +169,7 @@ class PlateMonitor:
         config, new = buffer.config, buffer.complete(now_ns)
         is_tried = False  # with all complete samples
         for stamp_ns, height in zip(new.stamps.tolist(), new.plate.tolist(), strict=True):
-            plate.observe(stamp_ns, height, config)
+            plate.observe(stamp_ns, height)
             if plate.begun_ns is not None and not is_tried:
                 onset, is_tried = find_onset(buffer, plate.begun_ns), True
                 if onset is not None:

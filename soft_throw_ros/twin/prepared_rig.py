@@ -197,14 +197,8 @@ def prepare(
     Prepare the rig that complete settings describe, which takes milliseconds.
 
     The steppers of the rig `before` are used again unless a parameter in `waiting_values` differs,
-    and its motion unless the path of the file differs.
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time, with the number, or a controller cannot play
-        the motion that is to be commanded.
-
+    and its motion unless the path of the file differs. ValueError if the rig cannot be stepped in
+    real time, or a controller cannot play the motion that is to be commanded.
     """
     if before is None:
         config = TwinConfig.from_settings(settings, motion_of)
@@ -259,13 +253,12 @@ def _require_time(config: TwinConfig, stepper: Stepper) -> None:
     ahead = 2.0 * config.rig.crossing_time + window
     share = stepper.cost * (1.0 + ahead * config.state_rate)
     if share > MOST_SHARE:
-        message = (
-            f'rate.state {config.state_rate:g} Hz with a measured plate needs '
-            f'{1e3 * share / config.state_rate:.3g} ms of processor time in a step of '
-            f'{1e3 / config.state_rate:.3g} ms, the limit is {100.0 * MOST_SHARE:g} %'
+        feasible = 0.999 * (MOST_SHARE / stepper.cost - 1.0) / ahead
+        raise ValueError(
+            f'rate.state {config.state_rate:g} Hz with a measured plate needs {100.0 * share:.3g} '
+            f'% of the processor time of a step, the limit is {100.0 * MOST_SHARE:g} %; '
+            f'feasible: rate.state of {feasible:.4g} Hz or less'
         )
-        feasible = (MOST_SHARE / stepper.cost - 1.0) / ahead
-        raise ValueError(f'{message}; feasible: rate.state of {0.999 * feasible:.4g} Hz or less')
 
 
 def _require_playable(config: TwinConfig, lead: float) -> None:
@@ -283,11 +276,10 @@ def _require_playable(config: TwinConfig, lead: float) -> None:
         )
     for name, state in (('first', motion.states[0]), ('last', motion.states[-1])):
         if np.abs(state).max() > _REST:
-            height, velocity, acceleration = state
             raise ValueError(
                 'engine.command needs a motion that begins and ends at rest at the same height, '
                 f'as those of `soft-throw design motion`; in {path} the {name} height is '
-                f'{height:g} m, velocity {velocity:g} m/s, acceleration {acceleration:g} m/s2'
+                '{:g} m, velocity {:g} m/s, acceleration {:g} m/s2'.format(*state)
             )
     if period and motion.end_time > period - lead:
         raise ValueError(

@@ -70,11 +70,9 @@ class Samples:
         return cls(stamps, heights.reshape(-1, 2))
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self.stamps)
 
     def __getitem__(self, chosen: slice | NDArray[np.bool_ | np.int64]) -> Samples:
-        """Return some of the samples."""
         return Samples(self.stamps[chosen], self.heights[chosen])
 
     @property

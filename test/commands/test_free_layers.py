@@ -15,7 +15,8 @@ COMMAND = (free_layers.main,)
 
 
 def value(result, name):
-    return result['found'][name]['value'], result['found'][name]['error']
+    (row,) = (row for row in result['rows'] if row['name'] == name)
+    return row['value'], row['error']
 
 
 def ringing(thickness, seed):

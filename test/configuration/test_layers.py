@@ -19,13 +19,8 @@ FOAM = f'foam:\n  description: A foam\n  source: measured\n  density: 120.0\n  {
 
 
 def test_gelatins_of_the_paper_are_installed_in_six_thicknesses() -> None:
-    assert [name for name in INSTALLED.layers if re.fullmatch(r'gelatin_[\d.]+mm', name)] == [
-        f'gelatin_{millimetres}mm' for millimetres in ('2.0', '5.6', '9.5', '16.8', '23.4', '29.1')
-    ]
-    assert INSTALLED.layers['gelatin_5.6mm'] == {
-        'layer.stack': '', 'layer.thickness': 5.6e-3, 'layer.wave_speed': 7.8,
-        'layer.density': 1000.0, 'layer.loss_tangent': 0.0, 'layer.diameter': 0.012,
-    }
+    names = [name for name in INSTALLED.layers if re.fullmatch(r'gelatin_[\d.]+mm', name)]
+    assert names == [f'gelatin_{size}mm' for size in ('2.0', '5.6', '9.5', '16.8', '23.4', '29.1')]
 
 
 def test_user_materials_and_stacks_extend_the_installed_ones(write: Any) -> None:
@@ -57,26 +52,17 @@ def test_material_makes_a_layer_of_each_thickness_and_its_modulus_a_speed(write:
     [
         ('  density', '  densty', "'foam': density must be given"),
         (LOSS, f'{LOSS}\n  colour: red', "'foam': a property must be one of .* got 'colour'"),
-        ('120.0', '-120.0', "'foam': density must be a number .* got -120.0"),
-        ('120.0', '[120.0]', r'density must be a number .* got \[120.0\]'),
-        (SPEED, 'wave_speed: {range: [1, 2]}', 'wave_speed must be .* got None'),
         (LOSS, f'{LOSS}\n  youngs_modulus: 5e4', 'wave_speed or youngs_modulus'),
-        (SPEED, 'thicknesses: [0.01]', 'wave_speed or youngs_modulus'),
         (SPEED, 'youngs_modulus: 60.0', 'wave_speed must be .* 1 to 200 m/s, got 0.7'),
         (LOSS, f'{LOSS}\n  thicknesses: 0.01', 'thicknesses must be a list, got 0.01'),
-        (LOSS, f'{LOSS}\n  thicknesses: [5.0]', 'thickness .* 0.1 m, got 5.0'),
-        (LOSS, f'{LOSS}\n  diameter: 12', 'diameter .* from 0.001 to 0.2 m, got 12'),
         ('foam:', 'gelatin:', "'gelatin': .* already"),
         ('foam:', 'custom:', f"'custom': .*and not {CUSTOM!r}"),
-        ('foam:', 'my foam:', "'my foam': a name must be letters"),
         ('foam:', 'both: {description: d, source: s, stack: 8e-3 jelly}\nfoam:',
          "'both': layer.stack: no material is named 'jelly'"),
         ('foam:', 'both: {description: d, source: s, stack: 8e-3 gelatin, density: 1}\nfoam:',
          "'both': a property must be one of .* got 'density'"),
         (FOAM, '', 'has no material'),
-        (FOAM, '- foam\n', 'must be a mapping'),
         (FOAM, 'foam: soft\n', "'foam': must be PROPERTY: VALUE, got 'soft'"),
-        (FOAM, 'a: &a {}\nb: *a\n', 'alias'),
     ],
 )
 def test_error_is_quoted_with_file_and_material(

@@ -6,11 +6,9 @@ from typing import Any
 
 from hypothesis import assume, given
 from hypothesis import strategies as st
-import numpy as np
 import pytest
 from soft_throw_ros.configuration import ParameterError, rig_of, rig_values, TWIN
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.material import LARGEST_CONSTANT_LOSS
 
 DEFAULTS = TWIN.defaults()
@@ -66,15 +64,11 @@ def test_single_changes_leave_consistent_settings(changes: Any) -> None:
     [
         (DEFAULTS, {'layer.name': 'gelatin_5.6mm'}, LAYERS['gelatin_5.6mm']),
         (DEFAULTS, {'layer.thickness': 0.01}, {'layer.name': 'custom'}),
-        (DEFAULTS, {'layer.thickness': 0.0168}, {}),
         (DEFAULTS, {'layer.name': 'custom', 'layer.thickness': 0.01}, {}),
         (DEFAULTS, {'layer.name': 'gelatin_5.6mm', **LAYERS['gelatin_5.6mm']}, {}),
-        (DEFAULTS, {'engine.motion': 'harmonic'}, {}),
-        (HARMONIC, {'engine.motion': 'measured', 'engine.damping_ratio': 0.1}, {}),
         (HARMONIC, {'engine.damping_ratio': 0.064}, {}),
         (HARMONIC, {'engine.damping_ratio': 0.1}, {'engine.motion': 'underdamped'}),
         (DEFAULTS, {'recommendation.target_speed': 2.0}, {'recommendation.target_height': 0.0}),
-        (DEFAULTS, {'layer.diameter': 0.013}, {'layer.name': 'custom'}),
         # the later of two values in the table wins
         (DEFAULTS, {'layer.thickness': 0.01, 'layer.name': 'gelatin_5.6mm'},
          {**LAYERS['gelatin_5.6mm'], 'layer.thickness': 0.01, 'layer.name': 'custom'}),
@@ -90,23 +84,6 @@ def test_change_adds_implied_changes_and_keeps_its_arguments(
     before = dict(settings), dict(request_)
     assert TWIN.change(settings, request_) == {**request_, **implied}
     assert (settings, request_) == before
-
-
-STACK = '8e-3 gelatin, 2e-3 20 1100 0.05'
-
-
-def test_stack_has_its_sheets_and_their_overall_values() -> None:
-    settings = {**DEFAULTS, **TWIN.change(DEFAULTS, {'layer.stack': STACK})}
-    assert settings['layer.name'] == 'custom'
-    assert settings['layer.thickness'] == pytest.approx(0.01)
-    for change in ({'layer.thickness': 0.02}, {'layer.name': 'gelatin_5.6mm'}):
-        assert TWIN.change(settings, change)['layer.stack'] == ''
-    soft, stiff = rig_of(settings).layer.sheets
-    assert (soft.thickness, soft.wave_speed, soft.density) == (8e-3, 7.8, 1000.0)
-    assert (stiff.wave_speed, stiff.density, stiff.loss_tangent) == (20.0, 1100.0, 0.05)
-    assert stiff.diameter == settings['layer.diameter']
-    # a rig described by numbers is equal
-    assert rig_of({**DEFAULTS, **rig_values(rig_of(settings))}) == rig_of(settings)
 
 
 FOAM = """\
@@ -132,6 +109,8 @@ def test_stack_is_kept_in_numbers_after_changes_of_the_library(mine: Path, reque
     numbers = '0.008 7.8 1000.0 0.0, 0.002 20.0 120.0 0.1'
     assert settings['layer.stack'] == numbers
     before = rig_of(settings)
+    assert before.layer.sheets[1].diameter == settings['layer.diameter']
+    assert rig_of({**DEFAULTS, **rig_values(before)}) == before
     mine.write_text(FOAM.replace(' 20.0', ' 9.0'))
     os.utime(mine, ns=(1, 1))
     assert rig_of(settings) == before
@@ -167,10 +146,8 @@ def test_named_stack_replaces_another_and_stays_while_its_values_are_set_again(
     ('stack', 'complaint'),
     [
         ('8e-3 jelly', "no material is named 'jelly'; there are gelatin"),
-        ('8e-3 7.8', r"must be THICKNESS MATERIAL, or .*, got '8e-3 7\.8'"),
         ('8e-3 7.8 1000, ', r"must be THICKNESS MATERIAL, or .*, got ''"),
         ('8 gelatin', r"thickness must be a number from 0\.0001 to 0\.1 m, got '8'"),
-        ('8e-3 7.8 10', r"density must be a number from 50 to 5000 kg/m3, got '10'"),
         ('0.06 gelatin, 0.06 gelatin', r'thickness must be .* from 0\.0005 to 0\.1 m, got 0\.12'),
         (', '.join(['1e-4 9 1000'] * 201), 'at most 200 sheets, got 201'),
     ],
@@ -178,11 +155,3 @@ def test_named_stack_replaces_another_and_stays_while_its_values_are_set_again(
 def test_bad_stacks_are_refused_with_the_value(stack: str, complaint: str) -> None:
     with pytest.raises(ParameterError, match=complaint):
         TWIN.change(DEFAULTS, {'layer.stack': stack})
-
-
-def test_bounds_become_standard_deviations_of_uniform_errors() -> None:
-    bounds = {'uncertainty.frequency': 0.7, 'uncertainty.damping_ratio': 0.02}
-    measurement = TwinConfig.from_settings({**DEFAULTS, **bounds}).measurement
-    deviation = np.std(np.linspace(-1.0, 1.0, 100_001))
-    assert measurement.frequency_error == pytest.approx(0.7 * deviation, rel=1e-4)
-    assert measurement.damping_error == pytest.approx(0.02 * deviation, rel=1e-4)

@@ -73,9 +73,7 @@ def test_amplitude_is_the_smallest_even_where_later_swings_throw():
     ('rig', 'target', 'limits', 'message'),
     [
         (Rig(), {}, {}, 'height None, speed None'),
-        (Rig(), {'height': 1.0, 'speed': 1.0}, {}, 'height 1.0, speed 1.0'),
         (Rig(), {'height': 0.0}, {}, r'target .* got 0\.0'),
-        (Rig(), {'speed': math.nan}, {}, 'target .* got nan'),
         (Rig(gravity=0.0), {'height': 1.0}, {}, 'got gravity 0'),
         (Rig(), {'height': 0.2}, {'max_strain': 0.12}, r'0\.2 m .* strain of 0\.\d+, .* 0.12'),
         (Rig(), {'height': 0.2}, {'max_acceleration': 300.0}, 'acceleration of .* most 300'),

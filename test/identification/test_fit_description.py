@@ -11,7 +11,6 @@ from soft_throw_ros.identification.fit_description import (
     FitDescription,
     FIXED,
     FREE,
-    LOSS,
     parse_error,
     Treatment,
 )
@@ -40,10 +39,8 @@ def test_parameter_is_free_or_fixed_or_known_with_an_error(treatment, known, val
     assert all(description.treatment(name).is_varied for name in DEFAULT_FREE)
 
 
-def test_loss_is_searched_and_measured_quantities_have_the_errors_of_the_paper():
+def test_measured_quantities_have_the_errors_of_the_paper():
     description = FitDescription()
-    assert description.searches(LOSS)
-    assert not FitDescription({LOSS: FIXED}).searches(LOSS)
     assert description.known('layer.thickness', RIG) == Estimate(0.02, 1e-4)
     assert description.known('projectile.mass', RIG) == Estimate(1e-3, pytest.approx(1e-5))
 

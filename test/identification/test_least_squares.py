@@ -84,10 +84,8 @@ def test_residuals_above_the_noise_are_reported(data):
     fit = fit_tracks(MODEL, TRUTH, [('decay', data)])
     assert fit.is_mismatch
     (mismatch,) = (text for text in fit_warnings(fit) if 'times the noise' in text)
-    (numbers,) = re.findall(r'(\S+) times.* from (\S+) s to (\S+) s', mismatch)
-    ratio, start, end = map(float, numbers)
-    assert ratio == pytest.approx(2.0, rel=0.4)
-    assert 0.0 <= start < end <= 2.0
+    (ratio,) = re.findall(r'(\S+) times', mismatch)
+    assert float(ratio) == pytest.approx(2.0, rel=0.4)
 
 
 def test_inseparable_parameters_are_reported():

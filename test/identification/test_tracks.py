@@ -16,9 +16,9 @@ from soft_throw_ros.identification.track_csv import read_csv, UNITS
 from soft_throw_ros.identification.tracks import (
     fall_acceleration,
     FEWEST,
+    find_throws,
     noise_of,
     split_at_breaks,
-    split_into_throws,
     ThrowTracks,
     Track,
     TrackError,
@@ -133,6 +133,10 @@ def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
     position += noise * np.random.default_rng(3).normal(size=time.size) - 0.3
     track = Track(time=time, position=position)
     return ThrowTracks(name='bag', plate=track, projectile=track)
+
+
+def split_into_throws(record):
+    return record.split(find_throws(record.plate), 'throw')
 
 
 @pytest.mark.parametrize('noise', [0.0, 1e-5, 2e-4])  # up to a tenth of the amplitude

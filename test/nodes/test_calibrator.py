@@ -58,7 +58,7 @@ def test_calibrator_rejects_a_fit_that_is_wrong(ros, second_mode, is_converged, 
     plates = Underdamped.of(Engine()), Underdamped.of(Engine(frequency=150.0))
     height, mode = (plate.position(time - 0.01) for plate in plates)
     noise = 1e-5 * np.random.default_rng(0).normal(size=time.size)
-    fit = fit_plate(Track(time=time, position=height + second_mode * mode + noise)).fit
+    fit = fit_plate(Track(time=time, position=height + second_mode * mode + noise))
     wrong = RigFit(model=None, fit=replace(fit, is_converged=is_converged))
     with pytest.raises(ValueError, match=reason):
         ros.node(Calibrator)._apply_fit(wrong)

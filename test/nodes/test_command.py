@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 import math
 from typing import Any
 
@@ -15,17 +14,16 @@ from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.design.motion import find_best_motion, PlateLimits
+from soft_throw_ros.design.motion import design_motion, PlateLimits
 from soft_throw_ros.nodes.conversions import msg_to_time
 
 ENGINE = PlateLimits.of(Engine())
-SMOOTH = replace(ENGINE, jerk=3e5)
-STROKE = PlateLimits(speed=0.4, acceleration=120.0, jerk=1.3e5, travel=2.01e-3)
+STROKE = PlateLimits(speed=0.4, acceleration=120.0, travel=2.01e-3)
 
 
 def play(message: Any, arrival_ns: int, held: tuple[float, ...]) -> tuple[Any, Any]:
     """
-    Return times [ns] and the heights, velocities, accelerations and jerks of a controller.
+    Return times [ns] and the heights, velocities and accelerations of a controller.
 
     It joins the state that it holds when a message arrives to the first point, and the points to
     one another, by quintics, and rejects a trajectory that ends in motion.
@@ -50,10 +48,10 @@ def play(message: Any, arrival_ns: int, held: tuple[float, ...]) -> tuple[Any, A
     ends = np.concatenate([terms(s, order) for s in (0.0, 1.0) for order in range(3)])
     times, path = [], []
     for n, length in enumerate(1e-9 * np.diff(stamps)):
-        scale = length ** np.arange(4.0)
-        both = np.concatenate([states[n] * scale[:3], states[n + 1] * scale[:3]])
+        scale = length ** np.arange(3.0)
+        both = np.concatenate([states[n] * scale, states[n + 1] * scale])
         coefficients = np.linalg.solve(ends.reshape(6, 6), both)
-        path.append([terms(share, order) @ coefficients / scale[order] for order in range(4)])
+        path.append([terms(share, order) @ coefficients / scale[order] for order in range(3)])
         times.append(stamps[n] + np.rint(1e9 * length * share[:, 0]))
     return np.concatenate(times), np.concatenate(path, axis=1)
 
@@ -69,9 +67,8 @@ def stroke() -> SampledMotion:
     ('motion_of', 'limits'),
     [
         (stroke, STROKE),
-        (lambda: find_best_motion(Rig(), SMOOTH).motion, SMOOTH),
         pytest.param(
-            lambda: find_best_motion(Rig(layer=Layer(thickness=5.6e-3)), ENGINE).motion, ENGINE,
+            lambda: design_motion(Rig(layer=Layer(thickness=5.6e-3))).motion, ENGINE,
             marks=pytest.mark.slow,
         ),
     ],
@@ -95,10 +92,10 @@ def test_commands_are_played_as_in_the_twin_and_within_the_limits(
         arrival_ns = twin.session.due_ns(sent)
         assert msg_to_time(message.header.stamp) - arrival_ns == 50_000_000
         times, (height, *derivatives) = play(message, arrival_ns, held)
-        for values, name in zip(derivatives, ('speed', 'acceleration', 'jerk'), strict=True):
+        for values, name in zip(derivatives, ('speed', 'acceleration'), strict=True):
             assert np.abs(values).max() <= getattr(limits, name) * (1.0 + 1e-6), name
         assert np.ptp(height) <= limits.travel * (1.0 + 1e-6)
-        held = height[-1], *(values[-1] for values in derivatives[:2])
+        held = height[-1], *(values[-1] for values in derivatives)
         due = [twin.session.due_ns(out.step) for out in twin.outputs[shown:]]
         plate = [out.state.plate_position for out in twin.outputs[shown:]]
         assert plate == pytest.approx(np.interp(due, times, height), abs=1e-6)

@@ -21,7 +21,6 @@ from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_T
 from soft_throw_ros.nodes import recorder as recorder_module
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
-from soft_throw_ros.recording import writer_thread
 from std_msgs.msg import String
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -216,7 +215,6 @@ def test_later_publisher_of_another_quality_of_service_is_reported_as_missing(
 def test_end_saves_all_messages_before_anything_that_takes_time(
     ros, recorder, talker, tmp_path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(writer_thread, 'FLUSH_PERIOD', 1e6)
     node = recorder(name='bag')
     say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
     subscriptions = node.recording.subscriptions

@@ -117,6 +117,17 @@ def test_file_has_every_message_that_came_before_the_end(ros, show, throw, tmp_p
     assert RrdFile(path).rows['/twin/position'] == 250
 
 
+@pytest.mark.slow
+def test_recorder_shows_what_it_records(ros, record, tmp_path) -> None:
+    recorder = record('bag', 'topics:=[twin]', 'rerun.sink:=file')
+    twin = ros.start_twin('-p', 'throw.period:=0.2')
+    states = next(p for p in twin.publishers if p.topic_name == '/twin/joint_states')
+    ros.spin_until(lambda: states.get_subscription_count() == 2, 'recorder and viewer')
+    twin.go(250)
+    recorder.end_well()
+    assert RrdFile(tmp_path / 'bag.rrd').rows['/twin/position'] == 250
+
+
 def test_without_rerun_the_node_names_the_command_that_installs_it(ros, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, 'rerun', None)
     for name in [name for name in sys.modules if name.startswith('soft_throw_ros.recording.')]:

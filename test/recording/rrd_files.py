@@ -17,9 +17,9 @@ from soft_throw_ros.recording.rerun_view import Scene
 from soft_throw_ros.recording.rerun_viewer import (
     finish,
     new_stream,
-    NoGraphicsError,
     save_to,
     Viewer,
+    ViewerError,
 )
 
 
@@ -29,7 +29,7 @@ def viewer_at(port: int, *options: str | Path) -> Iterator[Viewer]:
     with Viewer(port, '--headless', *options) as viewer:
         try:
             viewer.client()
-        except NoGraphicsError as error:
+        except ViewerError as error:
             pytest.skip(str(error))
         yield viewer
 

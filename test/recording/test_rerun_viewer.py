@@ -17,8 +17,8 @@ import pytest
 from soft_throw_ros.recording.rerun_viewer import (
     free_port,
     listens,
-    NoGraphicsError,
     Viewer,
+    ViewerError,
 )
 
 pytest.importorskip('rerun')
@@ -72,6 +72,6 @@ def test_viewer_without_graphics_names_packages_to_install(monkeypatch) -> None:
         monkeypatch.setenv(name, '/nowhere')
     with (
         Viewer(free_port(), '--headless') as process,
-        pytest.raises(NoGraphicsError, match='mesa-vulkan-drivers'),
+        pytest.raises(ViewerError, match='mesa-vulkan-drivers'),
     ):
         process.client()

@@ -67,7 +67,7 @@ def test_missing_type_is_named_with_the_searched_folders(install, tmp_path):
     with pytest.raises(SchemaError, match='b/msg/Missing'):
         find_schema('a/msg/Top', [tmp_path])
     install('b/Missing', 'float64 x\n')
-    with pytest.raises(SchemaError, match=r'share/a/msg/Top\.json.* a/msg/Top'):  # no hash
+    with pytest.raises(SchemaError, match=r'a/msg/Top: .* cannot be read'):  # no hash
         find_schema('a/msg/Top', [tmp_path])
     for name in ('String', 'std_srvs/srv/Trigger', 'a/msg/../B'):
         with pytest.raises(SchemaError, match=f"'{name}'"):

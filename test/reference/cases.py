@@ -6,7 +6,7 @@ import math
 
 from hypothesis import strategies as st
 import numpy as np
-from soft_throw_ros.core.closed_form import first_releases
+from soft_throw_ros.core.closed_form import first_releases, FirstRelease
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 FREQUENCY = 63.2
@@ -73,13 +73,12 @@ def make_paper_rig(thickness, *, gravity=0.0, damping_ratio=0.0):
 
 
 def exact_release(rig):
-    """Compute the first release of a rig by the closed form."""
-    return first_releases(
-        mass_ratio=rig.mass_ratio,
-        speed_ratio=rig.speed_ratio,
-        damping_ratio=rig.engine.damping_ratio,
-        gravity_ratio=rig.gravity_ratio,
+    """Compute the first release of a rig by the closed form, as floats."""
+    release = first_releases(
+        mass_ratio=rig.mass_ratio, speed_ratio=rig.speed_ratio,
+        damping_ratio=rig.engine.damping_ratio, gravity_ratio=rig.gravity_ratio,
     )
+    return FirstRelease(*map(float, release))
 
 
 def released(stepper, periods=12.0):

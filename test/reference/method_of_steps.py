@@ -109,7 +109,6 @@ class WaveHistory:
         self._down = _Series(start)  # q at the top
         self._mass_velocity = _Series(start)
         self._mass_rise = _Series(start)
-        self._top_rise = _Series(start)
         self.events: tuple[Event, ...] = ()
 
     @property
@@ -129,11 +128,7 @@ class WaveHistory:
 
     def projectile_position(self, time: ArrayLike) -> Floats:
         """Height of the projectile's lower face above the plate's rest position [m]."""
-        return self._rest_height() + self._mass_rise(self._known(time))
-
-    def top_position(self, time: ArrayLike) -> Floats:
-        """Height of the top of the layer above the plate's rest position [m]."""
-        return self._rest_height() + self._top_rise(self._known(time))
+        return self.rig.rest_height + self._mass_rise(self._known(time))
 
     def velocity(self, depth: ArrayLike, time: ArrayLike) -> Floats:
         """Velocity of the material at undeformed depths [m] from the plate, upwards [m/s]."""
@@ -159,9 +154,6 @@ class WaveHistory:
         wave = 2.0 * self._down(time - self._crossing) - self.motion.velocity(time)
         weight = self.rig.projectile.mass * self.rig.gravity
         return self.rig.layer.impedance * wave - weight
-
-    def _rest_height(self) -> float:
-        return self.rig.layer.thickness - self.rig.static_sag
 
     def _known(self, time: ArrayLike) -> Floats:
         time = np.asarray(time, dtype=np.float64)
@@ -296,7 +288,6 @@ class _Follower:
         history._down.append(end, down)
         history._mass_velocity.append(end, velocity)
         history._mass_rise.append(end, rise)
-        history._top_rise.append(end, top)
         self.time = end
         self.velocity = float(velocity @ _AT_END)
         self.rise = float(rise @ _AT_END)
@@ -305,7 +296,7 @@ class _Follower:
     def _happen(self, time: float) -> None:
         """Change between contact and flight."""
         kind: Literal['release', 'landing'] = 'landing' if self.flying else 'release'
-        height = self.history._rest_height() + self.rise
+        height = self.history.rig.rest_height + self.rise
         self.events.append(Event(kind, time, height, self.velocity))
         self.flying = not self.flying
         self.rise = self.top

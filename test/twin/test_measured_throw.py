@@ -122,19 +122,6 @@ def test_throw_field_agrees_with_the_throw(quiet) -> None:
     assert field.start_ns - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
 
 
-def test_release_from_a_layer_with_loss_is_predicted() -> None:
-    run = Run(**MEASURED, layer__loss_tangent=0.02)
-    run.measure(Rig())
-    simulated = Run(layer__loss_tangent=0.02, throw__period=0.0)
-    simulated.session.request_throw()
-    simulated.go(60)
-    (first, predicted), (expected,) = run.results('predicted'), simulated.results('release')
-    assert first.is_ahead
-    assert predicted.is_ahead
-    assert predicted.first.ejection_time == pytest.approx(expected.first.ejection_time, rel=2e-3)
-    assert predicted.first.ejection_speed == pytest.approx(expected.first.ejection_speed, rel=2e-3)
-
-
 @pytest.mark.parametrize(('factor', 'noise'), [(0.93, 5e-6), (0.97, 0.0)])
 def test_deviations_of_an_aged_layer_exceed_the_threshold(factor, noise) -> None:
     run = Run(**MEASURED, measured__residual_threshold=5e-5)
@@ -235,29 +222,16 @@ def test_missing_samples_and_skipped_steps_are_in_the_result() -> None:
         assert disturbances.time_skipped == pytest.approx(skipped)
 
 
-def ramp(time: Floats) -> Floats:
-    """Return heights of a plate that accelerates to 0.72 m/s and brakes."""
-    heights = np.zeros_like(time)
-    for begin, change in ((0.0, 0.72), (7e-3, -0.72)):
-        u = (time - begin) / 4.5e-3
-        inside = np.clip(u, 0.0, 1.0)
-        share = 0.5 * inside**2 + (np.cos(2.0 * np.pi * inside) - 1.0) / (4.0 * np.pi**2)
-        heights += change * 4.5e-3 * (share + np.maximum(u - 1.0, 0.0))
-    return heights
-
-
 def trial(
     seed: int,
     *,
     rate: float = 5000.0,
     faults: dict[str, float] | None = None,
-    imperfections: dict[str, float] | None = None,
-    engine: dict[str, float] | None = None,
-    is_uncertain: bool = False,
+    second_mode: float = 0.0,
     **request: Any,
 ) -> tuple[float, list[Any]]:
     """
-    Throw with an engine that differs from the settings, within their uncertainties or by factors.
+    Throw with an engine that differs from the settings within their uncertainties.
 
     Return the lead of the first prediction, and the deviations of the first and the last one from
     the truth, of time, speed and energy transfer, in standard errors.
@@ -265,20 +239,18 @@ def trial(
     random = np.random.default_rng(seed)
     run = Run(**MEASURED, **request)
     own = run.rig.engine
-    if is_uncertain:
-        frequency, damping = (
-            run.settings[f'uncertainty.{name}'] * random.uniform(-1.0, 1.0)
-            for name in ('frequency', 'damping_ratio')
-        )
-        own = replace(
-            own,
-            frequency=own.frequency + frequency,
-            damping_ratio=abs(own.damping_ratio + damping),
-            amplitude=own.amplitude * (1.0 + 0.03 * random.standard_normal()),
-        )
-    own = replace(own, **{name: getattr(own, name) * by for name, by in (engine or {}).items()})
+    frequency, damping = (
+        run.settings[f'uncertainty.{name}'] * random.uniform(-1.0, 1.0)
+        for name in ('frequency', 'damping_ratio')
+    )
+    own = replace(
+        own,
+        frequency=own.frequency + frequency,
+        damping_ratio=abs(own.damping_ratio + damping),
+        amplitude=own.amplitude * (1.0 + 0.03 * random.standard_normal()),
+    )
     start, rig = 0.05 + random.uniform(0.0, 2e-3), replace(run.rig, engine=own)
-    thrown = imperfect_rig.throw(rig, Imperfections(**imperfections or {}), until=0.02)
+    thrown = imperfect_rig.throw(rig, Imperfections(second_mode=second_mode), until=0.02)
     sensors = SensorFaults(**{'noise': 5e-6, 'jitter': 0.3 / rate, **(faults or {})})
     times = np.arange(0.0, start + 0.02, 1.0 / rate) - start
     chances = draw_chances(random, times.size)
@@ -307,28 +279,27 @@ def trial(
 @pytest.mark.parametrize(
     'row',
     [
-        {'is_uncertain': True, 'rate': 2500.0},
-        {'is_uncertain': True, 'faults': {'outlier_rate': 0.03, 'outlier_size': 1e-3}},
-        {'faults': {'missing_rate': 0.05}},
+        {'rate': 2500.0},
+        {'faults': {'outlier_rate': 0.03, 'outlier_size': 1e-3, 'missing_rate': 0.05}},
         {'faults': {'stamp_error': 1.4e-4}, 'measured__stamp_error': 8e-5},
-        {'imperfections': {'second_mode': 0.01}},
-        {'engine': {'frequency': 1.003, 'amplitude': 0.985}},
-        {'engine__motion_file': 'ramp.csv'},  # commanded
+        {'second_mode': 0.01},
+        {'layer__loss_tangent': 0.02},
+        {'engine__motion_file': 'stroke.csv'},  # commanded
     ],
     ids=' '.join,
 )
 def test_errors_and_leads_of_predictions_hold(write, row) -> None:
     if 'engine__motion_file' in row:
         times = np.linspace(0.0, 0.03, 301)
-        lines = [f'{t},{z}' for t, z in zip(times.tolist(), ramp(times).tolist(), strict=True)]
-        row = {'engine__motion_file': str(write('\n'.join(lines), 'ramp.csv'))}
+        share = 2.0 * np.pi * np.minimum(times / 0.012, 1.0)
+        rows = zip(times.tolist(), (7e-4 * (share - np.sin(share))).tolist(), strict=True)
+        path = write('\n'.join(f'{time},{height}' for time, height in rows), 'stroke.csv')
+        row = {'engine__motion_file': str(path)}
     leads, deviations = zip(*(trial(seed, **row) for seed in range(20)), strict=True)
     assert ((np.abs(deviations) < 2.0).mean(axis=(0, 1)) > 0.85).all()
     assert np.abs(deviations).max() < 6.0
-    # errors are larger than the deviations where nothing unmodelled accelerates the plate
-    rms = np.sqrt(np.square(deviations).mean(axis=(0, 1)))
-    assert rms[1] > (0.4 if 'is_uncertain' in row else 0.1)
-    assert min(leads) > (3e-3 if 'engine__motion_file' in row else 1.5e-3)
+    assert np.sqrt(np.square(deviations).mean(axis=(0, 1)))[1] > 0.1  # errors are not too large
+    assert min(leads) > 1.5e-3
 
 
 @pytest.mark.parametrize('factor', [1.0, 1.5])
@@ -423,10 +394,11 @@ def test_measurement_can_be_switched_on_and_off() -> None:
 # once more
 
 
-INVALID = {
+CHANGES = st.fixed_dictionaries({}, optional={
     'plate': st.sampled_from([0.0, 0.3004, -50.0, 99.0, 1e300, math.nan, -math.inf]),
     'projectile': st.sampled_from([math.nan, 5.0, -99.0, math.inf]),
-}
+    'shift': st.integers(-(10**8), 10**8),
+})
 
 
 @settings(max_examples=15)
@@ -434,34 +406,28 @@ INVALID = {
     loss=st.sampled_from([0.0, 0.02]),
     rate=st.sampled_from([2000.0, 5000.0, 20_000.0]),
     wait=st.sampled_from([0.0, 1e-3]),
-    invalid=st.lists(
-        st.tuples(st.floats(0.0, 1.0), st.fixed_dictionaries({}, optional=INVALID)), max_size=20
-    ),
-    moved=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(-(10**8), 10**8)), max_size=20),
+    changes=st.lists(st.tuples(st.floats(0.0, 1.0), CHANGES), max_size=40),
     gap=st.tuples(st.floats(0.0, 1.0), st.integers(0, 100)),
     throw=st.integers(0, 2),
 )
 def test_arbitrary_samples_are_followed_or_refused_and_replayed(
-    loss, rate, wait, invalid, moved, gap, throw
+    loss, rate, wait, changes, gap, throw
 ) -> None:
     request = {'layer__loss_tangent': loss, 'measured__latency': wait}
     run = Run(**MEASURED, **request, rate__field=10.0 + 900e3 * wait)
     samples = rigs.measured_throw(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
-    last = len(samples) - 1
-    for share, values in invalid:
-        index = int(share * last)
-        samples[index] = samples[index]._replace(**values)
     delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
-    for share, shift in moved:
+    last = len(samples) - 1
+    for share, values in changes:
         index = int(share * last)
-        samples[index] = samples[index]._replace(stamp_ns=samples[index].stamp_ns + shift)
+        shift, heights = values.get('shift', 0), {k: v for k, v in values.items() if k != 'shift'}
+        stamp_ns = samples[index].stamp_ns + shift
+        samples[index] = samples[index]._replace(stamp_ns=stamp_ns, **heights)
         delays[index] -= shift
-    first = int(gap[0] * last)
-    last = first + gap[1]
-    del samples[first:last]
-    del delays[first:last]
+    lost = slice(int(gap[0] * last), int(gap[0] * last) + gap[1])
+    del samples[lost], delays[lost]
     run.send(samples, delays)
     run.receive()
     run.go(10)

@@ -12,13 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import motions
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.session import RequestRejected
-from twin_runs import Run
+from twin_runs import Run, stroke
 
 RETURN = round(1000 * RETURN_TIME)
 
@@ -384,36 +382,12 @@ def test_any_run_is_replayed_bit_by_bit_from_any_throw(inputs, data) -> None:
 # motions from files
 
 
-@pytest.fixture
-def write_motion(write):
-    """Return a function that writes a motion of the plate into a file."""
-
-    def write_motion(name='plate.csv', amplitude=1e-3):
-        plate = Underdamped(frequency=50.0, amplitude=amplitude, damping_ratio=0.1)
-        times = np.arange(0.0, 0.2, 2e-4)
-        motion = SampledMotion.from_positions(times, plate.position(times))
-        return write(motions.to_csv(motion), name)
-
-    return write_motion
-
-
-@pytest.fixture
-def playable(write):
-    """Return a file of a motion that begins and ends at rest at the same height."""
-    times, rate = np.arange(0.0, 0.2002, 2e-4), 50.0 * np.pi
-    sine, cosine = np.sin(rate * times), np.cos(rate * times)
-    heights, speeds = 1e-3 * sine**4, 4e-3 * rate * sine**3 * cosine
-    accelerations = 4e-3 * rate**2 * sine**2 * (3.0 * cosine**2 - sine**2)
-    states = np.stack((heights, speeds, accelerations), axis=1)
-    return str(write(motions.to_csv(SampledMotion(times, states)), 'playable.csv'))
-
-
-def test_motions_are_read_when_their_files_are_set_and_replayed_without_them(write_motion) -> None:
-    path, other = write_motion(), write_motion('other.csv')
+def test_motions_are_read_when_their_files_are_set_and_replayed_without_them(write) -> None:
+    path, other = (write(stroke(), name) for name in ('plate.csv', 'other.csv'))
     run = Run(engine__motion_file=str(path))
     first = simulate(run.rig).ejection_time
     run.go(1200)
-    write_motion(amplitude=1.5e-3)
+    write(stroke(1, z=2.5e-3), 'plate.csv')
     os.utime(path, ns=(0, 0))  # at another time
     for values in (
         {'layer.thickness': 0.02},
@@ -434,7 +408,8 @@ def test_motions_are_read_when_their_files_are_set_and_replayed_without_them(wri
 
 
 @pytest.mark.parametrize(('period', 'lead'), [(0.0, 200), (1.0, 200), (0.4, 100)])
-def test_motion_is_commanded_before_its_throw(playable, period, lead) -> None:
+def test_motion_is_commanded_before_its_throw(write, period, lead) -> None:
+    playable = str(write(stroke(), 'playable.csv'))
     run = Run(engine__motion_file=playable, engine__command=True, throw__period=period)
     run.go(50)
     if not period:
@@ -454,11 +429,10 @@ def test_motion_is_commanded_before_its_throw(playable, period, lead) -> None:
     run.assert_repeated()
 
 
-@pytest.mark.parametrize('steps', [100, 250, 350])  # before the start, in the motion, near its end
-def test_next_command_waits_for_the_end_of_the_motion(playable, steps) -> None:
-    run = Run(
-        engine__motion_file=playable, engine__command=True, throw__period=0.0
-    )
+@pytest.mark.parametrize('steps', [100, 220, 240])  # before the start, in the motion, near its end
+def test_next_command_waits_for_the_end_of_the_motion(write, steps) -> None:
+    playable = str(write(stroke(), 'playable.csv'))
+    run = Run(engine__motion_file=playable, engine__command=True, throw__period=0.0)
     run.session.request_throw()
     run.go(steps)
     run.session.change({'rate.state': 2000.0})
@@ -468,7 +442,7 @@ def test_next_command_waits_for_the_end_of_the_motion(playable, steps) -> None:
         run.go(1)
         with contextlib.suppress(RequestRejected):
             run.session.request_throw()
-    first, second = (outputs for outputs in run.outputs if outputs.command is not None)
+    first, second, *_ = (outputs for outputs in run.outputs if outputs.command is not None)
     start = first.step + 200
     assert first.command.start_ns == run.schedule.deadline(start)
     remaining = run.rig.engine.motion.end_time + 1e-3 * (start - steps)  # since the reset [s]
