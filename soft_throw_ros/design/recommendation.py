@@ -40,6 +40,7 @@ _LARGEST_CHANGE = 0.5  # largest relative tolerance of a layer [-]
 _EQUAL = 1e-9  # relative difference of equal scores; then the present layer is kept [-]
 _COARSE_ERROR = 2e-3  # relative error of scores with `SEARCH_CELLS` [-]
 _STRONG_GRAVITY = 0.2  # over the largest acceleration of the plate; beyond, maxima are narrow [-]
+_HOLDING_GRAVITY = 4.0  # likewise; beyond, no layer is searched for: none throws above 3.1 [-]
 _NEARBY = 0.03  # relative half width of a search with all cells [-]
 _MAX_CANDIDATES = 5  # layers of the library that are compared with all cells
 
@@ -287,6 +288,8 @@ class _Search(NamedTuple):
         """
         optima: list[tuple[_Space, Optimum]] = []
         for space in spaces:
+            if space.rig.gravity_ratio > _HOLDING_GRAVITY:
+                continue
             has_cells = space.rig.layer.needs_cells
             layers = [(layer.thickness, layer.wave_speed) for layer in starts]
             score = self._score(space.rig, SEARCH_CELLS if has_cells else None)
