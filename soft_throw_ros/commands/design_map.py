@@ -94,12 +94,12 @@ def _summary(landscape: Landscape) -> Iterator[str]:
 def _draw(landscape: Landscape, path: Path) -> None:
     """Draw both results of a map side by side, with optimum and rig, into a PNG file."""
     from matplotlib.figure import Figure
-    from soft_throw_ros.recording.charts import draw_map, MapAxis, to_png
+    from soft_throw_ros.recording.charts import draw_map, to_png
 
-    first, second = (
-        MapAxis(f'{AXES[name].symbol} ({AXES[name].unit})'.replace(' ()', ''), values)
+    axes = {
+        f'{AXES[name].symbol} ({AXES[name].unit})'.replace(' ()', ''): values
         for name, values in landscape.axes.items()
-    )
+    }
     figure = Figure(figsize=(9.6, 4.6), layout='constrained')
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     # A few very late releases would leave all others the same colour.
@@ -109,7 +109,7 @@ def _draw(landscape: Landscape, path: Path) -> None:
         panels, RESULTS, ('magma', 'viridis'), (late, None), strict=True
     ):
         draw_map(
-            panel, (first, second), getattr(landscape, name),
+            panel, axes, getattr(landscape, name),
             label=f'{RESULTS[name].meaning.lower()} {RESULTS[name].symbol}',
             colours=colours, highest=highest, marks=list(_marks(landscape)),
         )

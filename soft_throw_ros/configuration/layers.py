@@ -91,9 +91,11 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
         rule = f'must have at most {_MAX_SHEETS} sheets, got {count}'
         raise ParameterError(f'layer.stack {rule}', 'layer.stack')
     try:
-        return [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]
+        sheets = [_read_sheet(sheet.split(), materials) for sheet in text.split(',')]
+        _bounded('thickness', sum(sheet.thickness for sheet in sheets))
     except ParameterError as error:
         raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
+    return sheets
 
 
 def write_stack(sheets: Iterable[Layer]) -> str:
@@ -161,8 +163,7 @@ def _library(path: str, _changed_ns: int) -> Library:
             try:
                 _check_entry(name, tree[name], {*materials, *layers})
                 if name in stacks:
-                    sheets = read_stack(str(tree[name]['stack']), lambda: materials)
-                    layers[name] = {'layer.stack': write_stack(sheets), **whole(sheets)}
+                    layers[name] = stack_values(str(tree[name]['stack']), lambda: materials)
                     continue
                 material = materials[name] = _material(name, tree[name])
                 for thickness in material.thicknesses:
@@ -175,14 +176,14 @@ def _library(path: str, _changed_ns: int) -> Library:
     return Library(MappingProxyType(materials), MappingProxyType(layers))
 
 
-def whole(sheets: Sequence[Layer]) -> dict[str, float]:
-    """Return the values of a whole stack by the names of their parameters."""
+def stack_values(
+    text: str, materials: Callable[[], Mapping[str, Material]]
+) -> dict[str, float | str]:
+    """Return the parameters that a stack sets: its sheets in numbers, and those of the whole."""
+    sheets = read_stack(text, materials)
     stack = Layer.of_sheets(sheets)
-    try:
-        _bounded('thickness', stack.thickness)
-    except ParameterError as error:
-        raise ParameterError(f'layer.stack: {error}', 'layer.stack') from None
-    return {name: getattr(stack, name.removeprefix('layer.')) for name in STACKED}
+    values = {name: getattr(stack, name.removeprefix('layer.')) for name in STACKED}
+    return {'layer.stack': write_stack(sheets), **values}
 
 
 def _check_entry(name: object, values: Any, known: set[str]) -> None:

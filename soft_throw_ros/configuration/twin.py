@@ -15,8 +15,8 @@ from soft_throw_ros.configuration.layers import (
     CUSTOM,
     library,
     read_stack,
+    stack_values,
     STACKED,
-    whole,
     write_stack,
 )
 from soft_throw_ros.configuration.table import (
@@ -195,8 +195,7 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
             raise ParameterError(f'{name} {rule}, got {quote(value)}', name)
         return layers[value]
     if name == 'layer.stack' and value:
-        sheets = read_stack(value, lambda: library(after['layer.library']).materials)
-        numbers = {name: write_stack(sheets), **whole(sheets)}
+        numbers = stack_values(value, lambda: library(after['layer.library']).materials)
         return {**numbers, **_custom_layer({**after, **numbers})}
     if name == motions.PARAMETER:
         if value:

@@ -101,7 +101,6 @@ _MIN_STEPS_PER_PERIOD = 80.0
 _MAX_BATCH_CELLS = 2048
 """Most cells that `throw_batch` chooses. [-]"""
 
-
 _SHOCK_SPEED = 1.055
 """Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
 
@@ -391,8 +390,7 @@ def _prepare_rest(s, nodes):
         nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + length
     s.rest_height = nodes[ROW.rest_height, top]
     nodes[ROW.peak_strain] = nodes[ROW.static_strain]
-    s.loads[1], s.loads[2] = nodes[ROW.static_strain, 0], nodes[ROW.static_strain, top - 1]
-    s.loads[4] = s.force = carried
+    s.loads[2] = s.force = carried
     s.known_forces = 1
     s.on_projectile_before = s.on_projectile_until = s.on_projectile_now = carried
     s.on_plate_before = s.on_plate_until = s.on_plate_now = -carried
@@ -627,18 +625,16 @@ def _compare_loads(s, nodes):
         strain = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 0])
         inner = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 1])
         strain += s.edge_weights[end] * (inner - strain)
-        s.loads[1 + end] = max(s.loads[1 + end], abs(strain))
-    s.loads[3] = max(s.loads[3], s.on_projectile_now / s.mass - s.gravity)
-    s.loads[4] = max(s.loads[4], abs(s.on_plate_now))
+        s.loads[0] = max(s.loads[0], abs(strain))
+    s.loads[1] = max(s.loads[1], s.on_projectile_now / s.mass - s.gravity)
+    s.loads[2] = max(s.loads[2], abs(s.on_plate_now))
 
 
 @subroutine
 def _find_largest_strain(s, nodes):
-    """Find the largest strain of all cells and both ends."""
-    largest = max(s.loads[1], s.loads[2])
+    """Add the strains of all cells to those of both ends."""
     for j in range(s.cells):
-        largest = max(largest, nodes[ROW.peak_strain, j])
-    s.loads[0] = largest
+        s.loads[0] = max(s.loads[0], nodes[ROW.peak_strain, j])
 
 
 @subroutine

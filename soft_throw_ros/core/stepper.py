@@ -65,7 +65,7 @@ COMMON = [
     ('event_time', 'f8'),  # of the last event; of cells in the last step, infinite without one [s]
     ('event_velocity', 'f8'),  # [m/s]
     ('rest_height', 'f8'),  # of the projectile's lower face [m]
-    ('loads', 'f8', (5,)),  # of `Loads`
+    ('loads', 'f8', (3,)),  # of `Loads`
     ('work', 'f8'),  # of the plate up to the first release [J]
     ('surface', 'f8'),  # height of the top of the layer against rest [m]
     ('state', 'f8', (7,)),
@@ -104,13 +104,11 @@ class Loads(NamedTuple):
     """
     Largest magnitudes from the start to the first release, or up to now before the release.
 
-    Strains [-] anywhere in the layer, at the plate and at its top, the projectile's upward
-    acceleration [m/s2], and the force of the layer on the plate [N].
+    Strain of the layer [-], upward acceleration of the projectile [m/s2], and force of the layer
+    on the plate [N].
     """
 
     strain: float
-    plate_strain: float
-    contact_strain: float
     acceleration: float
     plate_force: float
 
@@ -404,7 +402,7 @@ def follow_batch(
                 break
         now = core[1]
         rows[0, n] = now['event_time'] if now['events'] else math.nan
-        rows[1, n], rows[2:5, n] = now['event_velocity'], now['loads'][[0, 3, 4]]
+        rows[1, n], rows[2:5, n] = now['event_velocity'], now['loads']
         rows[5, n] = now['work']
     return rows
 

@@ -485,10 +485,9 @@ def _compare_strains_at(s, waves, cell):
 def _write_loads(s):
     """Write loads and work in SI units."""
     force, stress = s.peak_contact_force, s.peak_plate_stress
-    contact_stress, wave_speed = force + s.gravity_offset, s.thickness / (s.steps * s.step)
-    s.loads[0] = max(s.peak_strain, stress, contact_stress) / wave_speed
-    s.loads[1], s.loads[2] = stress / wave_speed, contact_stress / wave_speed
-    s.loads[3], s.loads[4] = force / s.relaxation, stress * s.impedance
+    wave_speed = s.thickness / (s.steps * s.step)
+    s.loads[0] = max(s.peak_strain, stress, force + s.gravity_offset) / wave_speed
+    s.loads[1], s.loads[2] = force / s.relaxation, stress * s.impedance
     work = s.first_work if s.events > 0 else s.power_sum + (s.offset - 0.5) * s.power
     s.work = s.impedance * s.step * work
 

@@ -90,6 +90,7 @@ _MIN_WAVE_FORCE = 1e-3  # the same in the contact, over the largest speed times 
 _KEPT_SPEED = 0.93  # share of the speed that a motion keeps on other rigs [-]
 _PROGRAMME_ERROR = 0.01  # relative deficit of the simulated speed against the programme [-]
 _TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # of the time of release, tried in turn
+_METHODS = {'highs-ipm': 300, 'highs-ds': 20000}  # in turn, and iterations; some do not converge
 _PROGRAMME_TIME = 60.0  # limit of the time of a programme, which takes a second [s]
 _RETURN_SHARE = 0.25  # peak speed and acceleration of the way back, over the motion's [-]
 
@@ -442,14 +443,17 @@ class _Programme:
 
     def _optimise(self, goal: Floats, rows: Floats, bounds: Floats) -> Floats | None:
         """Solve a linear programme; None if it has no solution."""
-        result = scipy.optimize.linprog(
-            goal,
-            A_ub=scipy.sparse.csr_matrix(rows),
-            b_ub=bounds,
-            bounds=(0.0, self._limits.travel / (self._limits.speed * self._step)),
-            method='highs-ds',
-            options={'time_limit': _PROGRAMME_TIME},
-        )
+        for method, iterations in _METHODS.items():
+            result = scipy.optimize.linprog(
+                goal,
+                A_ub=scipy.sparse.csr_matrix(rows),
+                b_ub=bounds,
+                bounds=(0.0, self._limits.travel / (self._limits.speed * self._step)),
+                method=method,
+                options={'maxiter': iterations, 'time_limit': _PROGRAMME_TIME},
+            )
+            if result.status in (0, 2):  # optimal, or infeasible
+                break
         return result.x if result.status == 0 else None
 
     def _smoothest(self, fastest: Floats, goal: Floats, rows: Floats, bounds: Floats) -> Floats:

@@ -171,15 +171,15 @@ def recommend(
             'acceleration of the plate'
         )
 
-    def is_stuck(item: _Candidate) -> float:
+    def stuck(item: _Candidate) -> float:
         return stuck_fraction(item.rig, uncertainties, cancelled=cancelled)
 
     best = ranked[0]
-    if is_stuck(best) > MAX_STUCK_FRACTION:
+    if stuck(best) > MAX_STUCK_FRACTION:
         safe = search._replace(objective=partial(robust, uncertainties=uncertainties))
         others = [search.evaluate(item.rig, item.name) for item in safe.rank(spaces)]
         others = sorted([*ranked, *others], key=lambda item: -item.score)
-        best = next((item for item in others if is_stuck(item) <= MAX_STUCK_FRACTION), best)
+        best = next((item for item in others if stuck(item) <= MAX_STUCK_FRACTION), best)
     now_score = search._replace(limits=Limits()).evaluate(rig).score
     throws: dict[str, Any] = {
         f'by_{name}': predict(items[0].rig) if items else None for name, items in by.items()
@@ -193,10 +193,10 @@ def recommend(
         vary=vary,
         layer=best.name,
         score=best.score,
-        stuck_fraction=is_stuck(best),
+        stuck_fraction=stuck(best),
         now=predict(rig) if now_score > 0.0 else None,
         now_score=now_score,
-        now_stuck_fraction=is_stuck(present),
+        now_stuck_fraction=stuck(present),
         candidates=candidates,
         tolerances={name: _tolerance(score, best.rig.layer, name) for name in by},
     )

@@ -84,6 +84,7 @@ class Publishers:
         self, node: Node, topics: Iterable[Topic], joints: tuple[str, str] = JOINTS
     ) -> None:
         self.status = partial(status_to_msg, node.get_fully_qualified_name())
+        self.frame = full_name(node, FRAME).lstrip('/')  # of the rig
         self._clock = node.get_clock()
         self._joints = dict(zip(JOINTS, joints, strict=True))
         self._senders = {
@@ -114,7 +115,7 @@ class Publishers:
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=not topic.is_latched),
         )
         publish = publisher.publish
-        frame, plate = full_name(node, FRAME).lstrip('/'), self._joints[JOINTS[0]]
+        frame, plate = self.frame, self._joints[JOINTS[0]]
         if topic.type == interface.JOINT_STATE:
             names = [self._joints.get(name, name) for name in topic.joints]
             encoder = JointStateEncoder(frame, names, series=len(topic.quantities))

@@ -21,7 +21,7 @@ from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.conversions import throw_result_to_msg
+from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
 from soft_throw_ros.nodes.diagnostics import Diagnostics
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
@@ -69,6 +69,7 @@ class Twin(RealTimeNode):
         )
         self._joints = joint_names(self.parameters.settings)
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
+        self._serialize_command()
         session = Session(
             self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
         )
@@ -105,8 +106,9 @@ class Twin(RealTimeNode):
             send(TWIN_TOPICS.predicted_joint_states, prediction.stamp_ns, prediction[1:])
         if residual is not None:
             send(TWIN_TOPICS.residual, residual.stamp_ns, residual[1:])
-        others = outputs.phases, outputs.results, outputs.throw_field, outputs.command
-        if any(others):
+        if outputs.command is not None:
+            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
+        if outputs.phases or outputs.results or outputs.throw_field is not None:
             self._run_in_executor(lambda: self._publish_outputs(outputs, due))
 
     # Any thread
@@ -147,8 +149,6 @@ class Twin(RealTimeNode):
     def _publish_outputs(self, outputs: Outputs, due: int) -> None:
         """Publish and log the outputs of a step other than the state."""
         send = self.outgoing.send
-        if outputs.command is not None:
-            send(TWIN_TOPICS.plate_trajectory, *outputs.command)
         for phase, stamp_ns in outputs.phases:
             send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
         if outputs.phases:
@@ -225,7 +225,14 @@ class Twin(RealTimeNode):
         self.outgoing.report(TWIN_TOPICS.recommendation, [status])
         self.log(status.message, is_error=recommended.best is None)
 
+    def _serialize_command(self) -> None:
+        """Serialize the motion of a commanded plate in advance, which is too slow for a tick."""
+        config = self.parameters.checked.config
+        if config.command_lead is not None and config.rig.engine.motion is not None:
+            encode_command(0, config.rig.engine.motion, self._joints[0], self.outgoing.frame)
+
     def _on_changed(self, changes: Settings) -> None:
+        self._serialize_command()
         self.session.change(changes, self.parameters.checked)
         if any(affects_recommendation(name) for name in changes):
             self.recommendation = None

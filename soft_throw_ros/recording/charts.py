@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 import io
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -40,9 +40,8 @@ _STYLE: dict[Any, Any] = {
 }
 """Style of figures in the viewer, in the colours of Rerun."""
 
-# Both are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
+# Both maps are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
 _SIGNED = mpl.colormaps['PuOr'].with_extremes(bad='#b0b0b0')
-_UNSIGNED = 'viridis'
 
 _MAP_SIZE = 6.2, 2.5
 """Width and height of the map of all layers. [inch]"""
@@ -54,49 +53,33 @@ _TIME_BUDGET = 1.0
 """The finest map is chosen that needs no longer: too heavy a projectile takes minutes. [s]"""
 
 
-class MapAxis(NamedTuple):
-    """An axis of a map."""
-
-    title: str  # quantity and unit
-    values: Floats  # (n,) in the unit of the title, spaced evenly or by a constant factor
-
-    @property
-    def scale(self) -> str:
-        """Spacing of the values, as Matplotlib names it."""
-        values = self.values
-        is_log = values.size > 2 and values[0] > 0.0 and np.ptp(np.diff(np.log(values))) < 1e-9
-        return 'log' if is_log else 'linear'
-
-
 def draw_map(
     panel: Any,
-    axes: tuple[MapAxis, MapAxis],
+    axes: Mapping[str, Floats],
     values: Floats,
     *,
     label: str,
-    colours: str = _UNSIGNED,
+    colours: str = 'viridis',
     highest: float | None = None,
     marks: Marks = (),
 ) -> None:
     """
     Draw values over two axes as colours, with a bar of colours and up to two marks.
 
+    `axes` are the points of two axes, spaced evenly or by a constant factor, by title and unit.
     `values`, shape (n, m), are along the first and the second axis, from 0 to `highest`, or the
     largest one; NaN where there are none. The titles of marks are for a legend.
     """
-    x, y = axes
     image = panel.pcolormesh(
-        x.values, y.values, values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'
+        *axes.values(), values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'
     )
     extend = 'neither' if highest is None else 'max'
     panel.figure.colorbar(image, ax=panel, label=label, extend=extend)
     panel.set(facecolor='0.75')
-    for letter, axis in zip('xy', axes, strict=True):
-        limits = axis.values[0], axis.values[-1]
-        panel.set(**{
-            f'{letter}scale': axis.scale, f'{letter}label': axis.title, f'{letter}lim': limits
-        })
-        if axis.scale == 'log':
+    for letter, (title, points) in zip('xy', axes.items(), strict=True):
+        panel.set(**{f'{letter}label': title, f'{letter}lim': (points[0], points[-1])})
+        if points.size > 2 and points[0] > 0.0 and np.ptp(np.diff(np.log(points))) < 1e-9:
+            panel.set(**{f'{letter}scale': 'log'})
             ticks = getattr(panel, f'{letter}axis')
             ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             ticks.set_major_formatter('{x:g}')
@@ -135,7 +118,7 @@ def draw_energy_map(values: Values, settings: Settings) -> Figure:
         # Duration of the next grid; the first one loads the kernels
         if coarseness < 8 and 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:
             break
-    axes = MapAxis('Lₛ (mm)', 1e3 * thicknesses), MapAxis('cₛ (m/s)', wave_speeds)
+    axes = {'Lₛ (mm)': 1e3 * thicknesses, 'cₛ (m/s)': wave_speeds}
     marks = [(name, 1e3 * thickness, speed) for name, (thickness, speed) in layers.items()]
     title = 'α, lossless' if rig.layer.loss_tangent else 'α'
     with mpl.rc_context(_STYLE):

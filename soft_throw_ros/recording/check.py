@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import struct
 
 import numpy as np
-from soft_throw_ros.configuration.interface import JOINT_STATE, JOINTS, TEXT, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import find_topic, JOINTS, TWIN_TOPICS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
 from soft_throw_ros.storage.message import BagError, Message
@@ -94,21 +94,17 @@ class CheckResult:
 
 def check_bag(reader: BagReader) -> list[CheckResult]:
     """Check every twin in a bag, which is read twice for each; CheckError if there is none."""
-    types = {channel.topic: channel.type for channel in reader.channels}
-    ending = TWIN_TOPICS.journal.at('').name
-    nodes = [
-        topic.removesuffix(ending)
-        for topic, type_name in types.items()
-        if topic.endswith(ending) and type_name == TEXT
-    ]
-    nodes = [
-        node for node in nodes if types.get(TWIN_TOPICS.joint_states.at(node).name) == JOINT_STATE
-    ]
+    topics = [item for channel in reader.channels
+              if (item := find_topic(channel.topic, channel.type)) is not None]
+    nodes = dict.fromkeys(
+        node for node, topic in topics
+        if topic == TWIN_TOPICS.journal and (node, TWIN_TOPICS.joint_states) in topics
+    )
     if not nodes:
         raise CheckError(
             f'{reader.path}: the bag needs the topics {TWIN_TOPICS.journal.relative_name} and '
             f'{TWIN_TOPICS.joint_states.relative_name} of a twin, and has '
-            f'{", ".join(types) or "none"}'
+            f'{", ".join(item.topic for item in reader.channels) or "none"}'
         )
     return [_Check(reader, node).run() for node in nodes]
 

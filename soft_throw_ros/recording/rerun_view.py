@@ -9,6 +9,7 @@ right after the state message of its step, and gets the stamp of this state mess
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import partial
@@ -30,7 +31,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
-from soft_throw_ros.recording.rerun_layout import BLUE, Colour, GREY, RED, WHITE
+from soft_throw_ros.recording.rerun_layout import BLUE, GREY, RED, WHITE
 from soft_throw_ros.recording.twin_journal import (
     DECODING_ERRORS,
     identify,
@@ -45,7 +46,7 @@ from soft_throw_ros.storage.cdr import (
     MessageError,
     stamp_of,
 )
-from soft_throw_ros.storage.message import Message, SECOND
+from soft_throw_ros.storage.message import Channel, Message, SECOND
 from soft_throw_ros.twin.results import Floats, Phase
 
 _MILLI, _MICRO = 1e3, 1e6
@@ -58,14 +59,8 @@ _LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEB
 _TRACK_TASKS = ('measurement', 'model', 'identification')
 """Tasks in /diagnostics about a measured track."""
 
-_PLATE_WIDTH = 1.5
-"""Width of the plate, over the diameter of the layer."""
-
 _STEP_BACK = 1_000_000_000
 """Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
-
-_LARGEST = 1e6
-"""Largest plausible number in SI units; damaged bytes exceed it."""
 
 _LAST_TIME = 2**62  # [ns]
 
@@ -240,6 +235,7 @@ class _TwinView:
     def __init__(self, node: str, canvas: Canvas) -> None:
         self.canvas = canvas
         self._journal = TwinJournal()
+        self._readers: dict[Channel, JointStateReader] = defaultdict(JointStateReader)
         self._node = node
         self._root = rr.new_entity_path(node.split('/'))
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
@@ -291,6 +287,9 @@ class _TwinView:
             raise MessageError(f'a time of {message.published} ns')
         return message.published + self._offset
 
+    def _read_joints(self, messages: Sequence[Message]) -> JointStates:
+        return self._readers[messages[0].channel].read_all([item.data for item in messages])
+
     def _path(self, name: str) -> str:
         return f'{self._root}/{name}'
 
@@ -307,7 +306,7 @@ class _TwinView:
         Measured positions are relative to rest, at times by the clock of the twin; they are not
         drawn while the rest is unknown.
         """
-        joints, twin = _read_joints(messages), self._journal
+        joints, twin = self._read_joints(messages), self._journal
         names = [twin.settings[f'joint_names.{joint}'] for joint in topic.joints]
         values = {name: getattr(joints, name) for name in topic.quantities}
         if names[0] not in joints.names or any(
@@ -345,7 +344,7 @@ class _TwinView:
 
     def draw_phases(self, *messages: Message) -> None:
         """Draw phases at the times of their starts."""
-        joints, phases = _read_joints(messages), [phase.value for phase in Phase]
+        joints, phases = self._read_joints(messages), [phase.value for phase in Phase]
         if joints.names == TWIN_TOPICS.phase_change.joints and joints.position.shape[1] == 1:
             for stamp, number in zip(joints.stamps.tolist(), joints.position[:, 0], strict=True):
                 if number in range(len(phases)):
@@ -372,11 +371,10 @@ class _TwinView:
         self._diameter = diameter = _MILLI * rig.layer.diameter
         length, thickness = _MILLI * rig.projectile.length, _MILLI * rig.layer.thickness
         self._height = 1.35 * (thickness + length) + 0.8 * diameter
-        plate = _rectangle(GREY, _PLATE_WIDTH * diameter, 0.0, 0.15 * diameter)
-        projectile = _rectangle(BLUE, diameter, -length, length)
+        grey, blue = (np.full((1, 1, 3), colour, np.uint8) for colour in (GREY, BLUE))
         for name, content in {
-            'plate/body': plate,
-            'projectile/body': projectile,
+            'plate/body': _picture(grey, -0.75 * diameter, 0.0, 1.5 * diameter, 0.15 * diameter),
+            'projectile/body': _picture(blue, -0.5 * diameter, -length, diameter, length),
             'plate/text': _texts((diameter, 0.0, 'plate'), (diameter, -0.5 * thickness, 'layer')),
             'projectile/text': _texts((diameter, -0.5 * length, 'projectile')),
         }.items():
@@ -384,7 +382,7 @@ class _TwinView:
 
     def draw_layer(self, *messages: Message) -> None:
         """Draw the strain of the layer between its ends."""
-        joints, rig = _read_joints(messages), self._journal.rig
+        joints, rig = self._read_joints(messages), self._journal.rig
         height = joints.position
         if height.shape[1] != FIELD_POINTS:
             raise MessageError(f'a layer of {FIELD_POINTS} joints, got {height.shape[1]}')
@@ -466,7 +464,7 @@ class _TwinView:
         for _, status, values in _read_statuses(message):
             text = words.recommendation_text(status.message, values)
             self._write('recommendation', stamp, text, stays=True)
-            figure = charts.draw_energy_map(values, self._journal.wanted or self._journal.settings)
+            figure = charts.draw_energy_map(values, self._journal.settings)
             image = rr.EncodedImage(contents=charts.to_png(figure), media_type='image/png')
             self.canvas.draw(self._path('landscape'), stamp, image, stays=True)
 
@@ -509,17 +507,6 @@ def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
     return (node, topic) if is_drawn else ('', None)
 
 
-# messages
-
-
-def _read_joints(messages: Sequence[Message]) -> JointStates:
-    joints = JointStateReader().read_all([message.data for message in messages])
-    numbers = np.hstack([joints.position, joints.velocity, joints.effort])
-    if (np.abs(numbers) > _LARGEST).any():  # NaN is a missing measurement
-        raise MessageError(f'a number beyond {_LARGEST:g}')
-    return joints
-
-
 def _read_cloud(message: Message, topic: Topic) -> Floats:
     """Read the points of a cloud with the fields of a topic, shape (rows, columns, fields)."""
     cloud, count = decode(message), len(topic.axes)
@@ -541,16 +528,6 @@ def _read_statuses(message: Message) -> Iterator[tuple[int, Any, words.Values]]:
 
 def _to_ns(time: Any) -> int:  # a builtin_interfaces/Time
     return int(time.sec * SECOND + time.nanosec)
-
-
-# shapes
-
-
-def _rectangle(
-    colour: Colour, width: float, y: float, height: float
-) -> tuple[rr.AsComponents, rr.AsComponents]:
-    """Return a rectangle around x = 0 below y."""
-    return _picture(np.array([[colour]], np.uint8), -0.5 * width, y, width, height)
 
 
 def _picture(

@@ -32,14 +32,9 @@ HOST = '127.0.0.1'
 PORT = 9876
 """Default port of the viewer."""
 
-_TIMEOUT = 60.0
-"""Longest wait until the viewer listens, has a recording, or has drawn. [s]"""
-
-_POLL = 0.25
-"""Time between two requests. [s]"""
-
-_SETTLE_TIME = 2.0
-"""Time in which axes move to a new time. [s]"""
+_TIMEOUT = 60.0  # longest wait until the viewer listens, has a recording, or has drawn [s]
+_POLL = 0.25  # time between two requests [s]
+_SETTLE_TIME = 2.0  # in which axes move to a new time [s]
 
 _SERVER_MEMORY = '256MB'
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 import contextlib
 from dataclasses import dataclass, replace
 import functools
@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
+from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import find_topic, Topic
-from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.cdr import decode
 from soft_throw_ros.storage.message import Message
@@ -55,12 +54,10 @@ class TwinJournal:
     def __init__(self) -> None:
         self.rig: Rig | None = None  # of the present throw; None while unknown
         self.settings: Settings = TWIN.defaults()  # of the present throw
-        self.wanted: Settings = {}  # of the next throw, with all pending changes
         self.throw: ThrowStart | None = None  # the last one
         # Heights of a measured plate and projectile before the throw [m]
         self.rest_heights: tuple[float, float] | None = None
         self.clock_offset_ns = 0  # of the stamps of measurements [ns]
-        self._motions: dict[str, str] = {}  # encoded motions by file
 
     @property
     def time_scale(self) -> float:
@@ -71,14 +68,9 @@ class TwinJournal:
     def read(self, message: Message) -> None:
         """Apply a line; raise one of `DECODING_ERRORS` if it is damaged."""
         entry = journal.decode(str(decode(message).data))
-        self._motions |= entry.get('motions', {})
         match entry['kind']:
-            case 'input' if entry.get('input') == 'parameters':
-                self.wanted = {**self.wanted, **_known(entry['values'])}
-            case 'input' if entry.get('input') == 'reset' and self.wanted:
-                self._take_effect(self.wanted)
             case 'start':
-                self._take_effect(_complete(entry))
+                self._take_effect(entry)
             case 'throw':
                 self._start_throw(entry)
             case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
@@ -90,28 +82,27 @@ class TwinJournal:
                     is_over=entry['result'].get('stage') == 'final',
                 )
 
-    def _take_effect(self, settings: Settings) -> None:
-        """Apply settings, and clear pending changes."""
+    def _take_effect(self, entry: journal.Entry) -> None:
+        """Apply the known settings of an entry, with defaults for missing ones."""
+        known = {
+            name: TWIN.check_value(name, value)
+            for name, value in entry['settings'].items() if name in TWIN.by_name
+        }
+        settings = {**TWIN.defaults(), **known}
         if self.rig is None or settings != self.settings:
-            self.rig = rig_of(settings, self._motion_of)
-        self.settings = self.wanted = settings
-
-    def _motion_of(self, path: str) -> SampledMotion:
-        """Return the motion of a file from the journal; the file itself is not opened."""
-        return _decode_motion(self._motions[path])
+            self.rig = rig_of(settings, journal.motion_source(entry))  # which opens no file
+        self.settings = settings
 
     def _start_throw(self, entry: journal.Entry) -> None:
-        settings, pending = _complete(entry), _known(entry.get('pending', {}))
         if 'onset' in entry:
             onset = journal.decode_onset(entry['onset'])
-            stamp, self.clock_offset_ns = onset.onset_ns, onset.clock_offset_ns
+            stamp, clock_offset = onset.onset_ns, onset.clock_offset_ns
             rest_heights = onset.rest.plate, onset.rest.projectile
         else:
             stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
-            rest_heights = None
-        self._take_effect(settings)
-        self.wanted = {**settings, **pending}
-        self.rest_heights = rest_heights
+            clock_offset, rest_heights = self.clock_offset_ns, None
+        self._take_effect(entry)
+        self.clock_offset_ns, self.rest_heights = clock_offset, rest_heights
         self.throw = ThrowStart(stamp=stamp, number=entry['throw'], time_scale=self.time_scale)
 
 
@@ -135,23 +126,3 @@ def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
             if throw.is_over or not known.get(throw.stamp, throw).is_over:
                 known[throw.stamp] = throw
     return {node: list(by_stamp.values()) for node, by_stamp in throws.items()}
-
-
-def _complete(entry: journal.Entry) -> Settings:
-    """Return the settings of an entry, with defaults for missing ones."""
-    return {**TWIN.defaults(), **_known(entry['settings'])}
-
-
-def _known(settings: Mapping[str, Any]) -> Settings:
-    """Return the known settings; raise ValueError for a bad value."""
-    return {
-        name: TWIN.check_value(name, value)
-        for name, value in settings.items()
-        if name in TWIN.by_name
-    }
-
-
-@functools.lru_cache(maxsize=4)
-def _decode_motion(text: str) -> SampledMotion:
-    """Decode a motion; the same text gives the same object, so that rigs are equal."""
-    return motions.decode(text)

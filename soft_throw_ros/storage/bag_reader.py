@@ -51,10 +51,9 @@ _unique_channel = functools.cache(Channel)
 class UnfinishedError(BagError):
     """A file is damaged or unfinished; `recover` can copy its messages to a new bag."""
 
-    def __init__(self, path: Path, reason: object) -> None:
-        text = f'{str(reason) or type(reason).__name__:.200}'
+    def __init__(self, path: Path, reason: str) -> None:
         super().__init__(
-            f'{path}: {text}; write a new bag of all that can be read: soft-throw recover BAG'
+            f'{path}: {reason}; write a new bag of all that can be read: soft-throw recover BAG'
         )
 
 

@@ -97,17 +97,15 @@ class JointStateReader:
         first.
         """
         rows = [self._read(data) for data in datas]
-        names, lengths = rows[0][1], [*map(len, rows[0][2:])]
-        if any(row[1] != names or [*map(len, row[2:])] != lengths for row in rows):
+        names = rows[0][1]
+        shapes = {(row[1], *map(len, row[2:])) for row in rows}
+        if len(shapes) > 1:
             raise MessageError(
                 f'messages JointState of one topic are not all of {", ".join(names)} alike'
             )
         stamps, _, *series = zip(*rows, strict=True)
-        position, velocity, effort = [
-            np.array(numbers, float).reshape(len(rows), length)
-            for numbers, length in zip(series, lengths, strict=True)
-        ]
-        return JointStates(np.array(stamps, np.int64), names, position, velocity, effort)
+        arrays = [np.array(values, float) for values in series]
+        return JointStates(np.array(stamps, np.int64), names, *arrays)
 
     def _read(self, data: bytes) -> _Values:
         values = self._last.unpack(data) if self._last is not None else None
@@ -183,29 +181,25 @@ def _find_layout(data: bytes) -> _Layout:
     """Return the layout of a message; raise MessageError if the bytes are no JointState."""
     if data[:2] != _HEADER[:2]:
         raise MessageError(f'not little-endian CDR, which begins 00 01: {data[:8].hex(" ")!r}')
-    at = len(_HEADER) + _STAMP.size
+    body, at = data[len(_HEADER):], _STAMP.size
+
+    def take(size: int, alignment: int = 1) -> bytes:
+        nonlocal at
+        at += -at % alignment + size
+        if at > len(body):
+            raise MessageError(f'{len(body)} bytes after its head, which should be at least {at}')
+        return body[at - size:at]
 
     def number() -> int:
-        nonlocal at
-        at += -(at - len(_HEADER)) % 4 + 4
-        return int.from_bytes(data[at - 4:at], 'little')
+        return int.from_bytes(take(4, 4), 'little')
 
-    def skip(size: int) -> bytes:
-        nonlocal at
-        at += size
-        if at > len(data):
-            raise MessageError(f'{len(data)} bytes, which should be at least {at}')
-        return data[at - size:at]
-
-    texts, counts = [skip(number())], []
-    texts += [skip(number()) for _ in range(number())]
+    texts, counts = [take(number())], []
+    texts += [take(number()) for _ in range(number())]
     for _ in range(3):
         counts.append(number())
-        if counts[-1]:
-            skip(-(at - len(_HEADER)) % 8 + 8 * counts[-1])
-    skip(0)
-    if len(data) - at > 7:
-        raise MessageError(f'{len(data) - at} bytes follow the message')
+        take(8 * counts[-1], 8 if counts[-1] else 1)
+    if len(body) - at > 7:
+        raise MessageError(f'{len(body) - at} bytes follow the message')
     try:
         return _Layout(texts, counts)
     except UnicodeDecodeError as error:

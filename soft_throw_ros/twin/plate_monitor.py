@@ -29,8 +29,11 @@ RISE = 0.125
 REST_WINDOWS = 8
 """Shortest rest of the plate before a throw, in smoothing windows. [-]"""
 
-_LAG = 0.25
-"""Delay of the running mean of the heights, over the smoothing window. [-]"""
+_LAGS = 1.0 / 16.0, 3.0 / 16.0
+"""Delays of two running means of the heights, over the smoothing window. [-]"""
+
+_NOISE_OF_MEANS = 0.29
+"""Largest standard error of the difference of these means at any rate, over the noise. [-]"""
 
 _REST_SIGMAS = 4.0
 """Standard errors of the speed within which the plate is at rest. [-]"""
@@ -65,11 +68,11 @@ class _PlateTracker:
     """
     Smoothed height and speed of the plate, and whether it rests or has begun to move.
 
-    The height is a running mean, whose delay times the speed is its difference from the samples.
+    The speed is the difference of two running means over that of their delays.
     """
 
     config: MeasurementConfig
-    height: float = 0.0  # [m]
+    height: float = 0.0  # the mean with the shorter delay [m]
     stamp_ns: int = LONG_AGO  # of the last sample
     speed: float = 0.0  # [m/s]
     is_armed: bool = False  # whether the plate is at rest, so that a jump starts a throw
@@ -79,8 +82,9 @@ class _PlateTracker:
 
     def __post_init__(self) -> None:
         config, start_speed = self.config, self.config.start_speed
-        self._lag = _LAG * config.smoothing_window
-        error = config.position_noise / self._lag
+        self._later = self.height  # the mean with the longer delay [m]
+        self._lags = [lag * config.smoothing_window for lag in _LAGS]
+        error = _NOISE_OF_MEANS * config.position_noise / (self._lags[1] - self._lags[0])
         self._fast = max(start_speed, OUTLIER_SIGMAS * error)
         self._slow = max(0.5 * start_speed, _REST_SIGMAS * error)
 
@@ -93,8 +97,10 @@ class _PlateTracker:
         window_ns, since_ns = self.config.smoothing_window_ns, stamp_ns - self.stamp_ns
         since = since_ns / SECOND
         self.stamp_ns = stamp_ns
-        self.height += since / (since + self._lag) * (height - self.height)
-        self.speed = (height - self.height) / self._lag
+        short, long = self._lags
+        self.height += since / (since + short) * (height - self.height)
+        self._later += since / (since + long) * (height - self._later)
+        self.speed = (self.height - self._later) / (long - short)
         is_over = self.begun_ns is not None and stamp_ns >= self.begun_ns + window_ns
         if since_ns > window_ns or is_over:  # a gap, or it was no start
             self.disarm()

@@ -442,17 +442,13 @@ class Process:
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
-    def wait_for(self, text: str) -> None:
+    def wait_for(self, text: str, timeout: float = PROCESS_TIMEOUT) -> None:
         """Wait until the process has written a line that contains `text`."""
-        self.wait_until(lambda lines: any(text in line for line in lines))
-
-    def wait_until(self, is_enough: Callable[[list[str]], bool]) -> None:
-        """Wait until the lines written by the process meet a condition."""
-        deadline = time.monotonic() + PROCESS_TIMEOUT
-        while not is_enough(self.lines) and self._thread.is_alive():
-            assert time.monotonic() < deadline, '\n'.join(self.lines)
+        deadline = time.monotonic() + timeout
+        while not any(text in line for line in list(self.lines)):
+            is_late = time.monotonic() > deadline or not self._thread.is_alive()
+            assert not is_late or text in ''.join(self.lines), '\n'.join(self.lines)
             time.sleep(0.02)
-        assert is_enough(self.lines), '\n'.join(self.lines)
 
     def end(self, number: int) -> int:
         """Send a signal, and return the exit code."""

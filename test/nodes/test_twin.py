@@ -246,22 +246,22 @@ def ask(ros: Any, twin: Any, **request: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ('request_', 'changed'),
+    ('rig', 'request_', 'changed'),
     [
-        ({'vary': 'thickness'}, 'layer.thickness'),
-        ({'vary': 'library'}, 'layer.name'),
-        ({'vary': 'motion'}, 'engine.motion_file'),
-        ({'objective': 'aim', 'target_height': 0.2}, 'engine.amplitude'),
+        ({'projectile__mass': 2e-3}, {'vary': 'thickness'}, 'layer.thickness'),
+        ({'layer__thickness': 2e-3}, {'vary': 'library'}, 'layer.name'),
+        ({'gravity': 0.0}, {'vary': 'motion'}, 'engine.motion_file'),
+        ({'gravity': 9.0}, {'objective': 'aim', 'target_height': 0.2}, 'engine.amplitude'),
     ],
 )
 def test_recommendation_follows_a_change_is_applied_and_holds(
-    ros, twin, listener, monkeypatch, tmp_path, request_, changed
+    ros, twin, listener, monkeypatch, tmp_path, rig, request_, changed
 ) -> None:
     monkeypatch.setenv('ROS_HOME', str(tmp_path))
     listener.listen(TWIN_TOPICS.recommendation)
     client = ros.parameters(twin)
-    for thickness in (3e-3, 2e-3):
-        assert client.set(layer__thickness=thickness) == ['']
+    for changes in ({'engine__amplitude': 1.9e-3}, rig):
+        assert client.set(**changes) == ['']
     best, before = ask(ros, twin, **request_), twin.parameters.settings
     status = listener.status(
         TWIN_TOPICS.recommendation,

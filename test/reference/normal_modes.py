@@ -9,7 +9,7 @@ and each is damped by itself.
 
 Notes
 -----
-Time in crossings :math:`t_s`, speed in units of the plate's `velocity_factor`, so that
+Time in crossings :math:`t_s`, speed in :math:`A \omega / \sqrt{1 - \zeta^2}`, so that
 :math:`V_p = \Im e^{\lambda t}`. In the Laplace domain, with :math:`q^2 = s^2 / (1 + \theta s)`,
 
 .. math:: V_m = V_p / D, \qquad D = \cosh q + \mu\, q \sinh q
