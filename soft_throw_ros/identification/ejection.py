@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from soft_throw_ros.core.rig import values_of
 from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.least_squares import Estimate, FitError
@@ -71,7 +72,9 @@ def ejection_of(result: RigFit) -> Ejection:
     the systematic errors of the release.
     """
     rigs = [result.rig, *result.draw(_DRAWS)]
-    time, speed, energy_transfer = np.transpose([throw_many(rig)[:3] for rig in rigs])
+    drawn = [values_of(rig) for rig in rigs]
+    changes = {name: np.array([values[name] for values in drawn]) for name in drawn[0]}
+    time, speed, energy_transfer = throw_many(result.rig, changes)[:3]
     is_released = ~np.isnan(time)
     if not is_released[0]:
         raise FitError(

@@ -243,7 +243,10 @@ def test_large_throws_can_be_simulated(amplitude, layer):
     assert (simulate(rig).peak_strain > rig.layer.linear_range) is (amplitude > 0.02)
 
 
-@pytest.mark.parametrize('case', ['lossy', 'stacked', 'constant', 'gel', 'gels'])
+@pytest.mark.parametrize(
+    'case',
+    ['lossy', pytest.param('stacked', marks=pytest.mark.slow), 'constant', 'gel', 'gels'],
+)
 def test_heat_agrees_with_the_method_of_lines(case):
     rig = CASES[case]
     heat = method_of_lines.first_release(rig, cells=50)[2]

@@ -64,7 +64,11 @@ def test_best_motion_agrees_with_the_known_optimum(mass_ratio, rise, alpha):
     assert throw.ejection_speed**2 == pytest.approx(alpha, rel=5e-3)
 
 
-@pytest.mark.parametrize('layer', [{}, {'loss_tangent': 0.05}, {'thickness': 5.6e-3}])
+@pytest.mark.parametrize(
+    'layer',
+    [{}, *(pytest.param({name: value}, marks=pytest.mark.slow)
+           for name, value in (('loss_tangent', 0.05), ('thickness', 5.6e-3)))],
+)
 def test_best_motion_beats_the_present_one_within_its_limits(layer):
     rig = Rig(layer=Layer(**layer))
     throw = best_throw(rig, ENGINE)
@@ -105,6 +109,7 @@ def test_strain_is_limited_everywhere_at_the_least_cost_in_speed():
     assert throw.peak_strain <= 0.12 * (1.0 + 2e-6)
 
 
+@pytest.mark.slow
 def test_best_motion_keeps_contact_within_the_uncertainties():
     """Without the errors in mind, a wave that is 2 % faster throws with a sixth of the speed."""
     rig = Rig(

@@ -200,13 +200,16 @@ def test_search_follows_a_ridge_between_two_throws():
         assert best.score >= (1.0 - LOST) * along.max()
 
 
-@pytest.mark.parametrize('gravity_ratio', [0.4, 0.95, 1.404])
+@pytest.mark.parametrize(
+    'gravity_ratio', [0.4, 0.95, pytest.param(1.404, marks=pytest.mark.slow)]
+)
 def test_limit_that_is_not_active_does_not_change_the_answer(gravity_ratio):
     rig = heavy_rig(gravity_ratio)
     limited = recommend(rig, limits=Limits(max_strain=10.0), uncertainties=NONE)
     assert limited.score == pytest.approx(recommend(rig, uncertainties=NONE).score, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_layer_that_may_hold_the_projectile_is_not_preferred():
     rig = heavy_rig(1.404)
     free, safe = (recommend(rig, uncertainties=item) for item in (NONE, Uncertainties()))

@@ -42,6 +42,7 @@ def test_plate_fit_gives_the_reference_values(reference_throw):
     assert fit_warnings(found) == []
 
 
+@pytest.mark.slow
 def test_plate_fit_is_unbiased_and_its_errors_are_correct():
     time = np.arange(0.0, 0.1, 1.0 / 1500.0)
     motion = Underdamped(**TRUTH)

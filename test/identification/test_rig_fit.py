@@ -91,7 +91,8 @@ def test_wave_speed_in_the_throw_is_better_known_than_at_rest(fits):
 
 
 @pytest.mark.parametrize('imperfections', [
-    Imperfections(ringing=0.02), Imperfections(second_mode=0.02),
+    Imperfections(ringing=0.02),
+    pytest.param(Imperfections(second_mode=0.02), marks=pytest.mark.slow),
 ])
 def test_other_motions_of_the_plate_enlarge_all_errors(see, fits, imperfections):
     tracks, _ = imperfect_throw(see, Rig(), imperfections, noise=5e-6)

@@ -94,7 +94,8 @@ def test_recorder_that_is_killed_loses_at_most_the_last_second(ros, record, tmp_
 
 
 @pytest.mark.once
-@pytest.mark.parametrize('is_for_ever', [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize('is_for_ever', [True, False])
 def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
     ros, record, tmp_path, is_for_ever
 ) -> None:
@@ -124,9 +125,8 @@ def test_full_disk_is_reported_every_second_and_the_bag_is_completed_later(
     assert states == list(range(states[0], states[0] + len(states)))
 
 
-@pytest.mark.parametrize(
-    'kind', ['reliable', pytest.param('best effort', marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize('kind', ['reliable', 'best effort'])
 def test_a_second_of_messages_at_5_khz_waits_for_a_recorder_that_is_stopped(
     ros, stop, record, tmp_path, kind
 ) -> None:

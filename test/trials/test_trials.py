@@ -26,11 +26,9 @@ def test_every_row_has_trials_with_a_truth_determined_by_the_seed(row):
 
 
 def test_truth_within_a_reported_alternative_is_right():
-    one, other = {'value': 7.0, 'error': 0.1}, {'value': 9.0, 'error': 0.2}
-    alternatives = [{'time': other}]
-    results = compare(
-        {'ejection': {'time': one, 'alternatives': alternatives}}, {'ejection.time': 9.1}
-    )
+    values = (7.0, 0.1), (9.0, 0.2), (9.1, None)
+    rows = [{'name': 'ejection.time', 'value': value, 'error': error} for value, error in values]
+    results = compare({'rows': rows}, {'ejection.time': 9.1, 'layer.thickness': 1.0})
     assert results == {'ejection.time': Deviation(9.0, 0.2, 9.1)}
 
 
