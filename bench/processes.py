@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 import contextlib
+import io
 import os
 from pathlib import Path
 import signal
@@ -166,4 +167,4 @@ def _reader(bag: Path) -> Any:
     from mcap_ros2.decoder import DecoderFactory
 
     (path,) = bag.glob('*.mcap')
-    return make_reader(path.open('rb'), decoder_factories=[DecoderFactory()])
+    return make_reader(io.BytesIO(path.read_bytes()), decoder_factories=[DecoderFactory()])

@@ -190,7 +190,8 @@ def _late_ticks(bag: Path, states: processes.RecordedStates) -> tuple[int, int, 
     first = np.searchsorted(reports[:, 0], times)
     following = np.minimum(first + 1, len(reports) - 1)
     largest = np.maximum(reports[first, 1], reports[following, 1])
-    stamps = states.stamps[states.stamps < end]
+    # A report is published some time after its counts were read.
+    stamps = states.stamps[states.published < reports[-2, 0]]
     skipped = np.round(np.diff(stamps) * RATE / SECOND) - 1
     unreported = int((largest < MIN_REPORTED_LATENESS).sum())
     return times.size, unreported, int(skipped.sum()), int(reports[-1, 2])

@@ -98,6 +98,8 @@ def _show_bag(reader: BagReader, arguments: argparse.Namespace) -> None:
 
     throw = _choose_throw(reader, arguments.throw)
     seconds = arguments.at
+    if throw is None and seconds is not None:
+        raise ValueError(f'{reader.path}: --at {seconds:g} needs a throw, and the bag has none')
     if throw is not None and seconds is None:
         seconds = _MOMENT * (throw.ejection_time or 0.0)
     at = THROW_TIME, seconds if throw is not None else None

@@ -187,7 +187,7 @@ def test_killed_processes_are_started_again_and_nothing_else_is_lost(system, sto
 @pytest.mark.timeout(300)
 def test_promises_are_kept_for_half_a_minute(domain_id, capsys):
     pytest.importorskip('rerun')
-    code = soak.main(['--minutes', '0.5', '--sink', 'file'])
+    code = soak.main(['--minutes', '0.5'])
     output = capsys.readouterr().out
     assert code == 0, output
     assert output.count(' | yes |') == 6

@@ -57,9 +57,9 @@ def loop(start_node: Any, record: Any, tmp_path: Any, monkeypatch: Any) -> Any:
 @pytest.mark.timeout(500)
 def test_loop_finds_the_rig_improves_layer_and_motion_and_records_all(loop, tmp_path) -> None:
     recorder, calibrator, _, rig = loop
-    assert ' lost, in ' in recorder.lines[-1]
+    assert ' lost, ' in recorder.lines[-1]
     losses = notes(tmp_path / 'bag')['losses']  # of shallow or best-effort topics, on few cores
-    assert not losses.keys() & {'/twin/joint_states', '/twin/throw_result', '/twin/journal'}
+    assert not losses.keys() & {'/twin/joint_states', '/twin/journal'}
     results, statuses, models = [], [], []
     with BagReader(tmp_path / 'bag') as bag:
         for message in bag.messages(['/twin/throw_result', '/diagnostics']):
