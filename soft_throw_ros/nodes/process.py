@@ -230,4 +230,10 @@ def _shut_down(node: RunnableNode | None, code: int) -> int:
         node.destroy_node()
     rclpy.try_shutdown()
     watchdog.cancel()
+    watchdog.join()
+    if node is not None and threading.active_count() > 1:
+        # The end of the interpreter would abort a library that a thread is still computing in.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
     return code

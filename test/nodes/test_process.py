@@ -50,10 +50,19 @@ def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
 
 NODE = """
 import sys, threading
+import numpy
 from soft_throw_ros.nodes import process
 from std_msgs.msg import String
 
 state = sys.argv[1]
+is_computing = threading.Event()
+
+def compute():  # mostly without the lock of the interpreter, in C++
+    from scipy.optimize import linprog
+    while True:
+        rows = numpy.random.rand(120, 120)
+        linprog(-numpy.ones(120), rows, numpy.ones(120))
+        is_computing.set()
 
 class Ending(process.RunnableNode):
     def __init__(self, **_):
@@ -67,6 +76,9 @@ class Ending(process.RunnableNode):
         print(name, flush=True)
 
     def start(self):
+        if state == 'computing':
+            threading.Thread(target=compute, daemon=True).start()
+            is_computing.wait()
         print('started', flush=True)
         if state == 'dying':
             thread = threading.Thread(target=lambda: 1 / 0, name='heart')
@@ -88,7 +100,9 @@ sys.exit(process.run('ending', Ending, []))
 """
 
 
-@pytest.mark.parametrize(('state', 'number'), [('working', HUP), ('hanging', TERM), ('dying', 0)])
+@pytest.mark.parametrize(('state', 'number'), [
+    ('working', HUP), ('computing', INT), ('hanging', TERM), ('dying', 0),
+])
 def test_node_ends_in_the_documented_order_although_threads_die_and_the_middleware_hangs(
     start, state, number
 ) -> None:
