@@ -43,7 +43,7 @@ def track(seed=0, *, noise=0.01, known=None, extra=0.0):
     return Track(time=TIME, position=heights + noise * scatter, known_noise=known)
 
 
-@pytest.mark.parametrize('known', [None, 0.01, 0.02])
+@pytest.mark.parametrize('known', [None, 0.005, 0.01, 0.02])
 def test_fit_agrees_with_curve_fit(known):
     data = track(known=known)
     fit = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', data)])
