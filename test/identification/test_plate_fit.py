@@ -92,3 +92,10 @@ def test_plate_that_falls_or_has_no_recorded_rise_is_refused():
         late = track_of(motion, np.arange(begin, 0.2, 2e-4), START, noise=1e-5)
         with pytest.raises(FitError, match='track must begin before it moves'):
             fit_plate(late)
+
+
+def test_plate_that_moves_to_and_fro_evenly_is_no_damped_step():
+    time = np.arange(0.0, 0.2, 5e-4)
+    position = 2e-3 * np.abs((time - 0.02).clip(0.0) / 0.03 % 2.0 - 1.0)
+    with pytest.raises(FitError, match='does not move as a damped step'):
+        fit_plate(Track(time=time, position=2e-3 - position))
