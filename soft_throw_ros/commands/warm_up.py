@@ -21,7 +21,7 @@ from types import ModuleType
 
 from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.core import cell_stepper, wave_stepper
+from soft_throw_ros.core import cell_stepper, plate_kernels, wave_stepper
 from soft_throw_ros.design.requests import solve_request
 from soft_throw_ros.twin import outlier_filter, plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
@@ -123,6 +123,6 @@ def _mark(part: str) -> Path:
 
     It has the suffix of numba's index files, so that clearing the cache deletes it as well.
     """
-    folder = Path(str(wave_stepper._prepare.stats.cache_path))
+    folder = Path(str(plate_kernels.write_damped.stats.cache_path))
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f'{part}.{sys.implementation.cache_tag}.nbi'

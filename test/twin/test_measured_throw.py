@@ -30,8 +30,7 @@ from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample
 from soft_throw_ros.twin.session import RequestRejected
 from soft_throw_ros.twin.tick_schedule import SECOND
-import twin_runs as rigs
-from twin_runs import Run
+from twin_runs import aged, measured_throw, Run, states_at
 
 Floats = NDArray[np.float64]
 ONSET = 0.0512345
@@ -40,7 +39,7 @@ MEASURED = {'engine__motion': 'measured'}
 
 def follow(rig: Rig, times: Sequence[float]) -> np.ndarray:
     """Return position and velocity of the projectile by an independent simulation."""
-    return rigs.states_at(rig, times)[:, [PROJECTILE_POSITION, PROJECTILE_VELOCITY]]
+    return states_at(rig, times)[:, [PROJECTILE_POSITION, PROJECTILE_VELOCITY]]
 
 
 @pytest.fixture(scope='module')
@@ -125,7 +124,7 @@ def test_throw_field_agrees_with_the_throw(quiet) -> None:
 @pytest.mark.parametrize(('factor', 'noise'), [(0.93, 5e-6), (0.97, 0.0)])
 def test_deviations_of_an_aged_layer_exceed_the_threshold(factor, noise) -> None:
     run = Run(**MEASURED, measured__residual_threshold=5e-5)
-    other = rigs.aged(run.rig, factor)
+    other = aged(run.rig, factor)
     run.measure(other, noise=noise)
     run.session.reset()
     run.go(3)
@@ -169,7 +168,7 @@ def test_gap_longer_than_a_crossing_makes_the_throw_invalid(gap, is_valid) -> No
 
 def test_outliers_are_left_out_and_many_are_marked() -> None:
     run = Run(**MEASURED)
-    samples = rigs.measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6)
+    samples = measured_throw(run.rig, begin_ns=run.begin_ns, noise=5e-6)
     for index in range(255, len(samples), 10):
         samples[index] = samples[index]._replace(plate=samples[index].plate + 1e-3)
     run.send(samples)
@@ -206,7 +205,7 @@ def test_throw_that_noise_may_release_is_invalid() -> None:
 
 def test_missing_samples_and_skipped_steps_are_in_the_result() -> None:
     missing, stalled, steady = (Run(**MEASURED) for _ in range(3))
-    samples = rigs.measured_throw(steady.rig, begin_ns=Run.begin_ns, noise=5e-6)
+    samples = measured_throw(steady.rig, begin_ns=Run.begin_ns, noise=5e-6)
     missing.send(sample for index, sample in enumerate(samples) if index % 5)
     for run in (stalled, steady):
         run.send(samples)
@@ -307,7 +306,7 @@ def test_throw_lost_at_any_moment_ends_with_its_known_results(factor) -> None:
     exact = Run(**MEASURED).rig
     engine = replace(exact.engine, frequency=factor * exact.engine.frequency)
     rig = replace(exact, engine=engine)
-    samples = rigs.measured_throw(rig, begin_ns=Run.begin_ns, noise=5e-6, duration=0.07)
+    samples = measured_throw(rig, begin_ns=Run.begin_ns, noise=5e-6, duration=0.07)
     for count in (1, 8, 20, 30, 38):  # samples after the onset
         run = Run(**MEASURED)
         run.send(samples[: 250 + count])
@@ -329,7 +328,7 @@ def test_next_jump_after_a_rest_starts_a_throw_with_pending_changes() -> None:
     run.session.change({'layer.thickness': 0.0168})
     assert run.session.pending == {'layer.thickness': 0.0168}
     flat = {'begin_ns': run.begin_ns + 150_000_000, 'onset': 1.0, 'duration': 0.05}
-    run.send(rigs.measured_throw(run.rig, **flat))
+    run.send(measured_throw(run.rig, **flat))
     run.measure(begin_ns=run.begin_ns + 200_000_000)
     assert run.session.throws == 2
     thicknesses = [result.rig.layer.thickness for result in run.results('release')]
@@ -345,7 +344,7 @@ def test_jump_applies_a_pending_motion(is_under_way) -> None:
     if not is_under_way:
         run.session.reset()
     flat = {'begin_ns': run.begin_ns + 120_000_000, 'onset': 1.0, 'duration': 0.04}
-    run.send(rigs.measured_throw(run.rig, **flat))
+    run.send(measured_throw(run.rig, **flat))
     run.receive()
     throws = run.session.throws
     run.session.change({'engine.motion': 'underdamped'})
@@ -415,7 +414,7 @@ def test_arbitrary_samples_are_followed_or_refused_and_replayed(
 ) -> None:
     request = {'layer__loss_tangent': loss, 'measured__latency': wait}
     run = Run(**MEASURED, **request, rate__field=10.0 + 900e3 * wait)
-    samples = rigs.measured_throw(
+    samples = measured_throw(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
     delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
