@@ -199,7 +199,9 @@ class Calibrator(RunnableNode):
             return
         start_ns = msg_to_time(commands[-1].header.stamp)
         release_ns = start_ns + round(1e9 * result.first.ejection_time)
-        tracks = self._measured.between(start_ns, release_ns)
+        tracks = self._measured.between(
+            start_ns, release_ns, max_gap=result.rig.crossing_time
+        )
         motion = msg_to_motion(commands[-1], self._joints[0])
         delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
         throws.append(self._measure_flight(result, release_ns + delay_ns))
@@ -214,7 +216,9 @@ class Calibrator(RunnableNode):
         if gravity:
             duration = min(duration, result.first.ejection_speed / gravity)
         end_ns = release_ns + round(1e9 * duration)
-        tracks = self._measured.between(release_ns, end_ns)
+        tracks = self._measured.between(
+            release_ns, end_ns, max_gap=result.rig.crossing_time
+        )
         assert tracks.projectile is not None
         speed = flight_speed(tracks.projectile, gravity=gravity)
         return MeasuredThrow(speed, result.peak_plate_speed, gravity * _RELEASE_TIME_ERROR)

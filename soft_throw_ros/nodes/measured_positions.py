@@ -47,8 +47,14 @@ class MeasuredPositions:
                 self._batches.clear()
             self._batches.append(samples)
 
-    def between(self, start_ns: int, end_ns: int, name: str = '') -> ThrowTracks:
-        """Return the tracks of a throw, over the time since `start_ns`, or raise TrackError."""
+    def between(
+        self, start_ns: int, end_ns: int, name: str = '', *, max_gap: float = math.inf
+    ) -> ThrowTracks:
+        """
+        Return the tracks of a throw, over the time since `start_ns`.
+
+        Raise TrackError if they are too short, or have no samples for longer than `max_gap` [s].
+        """
         start_ns, end_ns = start_ns - self.clock_offset_ns, end_ns - self.clock_offset_ns
         if not self._batches or self._batches[0].stamps[0] > start_ns:
             raise TrackError('measurements of its start were not received')
@@ -57,6 +63,9 @@ class MeasuredPositions:
         )
         inside = (stamps >= start_ns) & (stamps <= end_ns)
         time = 1e-9 * (stamps[inside] - start_ns)
+        gap = np.diff(time, prepend=0.0, append=1e-9 * (end_ns - start_ns)).max()
+        if gap > max_gap:
+            raise TrackError(f'no samples for {1e3 * gap:.3g} ms')
         heights = np.concatenate([samples.heights for samples in self._batches])[order][inside]
         plate, projectile = (
             Track(time=time[is_measured], position=column[is_measured])

@@ -135,6 +135,8 @@ def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_sti
         )
     with pytest.raises(TrackError):
         positions.between(SECOND, 2 * SECOND)
+    with pytest.raises(TrackError, match='no samples for 901 ms'):
+        positions.between(2 * SECOND, 3 * SECOND, max_gap=0.9)
 
 
 @pytest.mark.parametrize(
