@@ -74,6 +74,19 @@ def entities(viewer: Any) -> set[str]:
     return {entity.entity_path for entity in client.get_recording_schema().entities}
 
 
+def reports_of_viewer(ros: Any) -> Any:
+    """Return a function that waits for two reports, between which all messages arrive."""
+    listener = ros.listen_to('/viewer')
+    listener.listen(VIEWER_TOPICS.diagnostics)
+
+    def report() -> Any:
+        listener.heard['/diagnostics'].clear()
+        listener.hear(VIEWER_TOPICS.diagnostics, 2)
+        return msg_to_values(listener.status(VIEWER_TOPICS.diagnostics, 'display'))
+
+    return report
+
+
 @pytest.mark.slow
 def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
     ros, show, throw
@@ -107,12 +120,9 @@ def test_node_without_a_viewer_ends_well(show) -> None:
 def test_file_has_every_message_that_came_before_the_end(ros, show, throw, tmp_path) -> None:
     path = tmp_path / 'live.rrd'
     node = show(sink='file', file=path)
-    listener = ros.listen_to('/viewer')
-    listener.listen(VIEWER_TOPICS.diagnostics)
+    report = reports_of_viewer(ros)
     throw()
-    listener.heard['/diagnostics'].clear()  # reports from before the messages
-    status = listener.status(VIEWER_TOPICS.diagnostics, 'display')
-    assert msg_to_values(status) == {'lost': 0, 'damaged': 0}
+    assert report() == {'lost': 0, 'damaged': 0}
     assert node.end(signal.SIGINT) == 0
     assert RrdFile(path).rows['/twin/position'] == 250
 
@@ -123,7 +133,9 @@ def test_recorder_shows_what_it_records(ros, record, tmp_path) -> None:
     twin = ros.start_twin('-p', 'throw.period:=0.2')
     states = next(p for p in twin.publishers if p.topic_name == '/twin/joint_states')
     ros.spin_until(lambda: states.get_subscription_count() == 2, 'recorder and viewer')
+    report = reports_of_viewer(ros)
     twin.go(250)
+    assert report() == {'lost': 0, 'damaged': 0}
     recorder.end_well()
     assert RrdFile(tmp_path / 'bag.rrd').rows['/twin/position'] == 250
 
