@@ -719,7 +719,7 @@ def _move_nodes(s, nodes):
 
 @kernel
 def _read_layer(core, nodes, points, out):
-    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    """Read heights, velocities, forces and strains of the layer from plate to top."""
     s = core[1]
     _move_nodes(s, nodes)
     one = np.uintp(1)  # any other index is looked at whether it counts from the end
@@ -732,10 +732,9 @@ def _read_layer(core, nodes, points, out):
         out[0, n] = below + fraction * (above - below)
         out[1, n] = below_speed + fraction * (above_speed - below_speed)
         out[2, n] = nodes[ROW.force, j] + weight * (nodes[ROW.force, k] - nodes[ROW.force, j])
-        if out.shape[0] > 3:
-            strain = _strain_of(nodes, ROW.position, points[n].cell)
-            neighbour_strain = _strain_of(nodes, ROW.position, points[n].neighbour)
-            out[3, n] = strain + weight * (neighbour_strain - strain)
+        strain = _strain_of(nodes, ROW.position, points[n].cell)
+        neighbour_strain = _strain_of(nodes, ROW.position, points[n].neighbour)
+        out[3, n] = strain + weight * (neighbour_strain - strain)
 
 
 @subroutine
@@ -970,16 +969,16 @@ class CellStepper(Stepper):
         self.step = float(steps[0])
         self.cells = int(bodies['count'].sum())
         self.cost = _UPDATE_COST * (self.cells + 2) / self.step
-        super().__init__(
-            rig, RECORD, np.zeros((_ROW_COUNT, self.cells + 2)),
-            is_measured=is_measured, field_points=field_points,
-        )
-        self._reading = (reading_points(bodies, field_points),)
+        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, self.cells + 2))
         _prepare(
-            self._core, self._layer, bodies, self.step, rig.projectile.mass, rig.gravity,
+            core, nodes, bodies, self.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
         )
-        self._start(_advance_compiled(), _read_layer_compiled())
+        super().__init__(
+            rig, core, nodes, (_advance_compiled(), _read_layer_compiled()),
+            reading_points(bodies, field_points), is_measured=is_measured,
+            field_points=field_points,
+        )
 
     @property
     def horizon(self) -> float:
