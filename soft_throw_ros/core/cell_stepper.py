@@ -58,7 +58,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, reduction, subroutine
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
 from soft_throw_ros.core.material import (
     LARGEST_STRAIN,
     relaxation,
@@ -172,22 +172,16 @@ RECORD = np.dtype(
         ('edge_cells', 'i8', (2, 2)),  # those that extrapolate the strain to plate and top
         ('collision_node', 'i8'),  # lowest of the nodes that meet the projectile as one
         ('collision_mass', 'f8'),  # of these nodes [kg]
-        ('first_stiff', 'i8'),  # first and last cell that is too fast for the step
-        ('last_stiff', 'i8'),
+        ('stiff', 'i8', (2,)),  # first and last cell that is too fast for the step
         *stepper.COMMON,
         ('plate_acceleration', 'f8'),  # [m/s2]
         # the state of the grid
         ('index', 'i8'),  # of the step
         ('fraction', 'f8'),  # of the step that has passed
-        ('first', 'i8'),  # first and last of the nodes that are coupled, see `_factorise`
-        ('end', 'i8'),
-        ('force', 'f8'),  # in the contact: now, and at the three steps before [N]
-        ('force_1', 'f8'),
-        ('force_2', 'f8'),
-        ('force_3', 'f8'),
+        ('coupled', 'i8', (2,)),  # first and last node of the linear system, see `_factorise`
+        ('contact_forces', 'f8', (4,)),  # now, and at the three steps before [N]
         ('known_forces', 'i8'),  # number of forces since the present contact began
-        ('below_before', 'f8'),  # displacements of the contact's nodes a step ago [m]
-        ('above_before', 'f8'),
+        ('contact_before', 'f8', (2,)),  # displacements of the contact's nodes a step ago [m]
         # of the layer on plate and projectile: a step ago, before an event, and now [N]
         ('forces', 'f8', (2, 3)),
         ('power', 'f8'),  # of the plate [W]
@@ -198,24 +192,42 @@ RECORD = np.dtype(
 """State of a throw by cells."""
 
 
+@inlined
+def _neo_hookean_stress(ratio, min_stretch):
+    """Compute the stress of a stretch ratio over E / 3, linear below `min_stretch`."""
+    inverse = 1.0 / max(ratio, min_stretch)
+    share = ratio * inverse
+    return ratio - inverse * inverse * (3.0 - (share + share))
+
+
 @subroutine
 def _cut(s, nodes, counts, sheets):
-    """Cut sheets into cells, with half of the mass of a cell on each of its nodes."""
-    s.first_stiff, s.last_stiff = nodes.shape[1], -1
+    """Cut sheets into cells, at rest under the weight of the projectile."""
+    weight, tension = s.mass * s.gravity, 0.0
+    s.stiff[0], s.stiff[1] = nodes.shape[1], -1
     for n in range(counts.size):
-        first = s.cells
+        sheet, first = sheets[n], s.cells
+        modulus, inverse = sheet[ROW.third_modulus], sheet[ROW.inverse_length]
+        if modulus > 0.0:
+            ratio = _static_stretch(weight / modulus)
+            strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio, 0.0)
+            s.is_curved = True
+            s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
+        else:
+            strain = weight / sheet[ROW.stiffness] * inverse
         s.cells += counts[n]
         for j in range(first, s.cells):
             for row in range(ROW.mass):
-                nodes[row, j] = sheets[n, row]
-            nodes[ROW.mass, j] += 0.5 * sheets[n, ROW.mass]
-            nodes[ROW.mass, j + 1] += 0.5 * sheets[n, ROW.mass]
-        s.is_curved = s.is_curved or sheets[n, ROW.third_modulus] > 0.0
+                nodes[row, j] = sheet[row]
+            nodes[ROW.mass, j] += 0.5 * sheet[ROW.mass]
+            nodes[ROW.mass, j + 1] += 0.5 * sheet[ROW.mass]
+            nodes[ROW.static_strain, j] = nodes[ROW.peak_strain, j] = strain
+            nodes[ROW.constant_tension, j] = tension
+            nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + (1.0 - strain) / inverse
         for element in range(3):
-            stiffness = sheets[n, ROW.maxwell_stiffness + element]
-            s.has_maxwell = s.has_maxwell or stiffness > 0.0
-        if sheets[n, ROW.implicit_stiffness] > 0.0:
-            s.first_stiff, s.last_stiff = min(s.first_stiff, first), s.cells - 1
+            s.has_maxwell = s.has_maxwell or sheet[ROW.maxwell_stiffness + element] > 0.0
+        if sheet[ROW.implicit_stiffness] > 0.0:
+            s.stiff[0], s.stiff[1] = min(s.stiff[0], first), s.cells - 1
     for end in range(2):
         edge = end * (s.cells - 1)
         is_alone = counts[end * (counts.size - 1)] == 1
@@ -234,13 +246,14 @@ def _factorise(s, nodes):
         factor[j] = nodes[ROW.implicit_stiffness, j] + half * nodes[ROW.viscosity + case, j]
         if factor[j] > 0.0 or j == rigid:
             low, high = min(low, j), max(high, j)
-    s.first, s.end = max(low, 1), high + 1  # the motion of node 0 is given
+    first, end = max(low, 1), high + 1  # the motion of node 0 is given
+    s.coupled[0], s.coupled[1] = first, end
     for j in range(1, last + 1):
-        is_coupled = s.first <= j <= s.end
+        is_coupled = first <= j <= end
         nodes[ROW.momentum_factor, j] = mass[j] if is_coupled else 1.0
         nodes[ROW.impulse_factor, j] = half / (1.0 if is_coupled else mass[j])
-    added = factor[s.first - 1]
-    for j in range(s.first, s.end + 1):
+    added = factor[first - 1]
+    for j in range(first, end + 1):
         pivot = mass[j] + added
         if j == rigid:  # the projectile gets all of the momentum, and has the same velocity
             factor[j], nodes[ROW.inverse_pivot, j], added = 1.0, 0.0, pivot
@@ -265,14 +278,14 @@ def _solve(s, nodes):
     matrix B of implicit cells, by Thomas's algorithm.
     """
     w, tension = ROW.mean_velocity + (s.index & 1), ROW.tension + (s.index & 1)
-    first, end = s.first, s.end
+    first, end = s.coupled[0], s.coupled[1]
     for j in range(1, nodes.shape[1]):
         force = nodes[tension, j] - nodes[tension, j - 1]
         start = nodes[ROW.momentum_factor, j] * nodes[ROW.velocity, j]
         nodes[w, j] = start + nodes[ROW.impulse_factor, j] * force
     if end < first:
         return
-    for j in range(s.first_stiff, s.last_stiff + 1):
+    for j in range(s.stiff[0], s.stiff[1] + 1):
         momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
         nodes[w, j + 1] += momentum
         if j > 0:
@@ -284,37 +297,6 @@ def _solve(s, nodes):
     for j in range(end, first - 1, -1):
         value *= nodes[ROW.elimination_factor, j]
         value = nodes[w, j] = nodes[ROW.inverse_pivot, j] * nodes[w, j] + value
-
-
-@inlined
-def _neo_hookean_stress(ratio, min_stretch):
-    """Compute the stress of a stretch ratio over E / 3, linear below `min_stretch`."""
-    inverse = 1.0 / max(ratio, min_stretch)
-    share = ratio * inverse
-    return ratio - inverse * inverse * (3.0 - (share + share))
-
-
-@subroutine
-def _prepare_rest(s, nodes):
-    """Compute strains and heights at rest: each cell carries the weight of the projectile."""
-    top, carried = s.cells, s.mass * s.gravity
-    for j in range(top):
-        inverse, modulus = nodes[ROW.inverse_length, j], nodes[ROW.third_modulus, j]
-        if modulus > 0.0:
-            ratio = _static_stretch(carried / modulus)
-            nodes[ROW.static_strain, j] = 1.0 - ratio
-            nodes[ROW.constant_tension, j] = -modulus * _neo_hookean_stress(ratio, 0.0)
-            s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
-        else:
-            nodes[ROW.static_strain, j] = carried / nodes[ROW.stiffness, j] * inverse
-        length = (1.0 - nodes[ROW.static_strain, j]) / nodes[ROW.inverse_length, j]
-        nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + length
-    s.rest_height = nodes[ROW.rest_height, top]
-    nodes[ROW.peak_strain] = nodes[ROW.static_strain]
-    s.loads[2] = s.force = carried
-    s.known_forces = 1
-    for k in range(3):
-        s.forces[0, k], s.forces[1, k] = -carried, carried
 
 
 @kernel
@@ -345,7 +327,11 @@ def _prepare(
     for j in range(s.collision_node, top + 1):
         s.collision_mass += nodes[ROW.mass, j]
     _factorise(s, nodes)
-    _prepare_rest(s, nodes)
+    s.rest_height = nodes[ROW.rest_height, top]
+    s.loads[2] = s.contact_forces[0] = mass * gravity
+    s.known_forces = 1
+    for k in range(3):
+        s.forces[0, k], s.forces[1, k] = -mass * gravity, mass * gravity
 
 
 @inlined
@@ -362,7 +348,7 @@ def _elastic_tension(s, nodes):
         _update_maxwell(s, nodes)
 
 
-@reduction
+@inlined
 def _neo_hookean_tension(s, nodes):
     """Compute the tension of linear and neo-Hookean links, and of their artificial viscosity."""
     now, fastest = s.index & 1, -s.fastest_shock
@@ -376,7 +362,7 @@ def _neo_hookean_tension(s, nodes):
         nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch + pull - shock
 
 
-@reduction
+@inlined
 def _update_maxwell(s, nodes):
     """Add the tension of the Maxwell elements, by the trapezoidal rule."""
     now = s.index & 1
@@ -417,9 +403,10 @@ def _contact_forces(s, nodes):
     weight = s.mass * s.gravity
     s.forces[1, 2] = 0.0
     if s.contact:
-        s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
+        for k in range(3, 0, -1):
+            s.contact_forces[k] = s.contact_forces[k - 1]
         change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
-        s.force = s.forces[1, 2] = weight + s.mass * s.rate * change
+        s.contact_forces[0] = s.forces[1, 2] = weight + s.mass * s.rate * change
         s.known_forces += 1
     inertia = nodes[ROW.mass, 0] * s.plate_acceleration
     s.forces[0, 2] = _link_tension(nodes, 0, now, case, s.rate) - inertia - weight
@@ -442,7 +429,8 @@ def _first_root(a, b, c, d):
 @subroutine
 def _handle_release(s, nodes, events):
     """Release the projectile at the root of the force, which is below zero now."""
-    after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
+    forces = s.contact_forces
+    after, before, earlier, first = forces[0], forces[1], forces[2], forces[3]
     if s.known_forces < 4:  # so short after a landing it is a line
         earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
     third = (after - first + 3.0 * (earlier - before)) / 6.0
@@ -466,7 +454,7 @@ def _handle_landing(s, nodes, events):
     j, projectile_node = s.cells, s.cells + 1
     u, v = nodes[ROW.displacement], nodes[ROW.velocity]
     before = nodes[ROW.mean_velocity + 1 - (s.index & 1)]
-    gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
+    gap, closed = s.contact_before[1] - s.contact_before[0], u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
     t = _first_root(gap, closed - gap - bend, bend, 0.0)
     speed, change = v[projectile_node], v[projectile_node] - before[projectile_node]
@@ -490,8 +478,8 @@ def _march(s, nodes, path, events, goal):
     step, link = s.step, s.cells
     while s.index < goal and s.events <= events.shape[0]:
         before, now = s.index & 1, 1 - (s.index & 1)
-        s.below_before = nodes[ROW.displacement, link]
-        s.above_before = nodes[ROW.displacement, link + 1]
+        for k in range(2):
+            s.contact_before[k] = nodes[ROW.displacement, link + k]
         for j in range(nodes.shape[1]):
             velocity = 2.0 * nodes[ROW.mean_velocity + before, j] - nodes[ROW.velocity, j]
             nodes[ROW.velocity, j] = velocity  # v^{n+1/2} = v^{n-1/2} + h a^n
@@ -516,7 +504,7 @@ def _march(s, nodes, path, events, goal):
             if s.event_time < math.inf:
                 break
             s.forces[0, 1], s.forces[1, 1] = s.forces[0, 2], s.forces[1, 2]
-            if not (s.contact and s.force < s.release_threshold):
+            if not (s.contact and s.contact_forces[0] < s.release_threshold):
                 break
             _handle_release(s, nodes, events)  # and compute the step again, in flight
         if s.events == 0:
@@ -562,7 +550,7 @@ def _motion(s, nodes, j, fraction):
     old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
     before = u - step * v
     if j >= s.cells:  # which a landing may have moved
-        before = s.below_before if j == s.cells else s.above_before
+        before = s.contact_before[j - s.cells]
     bend = old * (2.0 - t) + new * (1.0 + t)
     height = before + t * (u - before) - step * t * (1.0 - t) * bend / 3.0
     turn = old * (2.0 * t - t * t - 2.0 / 3.0) + new * (t * t - 1.0 / 3.0)
@@ -716,21 +704,16 @@ def _arrays_of(rig: Rig) -> dict[str, Floats]:
     return {name: np.array([value]) for name, value in values_of(rig).items()}
 
 
-class _Grids(NamedTuple):
-    """Layers that are cut into cells: arrays of a first dimension for layers."""
-
-    steps: Floats  # time steps [s]
-    counts: NDArray[np.int64]  # cells of each sheet, from the plate up
-    lengths: Floats  # of the cells of each sheet [m]
-    sheets: Floats  # rows of the table for each sheet, up to `Row.mass`, which is of a cell
-
-
-def _cut_layers(values: Mapping[str, Floats], layer: Layer, cells: Any) -> _Grids:
+def _cut_layers(
+    values: Mapping[str, Floats], layer: Layer, cells: Any
+) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
     """
     Cut layers into about so many cells, at least 1 per sheet.
 
     The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
-    proportions of all layers.
+    proportions of all layers. The results are, for each layer, the time step [s], and for each of
+    its sheets the number of cells, the length of a cell [m], and the values of a cell in the table
+    of nodes, up to `Row.mass`.
     """
     shares = np.array([
         (
@@ -753,7 +736,7 @@ def _cut_layers(values: Mapping[str, Floats], layer: Layer, cells: Any) -> _Grid
     else:
         lag = losses / scales.angular_frequency[:, None]
     is_curved = layer.stress_strain_law == 'neo_hookean'
-    min_stretch = 1.0 - LARGEST_STRAIN if is_curved else 1.0
+    min_stretch = 1.0 - LARGEST_STRAIN * is_curved
     # The fastest wave is that of the largest stiffness of any state
     tangent = relaxed * (1.0 + 2.0 / min_stretch**3) / 3.0 + maxwell.sum(axis=0)
     crossing = crossing / (np.sqrt(tangent) * (_SHOCK_SPEED if is_curved else 1.0))
@@ -768,7 +751,7 @@ def _cut_layers(values: Mapping[str, Floats], layer: Layer, cells: Any) -> _Grid
         law = none, relaxed * spring / inverse / 3.0, none + min_stretch, mass * inverse
     viscosity = lag * spring
     rows = *law, *(maxwell * spring), viscosity, viscosity, implicit, inverse, mass
-    return _Grids(steps[:, 0], counts, thickness / counts, np.stack(rows, axis=-1))
+    return steps[:, 0], counts, thickness / counts, np.stack(rows, axis=-1)
 
 
 def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
@@ -778,22 +761,17 @@ def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
 
 
 def cells_per_layer(rig: Rig) -> int:
-    r"""
-    Choose the number of cells of the layer in real time.
+    """
+    Choose the number of cells in real time, for errors of 1e-4 or what there is time for.
 
-    It is at least 64, with 12 per relaxation time and 120 steps in a period of the plate, for
-    errors of 1e-4, or as many as there is time for. ValueError, with a feasible value, if
-    `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 64 cells, 4 per relaxation time and 80 steps
-    in a period.
+    ValueError, with a feasible value, if `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 1e-3.
 
-    Examples
-    --------
     >>> cells_per_layer(Rig())
     64
 
     """
     # Of updates, over the square of the cells
-    rate = 1.0 / float(_cut_layers(_arrays_of(rig), rig.layer, 1).steps[0])
+    rate = 1.0 / float(_cut_layers(_arrays_of(rig), rig.layer, 1)[0][0])
     updates, unit = _CELLS**2 * rate, 'cell updates per second'
     stepper.require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, unit)
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
@@ -805,37 +783,31 @@ def cells_per_layer(rig: Rig) -> int:
 
 
 def throw_batch(
-    values: Mapping[str, Floats],
-    layer: Layer,
-    *,
-    cells: int | None = None,
+    values: Mapping[str, Floats], layer: Layer, *, cells: int | None = None,
     cancelled: Cancelled | None = None,
 ) -> Floats:
     """
     Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
-    The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
-    proportions of all layers. The number of cells, 8 to `MAX_CELLS`, is chosen for each throw by
-    default, at least 64, for errors of 1e-4. Errors are of second order, but of first order in
-    shocks. The result is that of `stepper.follow_batch`.
+    Arguments are as of `_cut_layers`, the result is that of `stepper.follow_batch`. The number of
+    cells, 8 to `MAX_CELLS`, is chosen for each throw by default, for errors of 1e-4. Errors are of
+    second order, but of first order in shocks.
     """
     if cells is not None:
         stepper.require_count('cells', cells, low=8, high=MAX_CELLS)
     scales = scales_of(values)
     finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
     needed = np.ceil(finer * _needed_cells(scales.mass_ratio, scales.speed_ratio))
-    grids = _cut_layers(values, layer, cells or np.minimum(needed, _MAX_BATCH_CELLS))
+    cells = cells or np.minimum(needed, _MAX_BATCH_CELLS)
+    steps, counts, _, sheets = _cut_layers(values, layer, cells)
     omega = scales.angular_frequency
     peak_force = values['amplitude'] * omega * scales.impedance
-    columns = (
-        grids.counts, grids.sheets, grids.steps, values['mass'], values['gravity'], omega,
-        peak_force,
-    )
+    columns = counts, sheets, steps, values['mass'], values['gravity'], omega, peak_force
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        nodes = np.zeros((_ROW_COUNT, grids.counts[n].sum() + 2))
+        nodes = np.zeros((_ROW_COUNT, counts[n].sum() + 2))
         _prepare(core, nodes, *(column[n] for column in columns))
-        return nodes, _UPDATE_COST * nodes.shape[1] / grids.steps[n]
+        return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
 
     return stepper.follow_batch(
         RECORD, _advance_compiled(), prepare_throw, values, scales.longest_wait, cancelled
@@ -846,23 +818,8 @@ class CellStepper(Stepper):
     """
     A throw by cells; the layer may be a stack, and have loss.
 
-    `stored_energy` is that of now, at any time.
-
-    Parameters
-    ----------
-    rig, is_measured, field_points
-        As for `throw.make_stepper`.
-    cells : int, optional
-        Number of cells of the layer, from 1 to `MAX_CELLS`; the default is `cells_per_layer`.
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time, or an argument is out of range.
-
-    Examples
-    --------
-    A layer with internal loss:
+    `stored_energy` is that of now, at any time. Arguments are as for `throw.make_stepper`; the
+    layer has about so many cells, from 1 to `MAX_CELLS`.
 
     >>> from soft_throw_ros.core.rig import Layer
     >>> stepper = CellStepper(Rig(layer=Layer(loss_tangent=0.05)))
@@ -875,17 +832,12 @@ class CellStepper(Stepper):
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        *,
-        is_measured: bool = False,
-        cells: int | None = None,
+        self, rig: Rig, *, is_measured: bool = False, cells: int | None = None,
         field_points: int = 64,
     ) -> None:
         cells = cells_per_layer(rig) if cells is None else cells
         stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
-        grids = _cut_layers(_arrays_of(rig), rig.layer, cells)
-        (step,), (counts,), (lengths,), (sheets,) = grids
+        (step,), (counts,), (lengths,), (sheets,) = _cut_layers(_arrays_of(rig), rig.layer, cells)
         self.step, self.cells = float(step), int(counts.sum())
         self.cost = _UPDATE_COST * (self.cells + 2) / self.step
         core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, self.cells + 2))
@@ -903,12 +855,7 @@ class CellStepper(Stepper):
     def horizon(self) -> float:
         """Last step at which the plate is known, until which `advance_to` can go [s]."""
         known = super().horizon
-        if math.isinf(known):
-            return known
-        steps = int(known / self.step)
-        while steps * self.step > known:
-            steps -= 1
-        return steps * self.step
+        return known if math.isinf(known) else known // self.step * self.step
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""

@@ -118,27 +118,18 @@ class Stepper:
     """
     One throw, going forward: state, layer, events and loads at any time.
 
-    Attributes
-    ----------
-    rig : Rig
-        The rig.
-    field_points : int
-        Heights of the layer, from plate to top, at which it is read.
-    state : ndarray, shape (7,)
-        At exactly the time that was asked for last, and always the same array: `TIME` [s],
-        `PLATE_POSITION` and `PROJECTILE_POSITION` (of the lower face) up from the plate's
-        position at rest [m], `PLATE_VELOCITY` and `PROJECTILE_VELOCITY` [m/s], `PLATE_FORCE`
-        and `PROJECTILE_FORCE` of the layer on each, up [N].
+    `state` is always the same array, at exactly the time that was asked for last: `TIME` [s],
+    `PLATE_POSITION` and `PROJECTILE_POSITION` (of the lower face) up from the plate's position at
+    rest [m], `PLATE_VELOCITY` and `PROJECTILE_VELOCITY` [m/s], `PLATE_FORCE` and
+    `PROJECTILE_FORCE` of the layer on each, up [N]. The layer is read at `field_points` heights
+    from plate to top.
 
-    Notes
-    -----
     The results at a time depend on this time alone, to the last bit: not on the times of earlier
     requests, nor (given the states of a measured plate) on the size of the appended pieces.
     Nothing is allocated after construction, except for `events`, and no kernel holds Python's
     lock.
 
     A stepper has three records: at a step of its grid, at the time asked for, and at rest.
-
     """
 
     cost: float
@@ -146,7 +137,7 @@ class Stepper:
 
     def __init__(
         self, rig: Rig, core: NDArray[np.void], layer: Floats,
-        kernels: tuple[Callable[..., Any], Callable[..., Any]], *reading: NDArray[np.void],
+        kernels: tuple[Callable[..., Any], Callable[..., Any]], *reading: Floats,
         is_measured: bool, field_points: int,
     ) -> None:
         """
@@ -204,15 +195,15 @@ class Stepper:
         return count
 
     def advance_to_release(
-        self, *, latest: float, step: float | None = None, cancelled: Cancelled | None = None
+        self, *, latest: float, cancelled: Cancelled | None = None
     ) -> Event | None:
         """
         Go forward until the first release, and return it, or None if there is none by `latest`.
 
-        SearchCancelledError if `cancelled` returns True, which is called after each `step`, by
-        default a quarter of the projectile's own period. [s]
+        SearchCancelledError if `cancelled` returns True, which is called after each quarter of the
+        projectile's own period.
         """
-        step = step or 0.25 * (1.0 / self.rig.natural_frequency + self.rig.crossing_time)
+        step = 0.25 * (1.0 / self.rig.natural_frequency + self.rig.crossing_time)
         time = float(self.state[TIME])
         while not self.advance_to(time):
             check_cancelled(cancelled)
@@ -227,28 +218,24 @@ class Stepper:
 
         A row of the states, of shape (n, 3), is height [m], velocity [m/s] and acceleration
         [m/s2]; times [s] increase, from call to call too. The plate is at rest before the first
-        state, and known up to the last one. ValueError if the stepper was not made with
-        `is_measured`, or states are not finite, not increasing, at negative times, or more than
-        `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
+        state, and known up to the last one. ValueError, and none is taken, if the stepper was not
+        made with `is_measured`, or states are not finite, not increasing, at negative times, or
+        more than `plate_kernels.MAX_PIECES_AHEAD` ahead.
         """
         if not self._is_measured:
             raise ValueError('append_plate_states needs a stepper made with is_measured')
         times = np.ascontiguousarray(times, dtype=np.float64)
         states = np.ascontiguousarray(states, dtype=np.float64)
-        if times.ndim != 1 or states.shape != (times.size, 3):
-            raise ValueError(
-                'times and states must be of shapes (n,) and (n, 3), '
-                f'got {times.shape} and {states.shape}'
-            )
         if not times.size:
             return
         known = [float(self._core[0]['last'][0]), *times.tolist()]
         is_ordered = all(before < time < math.inf for before, time in pairwise(known))
         is_finite = all(map(math.isfinite, states.ravel().tolist()))
-        if not (is_ordered and is_finite and known[1] >= 0.0):
+        is_allowed = is_ordered and is_finite and known[1] >= 0.0
+        if not is_allowed or states.shape != (times.size, 3):
             raise ValueError(
-                f'times must increase from {known[0]:g} s and not be negative, and all be finite, '
-                f'got times {times.tolist()} and states {states.tolist()}'
+                f'states must be three finite numbers each, at times from 0 on that increase '
+                f'from {known[0]:g} s, got {states.tolist()} at {times.tolist()} s'
             )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
         if ahead > MAX_PIECES_AHEAD:
