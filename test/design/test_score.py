@@ -30,9 +30,12 @@ def random_transfers(rig, uncertainties, seed):
 
 
 def test_of_equally_good_layers_the_thinnest_is_chosen():
-    box = Box((1e-3, 2e-2), (2.0, 50.0))
-    best = maximise(lambda thickness, *_: np.minimum(thickness / 5e-3, 1.0), box, step=0.05)
-    assert (best.score, best.thickness) == (1.0, pytest.approx(5e-3, rel=0.05))
+    def score(thickness, *_):
+        distances = [np.abs(np.log(thickness / good)) for good in (3e-3, 12e-3)]
+        return np.minimum(np.exp(0.03 - np.minimum(*distances)), 1.0)
+
+    best = maximise(score, Box((1e-3, 2e-2), (10.0, 10.0)), step=0.05)
+    assert (best.score, best.thickness) == (1.0, pytest.approx(3e-3, rel=0.03))
 
 
 def test_versatile_is_the_worst_of_each_projectile_at_each_frequency():
