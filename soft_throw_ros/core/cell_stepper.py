@@ -24,9 +24,9 @@ of second order,
     v^{n+1/2} = v^{n-1/2} + h a^n, \qquad u^{n+1} = u^n + h v^{n+1/2}.
 
 :math:`\beta` is 0 but in cells that a wave crosses in less than a step h, where 1/4 (average
-acceleration) keeps the scheme stable. The implicit part is one tridiagonal system with constant
-coefficients, whose factors are computed once. All counts from the static equilibrium; the weight
-of the layer is left out as in [1]_.
+acceleration) keeps the scheme stable. The implicit part is one tridiagonal system, factorised when
+the contact changes. All counts from the static equilibrium; the weight of the layer is left out as
+in [1]_.
 
 The contact force is the inertia of the projectile, which leaves when the force falls below zero,
 at the root of the cubic through four steps. After that the nodes are free of each other, and of
