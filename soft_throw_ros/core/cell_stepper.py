@@ -838,9 +838,9 @@ class CellStepper(Stepper):
         cells = cells_per_layer(rig) if cells is None else cells
         stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
         (step,), (counts,), (lengths,), (sheets,) = _cut_layers(_arrays_of(rig), rig.layer, cells)
-        self.step, self.cells = float(step), int(counts.sum())
-        self.cost = _UPDATE_COST * (self.cells + 2) / self.step
-        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, self.cells + 2))
+        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, int(counts.sum()) + 2))
+        self.step = float(step)
+        self.cost = _UPDATE_COST * nodes.shape[1] / self.step
         _prepare(
             core, nodes, counts, sheets, self.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
