@@ -231,10 +231,11 @@ def _first_negative(coefficients: Floats, noise: float) -> float | None:
     real = np.sort(roots[np.abs(roots.imag) < 1e-7].real)
     edges = np.concatenate(([-1.0], real[(real > -1.0) & (real < 1.0)], [1.0]))
     slope = chebyshev.chebder(coefficients)
-    for root, end in pairwise(edges.tolist()):
-        if chebyshev.chebval(0.5 * (root + end), coefficients) >= -noise:
+    for start, end in pairwise(edges.tolist()):
+        if chebyshev.chebval(0.5 * (start + end), coefficients) >= -noise:
             continue
-        for _ in range(2 if root > -1.0 else 0):  # Newton
+        root = start
+        for _ in range(2 if start > -1.0 else 0):  # Newton
             change = chebyshev.chebval(root, coefficients) / chebyshev.chebval(root, slope)
             if abs(change) < 1e-4:
                 root -= change
