@@ -16,14 +16,7 @@ from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, run_batches, ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, RANGES, Rig, scales_of, values_of
-from soft_throw_ros.core.stepper import (
-    Event,
-    Loads,
-    PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
-    Stepper,
-    TIME,
-)
+from soft_throw_ros.core.stepper import Event, Loads, Stepper, TIME
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +24,7 @@ _LONGEST = 60.0
 """Longest that a throw is followed if nothing else ends it. [s]"""
 
 _BUDGET = 0.5
-"""Processor time after which a throw ends that `until` does not end. [s]"""
+"""Time of a processor after which a throw ends that `until` does not end. [s]"""
 
 _QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
 """Crossings plus periods after a release that show how far up the free top swings."""
@@ -225,9 +218,9 @@ def simulate(
         Number of cells of a layer that needs them; by default for errors of 1e-4.
     until : float, optional
         Stop at this time. If not given, stop when the projectile has come down on the layer, since
-        a lossless bounce has no end. Without gravity, or if the simulation until then would take
-        more than about half a second, stop when the projectile is far above every height that the
-        free top reached in eight crossings and two periods of the plate. [s]
+        a lossless bounce has no end, or after half a second of computing. Where the projectile
+        cannot come down until then, stop when it is far above every height that the free top
+        reached in eight crossings and two periods of the plate. [s]
     cancelled : callable, optional
         See `batch.Cancelled`.
 
@@ -288,8 +281,8 @@ def simulate(
 def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> None:
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
-    latest = _LONGEST if until is None else until
     affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
+    latest = min(_LONGEST, affordable) if until is None else until
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position
@@ -308,11 +301,11 @@ def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> 
                 return
             low = high = surface
         low, high = min(low, surface), max(high, surface)
-        if time > affordable or (not count and time > rig.longest_wait):
+        if not count and time > rig.longest_wait:
             return
         if count and not stepper.in_contact and time - last.time > quiet:
-            height, speed = stepper.state[PROJECTILE_POSITION], stepper.state[PROJECTILE_VELOCITY]
-            returns = rig.gravity and time + 2.0 * speed / rig.gravity <= min(affordable, latest)
+            _, _, height, _, speed, _, _ = stepper.state.tolist()
+            returns = rig.gravity > 0.0 and time + 2.0 * speed / rig.gravity <= latest
             if height - high > high - low and speed > 0.0 and not returns:
                 return
 
@@ -415,7 +408,19 @@ def throw_many(
         return {name: column[batch] for name, column in values.items()}
 
     def by_closed_form(batch: NDArray[np.int64]) -> None:
-        results[:, batch] = _throw_by_closed_form(selected(batch), loads, cancelled)
+        own = selected(batch)
+        scales = scales_of(own)
+        phase, speed, _ = closed_form.first_releases(
+            mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio, threads=1,
+            damping_ratio=own['damping_ratio'], gravity_ratio=scales.gravity_ratio,
+        )
+        results[0, batch] = phase / own['frequency']
+        results[1, batch] = speed * own['amplitude'] * scales.angular_frequency
+        if loads:
+            known = batch[~np.isnan(phase)]
+            results[2:, known] = wave_stepper.throw_batch(
+                selected(known), until=results[0, known], cancelled=cancelled
+            )[2:]
 
     def by_cells(batch: NDArray[np.int64]) -> None:
         results[:, batch] = cell_stepper.throw_batch(
@@ -482,24 +487,3 @@ def rig_with(rig: Rig, changes: Mapping[str, Any]) -> Rig:
         projectile=replace(rig.projectile, mass=changes.get('mass', rig.projectile.mass)),
         gravity=changes.get('gravity', rig.gravity),
     )
-
-
-def _throw_by_closed_form(
-    values: Mapping[str, Floats], loads: bool, cancelled: Cancelled | None
-) -> Floats:
-    """Compute rows as of `cell_stepper.throw_batch`, with loads by waves."""
-    scales = scales_of(values)
-    phase, speed, _ = closed_form.first_releases(
-        mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio,
-        damping_ratio=values['damping_ratio'], gravity_ratio=scales.gravity_ratio, threads=1,
-    )
-    results = np.full((6, values['mass'].size), math.nan)
-    results[0] = phase / values['frequency']
-    results[1] = speed * values['amplitude'] * scales.angular_frequency
-    if loads:
-        known = ~np.isnan(results[0])
-        results[2:, known] = wave_stepper.throw_batch(
-            {name: column[known] for name, column in values.items()}, until=results[0, known],
-            cancelled=cancelled,
-        )[2:]
-    return results
