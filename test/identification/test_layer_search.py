@@ -47,15 +47,25 @@ def test_first_candidate_on_exact_tracks_is_the_truth(make_model, make_throw, ri
     assert found['layer.wave_speed'].value == pytest.approx(rig.layer.wave_speed, rel=2e-3)
 
 
-def test_candidates_contain_the_thickness_for_a_guess_that_is_a_third_off(
-    make_model, make_throw
+@pytest.mark.parametrize(
+    ('rig', 'thickness', 'guess', 'tolerance'),
+    [
+        (Rig(), 0.03, 0.04, 0.02),
+        (with_layer(Rig(), wave_speed=15.0), 5.6e-3, 8.4e-3, 0.05),
+        (with_layer(LIGHT, wave_speed=6.0), 0.02, 0.013, 0.05),
+    ],
+    ids=['soft', 'thin', 'light'],
+)
+def test_first_candidate_has_the_thickness_for_a_guess_that_is_a_third_off(
+    make_model, make_throw, rig, thickness, guess, tolerance
 ):
-    rig = with_layer(Rig(), thickness=0.03)
+    rig = with_layer(rig, thickness=thickness)
     throw = throw_of(make_throw, rig, noise=1e-6)
-    known = with_layer(rig, wave_speed=50.0, thickness=0.04)
-    found = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))
-    assert found[0]['layer.thickness'].value == pytest.approx(0.03, rel=0.02)
-    assert found[0]['layer.wave_speed'].value == pytest.approx(rig.layer.wave_speed, rel=0.02)
+    known = with_layer(rig, wave_speed=50.0, thickness=guess)
+    found = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))[0]
+    for name in ('thickness', 'wave_speed'):
+        truth = getattr(rig.layer, name)
+        assert found[f'layer.{name}'].value == pytest.approx(truth, rel=tolerance)
 
 
 def candidates_at(*speeds):

@@ -13,9 +13,10 @@ from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     ENGINE,
     FitDescription,
+    FIXED,
     FREE,
     IDEAL_BENCH,
-    LAYER,
+    LOSS,
     PARAMETERS,
     Treatment,
     values_of,
@@ -154,12 +155,12 @@ def test_thickness_and_wave_speed_of_a_spring_are_indistinguishable(make_throw):
     assert thickness.error / thickness.value > 0.05
 
 
-def followed(see, rig, *, duration=0.08):
+def followed(see, rig, *, rate=5000.0, **options):
     """Tracks of a throw by the model that is fitted."""
-    time = np.arange(0.0, duration, 2e-4)
+    time = np.arange(0.0, 0.08, 1.0 / rate)
     since = time - 0.0153
     path = ThrowSimulator().follow(rig, since)
-    return see(time, Underdamped.of(rig.engine).position(since), path.position)
+    return see(time, Underdamped.of(rig.engine).position(since), path.position, **options)
 
 
 def imperfect_throw(see, rig, imperfections, **options):
@@ -172,7 +173,7 @@ def imperfect_throw(see, rig, imperfections, **options):
 
 @pytest.mark.parametrize(
     ('loss', 'description'),
-    [(0.0, {**IDEAL_BENCH, LAYER[2]: FREE}), pytest.param(0.1, {}, marks=pytest.mark.slow)],
+    [(0.0, {**IDEAL_BENCH, LOSS: FREE}), pytest.param(0.1, {}, marks=pytest.mark.slow)],
 )
 def test_loss_is_found_and_may_be_zero(see, loss, description):
     rig = Rig(layer=Layer(loss_tangent=loss))
@@ -180,6 +181,22 @@ def test_loss_is_found_and_may_be_zero(see, loss, description):
     assert_true(found, rig, errors=3.5)
     assert found.fit['layer.loss_tangent'].error < 0.02
     assert fit_warnings(found.fit) == [] or loss == 0.0
+
+
+@pytest.mark.parametrize(('noise', 'is_fitted'), [(1.2e-4, True), (1.5e-4, False)])
+def test_loss_is_fitted_if_it_gains_six_more_than_the_logarithm_of_the_samples(
+    see, noise, is_fitted
+):
+    tracks = [followed(see, Rig(layer=Layer(loss_tangent=0.02)), rate=1000.0, noise=noise)]
+    described = {**IDEAL_BENCH, 'layer.wave_speed': FIXED}
+    del described[LOSS]
+    without, with_loss = (
+        fit_rig(tracks, Rig(), FitDescription({**described, LOSS: treatment})).fit
+        for treatment in (FIXED, FREE)
+    )
+    gain = without.chi2 - with_loss.chi2 - np.log(160)
+    assert gain > 6.0 if is_fitted else gain < 6.0
+    assert (LOSS in fit_rig(tracks, Rig(), FitDescription(described)).fit) is is_fitted
 
 
 @pytest.mark.slow

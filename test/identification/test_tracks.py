@@ -150,6 +150,13 @@ def test_record_is_cut_into_its_throws(noise):
         assert throw.projectile.time == pytest.approx(throw.plate.time)
 
 
+def test_throws_in_quick_succession_do_not_overlap():
+    starts = [0.2, 0.345, 0.49]  # less than six periods apart
+    first, second, last = split_into_throws(record(starts=starts, period=0.145, back=0.02))
+    assert first.plate.time[-1] < second.plate.time[0] < starts[1]
+    assert second.plate.time[-1] < last.plate.time[0] < starts[2]
+
+
 @pytest.mark.parametrize(('seen', 'count'), [(0.002, 2), (0.045, 2), (0.055, 3)])
 def test_throw_cut_off_by_the_end_of_the_record_is_ignored(seen, count):
     whole = record(starts=[0.2, 0.7, 1.3])
