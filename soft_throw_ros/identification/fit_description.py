@@ -56,16 +56,11 @@ _KEYS = ('free', 'fixed', 'prior', 'per_throw', 'topic')
 class Treatment(NamedTuple):
     """Treatment of a parameter by a fit."""
 
-    is_varied: bool
-    """Whether the fit changes it."""
-    value: float | None = None
-    """Value, or mean of the prior; None for the value of the rig."""
-    error: float | None = None
-    """Standard error of the prior; None without a prior."""
-    is_relative: bool = False
-    """Whether the error is relative to the value."""
-    is_per_throw: bool = False
-    """Whether each throw has a value of its own."""
+    is_varied: bool  # whether the fit changes it
+    value: float | None = None  # value, or mean of the prior; None for the value of the rig
+    error: float | None = None  # standard error of the prior; None without a prior
+    is_relative: bool = False  # whether the error is relative to the value
+    is_per_throw: bool = False  # whether each throw has a value of its own
 
     @property
     def is_free(self) -> bool:
@@ -79,14 +74,10 @@ FREE = Treatment(True)
 FIXED = Treatment(False)
 """Treatment of a parameter that is known exactly, at the value of the rig."""
 
-
-DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
-    (*PARAMETERS, *NUISANCE_PARAMETERS), FIXED
-) | {
-    'engine.frequency': FREE,
-    'engine.damping_ratio': FREE,
+DEFAULTS: Mapping[str, Treatment] = {
+    **dict.fromkeys((*PARAMETERS, *NUISANCE_PARAMETERS), FIXED),
+    **dict.fromkeys(DEFAULT_FREE, FREE),
     'engine.amplitude': FREE._replace(is_per_throw=True),
-    'layer.wave_speed': FREE,
     'layer.thickness': Treatment(True, error=1e-4),
     'layer.diameter': Treatment(True, error=1e-4),
     'projectile.mass': Treatment(True, error=0.01, is_relative=True),
@@ -107,12 +98,9 @@ IDEAL_BENCH: Mapping[str, Treatment] = {
 class FitDescription:
     """The treatments of all parameters of a fit; raise ValueError for an unknown name."""
 
-    parameters: Mapping[str, Treatment] = field(default_factory=dict)
-    """Treatments of some parameters; the others have their `DEFAULTS`."""
-    topic: str | None = None
-    """Topic to read from bags; needed if several topics have a plate."""
-    assumed: tuple[str, ...] = ()
-    """Parameters that are held at the values of another rig, because nobody stated them."""
+    parameters: Mapping[str, Treatment] = field(default_factory=dict)  # others have `DEFAULTS`
+    topic: str | None = None  # topic to read from bags; needed if several topics have a plate
+    assumed: tuple[str, ...] = ()  # held at the values of another rig, as nobody stated them
 
     def __post_init__(self) -> None:
         for name in self.parameters:
@@ -128,10 +116,9 @@ class FitDescription:
         """
         tree = read_yaml(path)
         try:
-            treatments = _read_treatments(tree)
+            return cls(_read_treatments(tree), str(tree['topic']) if 'topic' in tree else None)
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
-        return cls(treatments, str(tree['topic']) if 'topic' in tree else None)
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
@@ -151,10 +138,6 @@ class FitDescription:
     def treatment(self, name: str) -> Treatment:
         """Return the treatment of a parameter."""
         return self.parameters.get(name, DEFAULTS[name])
-
-    def is_free(self, name: str) -> bool:
-        """Return whether the fit determines a parameter without a prior."""
-        return self.treatment(name).is_free
 
     def value(self, name: str, rig: Rig) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
@@ -209,8 +192,7 @@ def _read_treatments(tree: Mapping[str, Any]) -> dict[str, Treatment]:
 def _section(tree: Mapping[str, Any], key: str, kind: type) -> Any:
     """Return a list, or the keys of a mapping, of names of parameters."""
     section = tree.get(key, kind())
-    is_right = isinstance(section, kind)
-    if not is_right:
+    if not isinstance(section, kind):
         raise ValueError(f'{key} must be a {kind.__name__} of names, got {section!r}')
     for name in section:
         _check_name(name)

@@ -44,15 +44,11 @@ MAX_EXCESS = 9.0
 _WAVE_SPEEDS = np.geomspace(2.0, 100.0, 121).tolist()
 """Wave speeds of the grid; early minima are some percent wide. [m/s]"""
 
-_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)
-"""Thicknesses of the grid, relative to the given one. [-]"""
-
+_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)  # thicknesses of the grid, relative to the given one
 _WINDOWS = (0.35, 0.7, 2.0)
 """Times of the heights that the grid is compared with, since the start. [plate periods]"""
 
-_INITIAL_LOSS = 0.05
-"""Initial loss tangent of a fit of a stated loss. [-]"""
-
+_INITIAL_LOSS = 0.05  # initial loss tangent of a fit of a stated loss
 _MAX_THROWS = 3  # largest number of throws in the search
 _MAX_SAMPLES = 60  # largest number of samples of a track in a window
 _MAX_MINIMA = 2  # largest number of minima of a window
@@ -135,12 +131,12 @@ def _is_separate(fit: Fit, other: Fit) -> bool:
 def _best_of_grid(model: RigModel) -> list[Rig]:
     """Return the rigs at the lowest minima of each window, without loss."""
     start, rig = model.start(), model.rig
-    if model.description.is_free(LOSS):
+    if model.description.treatment(LOSS).is_free:
         rig = changed_rig(rig, {LOSS: 0.0})
     speeds, thicknesses = [rig.layer.wave_speed], [rig.layer.thickness]
-    if model.description.is_free(_SPEED):
+    if model.description.treatment(_SPEED).is_free:
         speeds = sorted([*_WAVE_SPEEDS, *speeds])  # the given one may be right
-    if model.description.is_free(_THICKNESS):
+    if model.description.treatment(_THICKNESS).is_free:
         thicknesses = [factor * thicknesses[0] for factor in _THICKNESSES]
     minima: list[list[tuple[float, tuple[float, float]]]] = [[] for _ in _WINDOWS]
     for thickness in thicknesses:
@@ -189,7 +185,7 @@ def _spread(indices: NDArray[np.intp]) -> NDArray[np.intp]:
 
 def _follow_minimum(model: RigModel, rig: Rig) -> Fit:
     """Fit the layer and the projectile in growing windows, with the plates as they are."""
-    if model.description.is_free(LOSS):
+    if model.description.treatment(LOSS).is_free:
         rig = changed_rig(rig, {LOSS: _INITIAL_LOSS})
     model = replace(model, rig=rig)
     only = [

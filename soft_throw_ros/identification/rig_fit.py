@@ -62,8 +62,7 @@ _MAX_TRIAL_EVALUATIONS = 8  # largest number of evaluations of the model with it
 _MAX_LOSS_EVALUATIONS = 120  # the same if they are promising
 _IN_FLIGHT = 0.97  # share of the time until the landing that a fit uses
 
-_SECONDS_PER_THROW = 60.0
-"""Processor time of a fit; it includes the compilation of kernels. [s]"""
+_SECONDS_PER_THROW = 60.0  # processor time of a fit; it includes the compilation of kernels [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +76,7 @@ class RigFit:
     `plate_offset` and `projectile_offset`. The name of a value of one of several throws ends with
     its number in brackets, from 1.
     """
-    is_complete: bool = True
-    """Whether other minima and a loss were tried within the time of the fit."""
+    is_complete: bool = True  # whether there was time to try other minima and a loss
 
     @cached_property
     def rig(self) -> Rig:
@@ -95,8 +93,10 @@ class RigFit:
 
     def terms(self) -> dict[str, Estimate]:
         """Return the other shared parameters, without starts and heights at rest."""
-        shared = {name for name, throw in self.model.parameters if throw is None}
-        return {n: self.fit[n] for n in self.fit.names if n in shared and n not in PARAMETERS}
+        return {
+            name: self.fit[name] for name, throw in self.model.parameters
+            if throw is None and name not in PARAMETERS
+        }
 
     def estimate(self, name: str) -> Estimate:
         """Return a fitted parameter of the rig, the mean if each throw has its own."""
@@ -150,28 +150,16 @@ def fit_rig(
     description: FitDescription | None = None,
 ) -> RigFit:
     """
-    Fit a rig to the tracks of one throw or many.
+    Fit a rig, as it is known, to the tracks of one throw or many.
 
-    Parameters
-    ----------
-    throws : sequence of ThrowTracks
-        Tracks. If a parameter of the layer is free, at least one throw has a projectile.
-    rig : Rig
-        The rig as it is known. Free parameters need no guess, apart from the thickness, which
-        should be right to a third.
-    description : FitDescription, optional
-        Treatments of the parameters; `DEFAULTS` by default.
-
-    Raises
-    ------
-    FitError
-        If the tracks do not determine the parameters, with the reason.
-
+    Free parameters need no guess, apart from the thickness, which should be right to a third. If
+    one of the layer is free, a throw must have a projectile. FitError has the reason if the tracks
+    do not determine the parameters.
     """
     if not throws:
         raise FitError('there is no throw to fit to')
     description = description or FitDescription()
-    free = [name for name in LAYER if description.is_free(name)]
+    free = [name for name in LAYER if description.treatment(name).is_free]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
     simulator = ThrowSimulator(_SECONDS_PER_THROW * len(throws))
@@ -202,7 +190,7 @@ def _fit_plates(
     engine = np.mean([plate.values[: len(ENGINE)] for plate in plates], axis=0).tolist()
     rig = changed_rig(description.prepare(rig), {
         name: value for name, value in zip(ENGINE, engine, strict=True)
-        if description.is_free(name)
+        if description.treatment(name).is_free
     })
     model = RigModel(tuple(throws), rig, description, simulator, initial={})
     return replace(model, initial={
@@ -215,8 +203,7 @@ def _with_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     """
     Return tracks whose noise is known, none far below the others or the error of the models.
 
-    One camera measures both bodies. A very small estimate shows only a smooth motion, and this
-    track would dominate the fit.
+    A very small estimate shows only a smooth motion, whose track would dominate the fit.
     """
     tracks = [track for throw in throws for track in (throw.plate, throw.projectile) if track]
     least = max(

@@ -47,19 +47,12 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'projectile.mass': (1e-7, 1e3),
 }
 _UNBOUNDED = (-math.inf, math.inf)
-_STEP = 3e-4
-"""Relative step of derivatives, large against the errors of steppers. [-]"""
-
+_STEP = 3e-4  # relative step of derivatives, large against the errors of steppers
 _STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # absolute
 
-_OWN = FREE._replace(is_per_throw=True)
-"""Treatment of the parameters that every throw has."""
-
-_MAX_ERROR = 1e30
-"""Error in SI units beyond which a parameter is not seen at all."""
-
-_MAX_EVALUATIONS = 200
-"""Largest number of evaluations of the model in one run of the solver."""
+_OWN = FREE._replace(is_per_throw=True)  # treatment of the parameters that every throw has
+_MAX_ERROR = 1e30  # error in SI units beyond which a parameter is not seen at all
+_MAX_EVALUATIONS = 200  # largest number of evaluations of the model in one run of the solver
 
 
 class Series(NamedTuple):
@@ -79,22 +72,18 @@ class Trajectory(NamedTuple):
 
 @dataclass(frozen=True)
 class RigModel:
-    r"""
+    """
     A model of the tracks of all throws, around the values of `rig`.
 
-    Notes
-    -----
     The fitted values form a vector, see `parameters`. Derivatives are forward differences, which
     need a simulation only for the parameters of the rig.
-
     """
 
     throws: tuple[ThrowTracks, ...]
     rig: Rig
     description: FitDescription
     simulator: ThrowSimulator
-    initial: Mapping[str, float]
-    """Start values by `names`, at least those of the starts and of the plates at rest."""
+    initial: Mapping[str, float]  # start values by `names`, at least those of fits of the plates
 
     @property
     def by_cells(self) -> bool:

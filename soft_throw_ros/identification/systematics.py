@@ -34,8 +34,7 @@ class Floor(NamedTuple):
     """The systematic error of a quantity, as one standard error."""
 
     size: float
-    unit: str
-    """`%` of the value, or the SI unit of the quantity."""
+    unit: str  # `%` of the value, or the SI unit of the quantity
 
     def of(self, value: float) -> float:
         """Return the systematic error of a value, in its unit."""
@@ -66,7 +65,7 @@ Those of the parameters contribute to the results of a throw, too.
 """
 
 
-def with_floor(name: str, estimate: Estimate, growth: float = 1.0) -> Estimate:
+def with_floor(name: str, estimate: Estimate, growth: float) -> Estimate:
     """Return an estimate whose error includes the systematic error of a quantity."""
     if name not in FLOORS:
         return estimate

@@ -69,18 +69,13 @@ class Track:
     `MAX_TIME` or `MAX_HEIGHT`, or do not increase.
     """
 
-    time: Floats
-    """Increasing times, shape (n,). [s]"""
-    position: Floats
-    """Heights, upwards from any zero, shape (n,). [m]"""
-    known_noise: float | None = None
-    """Standard deviation of the positions, estimated if None. [m]"""
-    stamp_error: float = 0.0
-    """Standard deviation of the times. [s]"""
+    time: Floats  # increasing times, shape (n,) [s]
+    position: Floats  # heights, upwards from any zero, shape (n,) [m]
+    known_noise: float | None = None  # standard deviation of the positions, estimated if None [m]
+    stamp_error: float = 0.0  # standard deviation of the times [s]
 
     def __post_init__(self) -> None:
-        time = np.asarray(self.time, dtype=np.float64)
-        position = np.asarray(self.position, dtype=np.float64)
+        time, position = (np.asarray(item, np.float64) for item in (self.time, self.position))
         if time.ndim != 1 or time.shape != position.shape or time.size < FEWEST:
             raise TrackError(
                 f'a track is two series of the same length, at least {FEWEST}, '
@@ -150,10 +145,10 @@ class Track:
         """Return the part from `start` to `end` [s], both included; refuse too few samples."""
         inside = (self.time >= start) & (self.time <= end)
         if inside.sum() < FEWEST:
+            first, last = self.time[[0, -1]]
             raise TrackError(
                 f'only {inside.sum()} samples from {start:g} s to {end:g} s, where at least '
-                f'{FEWEST} are needed; the track goes from {self.time[0]:g} s '
-                f'to {self.time[-1]:g} s'
+                f'{FEWEST} are needed; the track goes from {first:g} s to {last:g} s'
             )
         return self.where(inside)
 
@@ -243,18 +238,16 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
 
     The second series is how noisy that is, over the noise of a single sample.
     """
-    deviation, variance = np.zeros_like(position), np.ones_like(position)
     inner = np.arange(2, time.size - 2)
-    deviation[inner] = position[inner]
+    difference, variance = position[inner], np.ones(inner.size)
     beside = [inner + offset for offset in (-2, -1, 1, 2)]
     for item in beside:  # Lagrange's polynomials
-        weight = np.ones(inner.size)
-        for other in beside:
-            if other is not item:
-                weight *= (time[inner] - time[other]) / (time[item] - time[other])
-        deviation[inner] -= weight * position[item]
-        variance[inner] += weight**2
-    return deviation, np.sqrt(variance)
+        shares = [(time[inner] - time[other]) / (time[item] - time[other])
+                  for other in beside if other is not item]
+        weight = np.prod(shares, axis=0)
+        difference = difference - weight * position[item]
+        variance = variance + weight**2
+    return np.pad(difference, 2), np.pad(np.sqrt(variance), 2, constant_values=1.0)
 
 
 def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
@@ -300,24 +293,21 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     rest = float(np.min(0.5 * (low + high)[quiet]))
     at_rest = quiet & (np.abs(position - rest) < tolerance)
     edges = np.diff(at_rest.astype(np.int8))
-    begins = np.flatnonzero(edges == 1) + 1
-    ends = np.minimum(np.flatnonzero(edges == -1) + size // 2, time.size - 1)
+    returns = time[1:][edges == 1]
     lift = rest + 0.3 * (float(position.max()) - rest)
     starts = []
-    for end in ends.tolist():
+    for end in np.minimum(np.flatnonzero(edges == -1) + size // 2, time.size - 1).tolist():
         soon = (time >= time[end - size // 2]) & (time <= time[end] + period)
         if (position[soon] > lift).any():
             starts.append(float(time[end]))
-    returns = [float(time[begin]) for begin in begins]
-    if len(starts) < 2 and not any(back > start for start in starts for back in returns):
+    if len(starts) < 2 and not (starts and (returns > starts[0]).any()):
         return []
     if len(starts) > 1 and time[-1] < starts[-1] + _SEEN_AFTER * period:
         starts.pop()
-    limits = [*starts[1:], math.inf]
     before, after = _KEPT_BEFORE * period, _KEPT_AFTER * period
     return [
         (start - before, min(start + after, limit - before))
-        for start, limit in zip(starts, limits, strict=True)
+        for start, limit in zip(starts, [*starts[1:], math.inf], strict=True)
     ]
 
 
@@ -350,6 +340,5 @@ def fall_acceleration(plate: Track, projectile: Track) -> float | None:
     if time.size < FEWEST or distance[highest] < 2.0 * float(np.ptp(plate.position)):
         return None
     parabola = np.polynomial.Polynomial.fit(time, height, 2)
-    if float(np.std(height - parabola(time))) > _FLIGHT_NOISE * projectile.noise:
-        return None
-    return -float(parabola.deriv(2)(time[0]))
+    is_free = np.std(height - parabola(time)) <= _FLIGHT_NOISE * projectile.noise
+    return -float(parabola.deriv(2)(time[0])) if is_free else None

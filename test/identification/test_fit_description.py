@@ -35,7 +35,7 @@ def test_parameter_is_free_or_fixed_or_known_with_an_error(treatment, known, val
     description = FitDescription({'layer.thickness': treatment})
     assert description.known('layer.thickness', RIG) == known
     assert description.prepare(RIG).layer.thickness == value
-    assert description.is_free('layer.thickness') is (treatment == FREE)
+    assert description.treatment('layer.thickness').is_free is (treatment == FREE)
     assert all(description.treatment(name).is_varied for name in DEFAULT_FREE)
 
 

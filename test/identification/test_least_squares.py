@@ -8,10 +8,10 @@ import re
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
-from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.least_squares import (
     Estimate,
     fit_tracks,
+    fit_warnings,
     FitError,
     FitModel,
 )

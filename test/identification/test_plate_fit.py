@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.fit_warnings import fit_warnings
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import fit_warnings, FitError
 from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
 from soft_throw_ros.identification.tracks import Track
 

@@ -21,9 +21,8 @@ from soft_throw_ros.identification.fit_description import (
     Treatment,
     values_of,
 )
-from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import fit_warnings, FitError
 from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections, throw
