@@ -79,6 +79,10 @@ class Service(NamedTuple):
     meaning: str
 
 
+def _diagnostics(meaning: str) -> Topic:
+    return Topic('/diagnostics', ARRAY, f'{meaning}, at 1 Hz', depth=_SEVERAL)
+
+
 class TwinTopics(NamedTuple):
     """Topics of the twin."""
 
@@ -148,9 +152,7 @@ class TwinTopics(NamedTuple):
         '~/plate_trajectory', TRAJECTORY,
         'Motion of the plate for a controller, with the start of the throw as stamp, if '
         '`engine.command` is true')
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
-        depth=_SEVERAL)
+    diagnostics: Topic = _diagnostics('Timing, pending changes and measurements of the twin')
 
 
 class RecorderTopics(NamedTuple):
@@ -159,16 +161,7 @@ class RecorderTopics(NamedTuple):
     status: Topic = Topic(
         '~/status', ARRAY, 'State of the recorder and path of the bag, on change',
         depth=_SEVERAL, is_latched=True)
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Recorded and lost messages, at 1 Hz',
-        depth=_SEVERAL)
-
-
-class ViewerTopics(NamedTuple):
-    """Topics of the viewer, besides the topics on display."""
-
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Number of messages that are not shown, at 1 Hz', depth=_SEVERAL)
+    diagnostics: Topic = _diagnostics('Recorded and lost messages')
 
 
 class RigTopics(NamedTuple):
@@ -188,15 +181,7 @@ class CalibratorTopics(NamedTuple):
     measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
     throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
     plate_trajectory: Topic = replace(TwinTopics().plate_trajectory.at('twin'), is_input=True)
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Result of the last identification, at 1 Hz', depth=_SEVERAL)
-
-
-class ReplayTopics(NamedTuple):
-    """Topics of the node that plays a bag, in addition to the recorded topics."""
-
-    clock: Topic = Topic(
-        '/clock', 'rosgraph_msgs/msg/Clock', 'Time of the bag, with `--clock`', depth=_SEVERAL)
+    diagnostics: Topic = _diagnostics('Result of the last identification')
 
 
 class TwinServices(NamedTuple):
@@ -224,12 +209,13 @@ class ReplayServices(NamedTuple):
     resume: Service = Service('~/resume', TRIGGER, 'Resume playback')
 
 
+VIEWER_DIAGNOSTICS = _diagnostics('Number of messages that are not shown')
+REPLAY_CLOCK = Topic(
+    '/clock', 'rosgraph_msgs/msg/Clock', 'Time of the bag, with `--clock`', depth=_SEVERAL)
 TWIN_TOPICS = TwinTopics()
 RECORDER_TOPICS = RecorderTopics()
-VIEWER_TOPICS = ViewerTopics()
 RIG_TOPICS = RigTopics()
 CALIBRATOR_TOPICS = CalibratorTopics()
-REPLAY_TOPICS = ReplayTopics()
 TWIN_SERVICES = TwinServices()
 RECORDER_SERVICES = RecorderServices()
 REPLAY_SERVICES = ReplayServices()
@@ -237,8 +223,8 @@ REPLAY_SERVICES = ReplayServices()
 INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
     'twin': (TWIN_TOPICS, TWIN_SERVICES),
     'recorder': (RECORDER_TOPICS, RECORDER_SERVICES),
-    'viewer': (VIEWER_TOPICS, ()),
-    'replay': (REPLAY_TOPICS, REPLAY_SERVICES),
+    'viewer': ((VIEWER_DIAGNOSTICS,), ()),
+    'replay': ((REPLAY_CLOCK,), REPLAY_SERVICES),
     'rig': (RIG_TOPICS, ()),
     'calibrator': (CALIBRATOR_TOPICS, ()),
 }
@@ -253,13 +239,6 @@ def find_topic(name: str, type_name: str) -> tuple[str, Topic] | None:
 
     The node is empty for a topic that several nodes share. The longest matching name has
     precedence, so that the layer's joint states do not match the topic of a node named `layer`.
-
-    Examples
-    --------
-    >>> node, topic = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
-    >>> node, topic.name
-    ('/rig1/twin', '~/layer/joint_states')
-
     """
     for topic in _FINDABLE:
         node = name.removesuffix(resolve(topic.name, ''))

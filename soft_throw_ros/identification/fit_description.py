@@ -27,25 +27,19 @@ LAYER = ('layer.wave_speed', 'layer.thickness', LOSS)
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
 
-START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
-OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
+OWN = START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
 """Parameters of each throw: the time of its start, and the heights of its bodies at rest."""
 
-DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.loss_tangent')
+DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != LOSS)
 """Parameters whose defaults belong to another rig; the default of the loss is none."""
 
 NUISANCE_PARAMETERS = {
-    'plate.drift': 0.0,
+    'plate.drift': 0.0,  # of heights over a record, over the amplitude
     'projectile.drift': 0.0,
-    'projectile.scale': 1.0,
-    'projectile.delay': 0.0,
+    'projectile.scale': 1.0,  # measured over true height
+    'projectile.delay': 0.0,  # of its measurement [s]
 }
-"""
-Nuisance parameters of a bench, and their values without it.
-
-`drift` is the drift of heights over a record, over the amplitude. `scale` is the
-measured over the true height of a projectile, and `delay` the delay of its measurement [s].
-"""
+"""Nuisance parameters of a bench, and their values without it."""
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
@@ -126,14 +120,12 @@ class FitDescription:
 
     def assume(self, stated: Collection[str]) -> FitDescription:
         """Hold the parameters that a fit needs and that nobody stated, see `assumed`."""
-        treatments = {
-            name: self.treatment(name) for name in DEFAULT_IS_ANOTHER_RIG if name not in stated
-        }
-        assumed = [
-            name for name, treatment in treatments.items()
+        unstated = [name for name in DEFAULT_IS_ANOTHER_RIG if name not in stated]
+        assumed = tuple(
+            name for name, treatment in zip(unstated, map(self.treatment, unstated), strict=True)
             if treatment.value is None and not treatment.is_free
-        ]
-        return replace(self.change(dict.fromkeys(assumed, FIXED)), assumed=tuple(assumed))
+        )
+        return replace(self.change(dict.fromkeys(assumed, FIXED)), assumed=assumed)
 
     def treatment(self, name: str) -> Treatment:
         """Return the treatment of a parameter."""
@@ -189,9 +181,9 @@ def _read_treatments(tree: Mapping[str, Any]) -> dict[str, Treatment]:
     return treatments
 
 
-def _section(tree: Mapping[str, Any], key: str, kind: type) -> Any:
+def _section(tree: Mapping[str, Any], key: str, kind: type[Any]) -> Any:
     """Return a list, or the keys of a mapping, of names of parameters."""
-    section = tree.get(key, kind())
+    section: Any = tree.get(key, kind())
     if not isinstance(section, kind):
         raise ValueError(f'{key} must be a {kind.__name__} of names, got {section!r}')
     for name in section:

@@ -10,14 +10,12 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event, PROJECTILE_POSITION, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.least_squares import FitError
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import Floats
 
 _MAX_COST = 0.16  # largest processor time of one simulation, as its stepper estimates it [s]
 _MAX_CACHED = 64  # largest number of cached throws
@@ -102,4 +100,4 @@ def _follow(rig: Rig, moments: Floats, *, by_cells: bool) -> ProjectilePath:
     for index in np.flatnonzero(~is_flying).tolist():
         stepper.advance_to(float(moments[index]))
         states[:, index] = stepper.state[[PROJECTILE_POSITION, PROJECTILE_VELOCITY]]
-    return ProjectilePath(*states, tuple(events))
+    return ProjectilePath(states[0], states[1], tuple(events))

@@ -27,11 +27,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, sparse
-from soft_throw_ros.identification.tracks import Track
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import Floats, Track
 
 _LIMIT = 5.0  # residual of an outlier [noise]; by chance once in 2e6
 _NORMAL = 1.4826  # standard deviation of normal numbers over their median deviation
@@ -184,10 +181,7 @@ class FitModel:
 
 
 def fit_tracks(
-    model: FitModel,
-    start: Floats,
-    tracks: Sequence[tuple[str, Track]],
-    *,
+    model: FitModel, start: Floats, tracks: Sequence[tuple[str, Track]], *,
     max_evaluations: int = 100,
 ) -> Fit:
     """
@@ -286,10 +280,7 @@ def fit_warnings(fit: Fit) -> list[str]:
             f'{excess:.1f} there); the errors span both'
         )
     # Parameters of a single one of several throws have its number in brackets
-    free = [
-        index for index, name in enumerate(fit.names)
-        if not name.endswith(']') and index not in fit.known
-    ]
+    free = [i for i, name in enumerate(fit.names) if name[-1] != ']' and i not in fit.known]
     warnings += [
         f'{fit.names[i]} and {fit.names[j]} are hardly separated by these tracks (correlation '
         f'{fit.correlation[i, j]:.4f}): hold one'

@@ -16,12 +16,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Engine
 from soft_throw_ros.identification.least_squares import Estimate, TrackResidual
-from soft_throw_ros.identification.tracks import FEWEST
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import FEWEST, Floats
 
 _HIGHEST = 12.0  # largest frequency of another oscillation, over that of the plate
 _CHANCE = 11.0  # power of an oscillation that noise reaches in one of fifty records [noise]
@@ -58,11 +55,7 @@ FLOORS: Mapping[str, Floor] = {
     'ejection.speed': Floor(0.1, '%'),
     'ejection.energy_transfer': Floor(0.2, '%'),
 }
-"""
-Floors by quantity, with their reasons, in tracks without noise.
-
-Those of the parameters contribute to the results of a throw, too.
-"""
+"""Floors by quantity, with their reasons, in tracks without noise."""
 
 
 def with_floor(name: str, estimate: Estimate, growth: float) -> Estimate:

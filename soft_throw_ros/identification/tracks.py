@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
-from soft_throw_ros.configuration.csv_rows import MIN_STEP
+from soft_throw_ros.configuration.csv_rows import Floats, MIN_STEP
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
@@ -121,10 +120,9 @@ class Track:
     @property
     def is_stuck(self) -> Flags:
         """
-        Return which samples repeat a height while the body must move.
+        Return which samples repeat a height, not that at rest, while the body must move.
 
-        Programs write 0 for a lost sample, and a laser its largest height. As many samples before,
-        the body is farther away than where it turns, and the height is not that at rest.
+        As many samples before, it is farther away than where a motion turns.
         """
         height = self.position
         far = _STILL_STEPS * max(_smallest_step(height) or float(np.ptp(height)), self.noise)
@@ -205,15 +203,10 @@ def noise_of(time: Floats, position: Floats, stamp_noise: Floats | None = None) 
     r"""
     Estimate the standard deviation of white noise on a smooth motion [m].
 
-    Notes
-    -----
-    The estimate uses the deviation of each sample from the cubic through the two samples on either
-    side, over the deviation for unit noise. A motion of n even samples per period contributes its
-    amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`. Deviations beyond five median deviations, at
-    kinks and jumps, are excluded, and the half of the samples with the larger errors by the times,
-    `stamp_noise` [m]. The result is at least :math:`1 / \sqrt{12}` of the smallest step, the error
-    of rounded heights, and never 0.
-
+    It is that of the deviations from cubics through neighbours, to which a motion of n samples per
+    period adds its amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`; without those at kinks and
+    jumps, and without the half of the samples with the larger `stamp_noise` [m]. The result is at
+    least the error of rounded heights, and never 0.
     """
     deviation, spread = _beside_neighbours(time, position)
     scatter = (deviation / spread)[2:-2]
@@ -251,11 +244,7 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
 
 
 def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
-    """
-    Cut a record where the plate was not seen for long, as between sessions or clocks.
-
-    Pieces of less than `FEWEST` samples are left out, unless there is nothing else.
-    """
+    """Cut a record where the plate was not seen for long, without pieces of too few samples."""
     time = record.plate.time
     longest = max(_MAX_BREAK, _MAX_BREAK_SAMPLES * record.plate.interval)
     pieces = np.split(time, np.flatnonzero(np.diff(time) > longest) + 1)
@@ -265,16 +254,12 @@ def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
 
 def find_throws(plate: Track) -> list[tuple[float, float]]:
     """
-    Find begin and end [s] of the throws in a record.
+    Find begin and end [s] of the throws in a record; none if the record is a single throw.
 
-    Notes
-    -----
     A throw begins where the plate leaves its lowest position of rest. If the plate comes back to
     rest, a throw lasts from a quarter of a plate period before its start to at most six periods
     after, so the plate must not be put back earlier. Of several throws, the last one is dropped if
-    the record ends within two periods after its start. A record in which the plate rests there
-    only once, or never, is one throw; the result is empty.
-
+    the record ends within two periods after its start.
     """
     plate = plate.without_spikes()
     time = plate.time

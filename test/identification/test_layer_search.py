@@ -67,20 +67,15 @@ def test_first_candidate_has_the_thickness_for_a_guess_that_is_a_third_off(
         assert found[f'layer.{name}'].value == pytest.approx(truth, rel=tolerance)
 
 
-def candidates_at(*speeds):
-    return [
-        Fit(
-            names=('layer.wave_speed',), values=np.array([speed]), covariance=np.eye(1), chi2=1.0,
-            dof=1, residuals=(),
-        )
-        for speed in speeds
-    ]
+def candidate(speed):
+    return Fit(
+        names=('layer.wave_speed',), values=np.array([speed]), covariance=np.eye(1), chi2=1.0,
+        dof=1, residuals=(),
+    )
 
 
 def fit_near(model, wave_speed):
-    start = model.start()
-    start[model.indices_of('layer.wave_speed')] = wave_speed
-    return model.fit(start)
+    return model.fit(model.start({'layer.wave_speed': wave_speed}))
 
 
 def test_best_minimum_is_found_from_a_wrong_echo(make_model, make_throw):
@@ -88,17 +83,17 @@ def test_best_minimum_is_found_from_a_wrong_echo(make_model, make_throw):
     right, wrong = fit_near(model, 40.0), fit_near(model, 22.4)
     assert wrong.chi2 > right.chi2 + MAX_EXCESS
     assert wrong['layer.wave_speed'].value < 25.0
-    others = candidates_at(22.0, 41.0)
+    others = [candidate(22.0), candidate(41.0)]
     found = find_best_minimum(model, wrong, others)
     assert found.values == pytest.approx(right.values, rel=1e-4, abs=1e-7)
     assert found.alternatives == ()
-    assert find_best_minimum(model, right, others[:1]*2).chi2 == right.chi2
+    assert find_best_minimum(model, right, others[:1] * 2).chi2 == right.chi2
 
 
 def test_minima_that_are_hardly_worse_increase_the_error(make_model, make_throw):
     model = make_model(CHATTERING, [throw_of(make_throw, CHATTERING, noise=2e-4)], IDEAL)
     fit = fit_near(model, 37.8)
-    found = find_best_minimum(model, fit, candidates_at(37.8, 22.4, 57.5))
+    found = find_best_minimum(model, fit, [candidate(speed) for speed in (37.8, 22.4, 57.5)])
     speed, index = found['layer.wave_speed'], model.indices['layer.wave_speed'][0]
     far = [item.values[index] - speed.value for item in found.alternatives]
     assert len(far) == 2
