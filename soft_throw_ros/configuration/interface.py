@@ -93,8 +93,7 @@ class TwinTopics(NamedTuple):
     layer_joint_states: Topic = Topic(
         '~/layer/joint_states', JOINT_STATE,
         'Height, velocity and compressive force of 64 points of the layer from plate to top, at '
-        '`rate.field`',
-        depth=100, joints=LAYER_JOINTS)
+        '`rate.field`', depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
         '~/throw_field', CLOUD,
         'Strain of the layer over time t since the stamp (the start) [s] in rows and height y in '
@@ -103,8 +102,7 @@ class TwinTopics(NamedTuple):
     throw_energies: Topic = Topic(
         '~/throw_energies', CLOUD,
         'Time t [s] as above, work of the plate, and energy of projectile, layer and both [J], up '
-        'to the first release',
-        is_latched=True, axes=ENERGIES)
+        'to the first release', is_latched=True, axes=ENERGIES)
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
         is_latched=True)
@@ -135,8 +133,7 @@ class TwinTopics(NamedTuple):
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
         'With a measured plate, the projectile as far ahead as possible, with the predicted time '
-        'as stamp, one message per tick of a throw',
-        depth=_ONE_SECOND, joints=('projectile',))
+        'as stamp, one message per tick of a throw', depth=_ONE_SECOND, joints=('projectile',))
     residual: Topic = Topic(
         '~/residual', JOINT_STATE,
         'Model minus measured positions, if both bodies are measured, with the stamps of the '
@@ -145,9 +142,8 @@ class TwinTopics(NamedTuple):
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
         'Positions of the plate and optionally of the projectile, with the time of measurement as '
-        'stamp, at 2 to 10 kHz',
-        depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS, quantities=('position',),
-        is_input=True)
+        'stamp, at 2 to 10 kHz', depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS,
+        quantities=('position',), is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
         'Motion of the plate for a controller, with the start of the throw as stamp, if '

@@ -27,8 +27,8 @@ from soft_throw_ros.identification.rig_fit import fit_rig
 from soft_throw_ros.identification.tracks import Track
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections, throw
 
-# Far from the truth
-KNOWN = Rig(Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5), Layer(wave_speed=50.0))
+FAR = Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5)
+KNOWN = Rig(engine=FAR, layer=Layer(wave_speed=50.0))
 
 # Least squares of the reference tracks, and Cramer-Rao bounds, by another program
 REFERENCE = {
