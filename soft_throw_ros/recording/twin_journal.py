@@ -7,13 +7,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 import contextlib
 from dataclasses import dataclass, replace
-import functools
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
-from soft_throw_ros.configuration.interface import find_topic, Topic
+from soft_throw_ros.configuration.interface import find_topic
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.cdr import decode
 from soft_throw_ros.storage.message import Message
@@ -106,18 +105,12 @@ class TwinJournal:
         self.throw = ThrowStart(stamp=stamp, number=entry['throw'], time_scale=self.time_scale)
 
 
-@functools.cache
-def identify(name: str, type_name: str) -> tuple[str, Topic | None]:
-    """Return the node and the entry of a topic; the entry is None for topics of other packages."""
-    return find_topic(name, type_name) or ('', None)
-
-
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
     """Return the throws of each twin in journals; of a repeated one, that which is complete."""
     throws: dict[str, dict[int, ThrowStart]] = {}  # by twin and stamp
     journals: dict[str, TwinJournal] = {}
     for message in messages:
-        node, _ = identify(message.channel.topic, message.channel.type)
+        node, _ = find_topic(message.channel.topic, message.channel.type) or ('', None)
         twin = journals.setdefault(node, TwinJournal())
         with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
             twin.read(message)
