@@ -19,9 +19,9 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
-from soft_throw_ros.storage.bag_lock import lock_folder
-from soft_throw_ros.storage.bag_metadata import (
+from soft_throw_ros.storage.bag_folder import (
     dump_yaml,
+    lock_folder,
     METADATA_FILE,
     profiles_of,
     VERSION,

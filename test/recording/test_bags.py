@@ -42,7 +42,7 @@ from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
 from soft_throw_ros.storage import bag_reader
-from soft_throw_ros.storage.bag_lock import is_being_written
+from soft_throw_ros.storage.bag_folder import is_being_written
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 import yaml
