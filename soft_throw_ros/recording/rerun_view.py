@@ -107,18 +107,14 @@ class Scene:
     """
 
     def __init__(
-        self,
-        stream: rr.RecordingStream,
-        *,
-        is_live: bool = False,
-        throw: ThrowStart | None = None,
+        self, stream: rr.RecordingStream, *, is_live: bool = False, throw: ThrowStart | None = None
     ) -> None:
         self.damaged = 0  # number of messages that could not be read
         self.damage = ''  # the error of the first of them
         self._stream = stream
         self._is_live = is_live
         self._new_canvas = partial(_Canvas, stream, throw=throw, is_live=is_live)
-        self._canvas: _Canvas = self._new_canvas('')
+        self._canvas = self._new_canvas('')
         self._twins: dict[str, _TwinView] = {}
         self._arranged: list[layout.TwinLayout] = []
 
@@ -134,14 +130,12 @@ class Scene:
             node, topic = _drawn_topic(message.channel.topic, message.channel.type)
             if topic is None:
                 continue
-            back = 0
-            if topic == TWIN_TOPICS.joint_states:
-                back = self._twin(node).step_back(message)
+            is_state = topic == TWIN_TOPICS.joint_states
+            back = self._twin(node).step_back(message) if is_state else 0
             # Earlier messages belong to the former rig, or to the former repetition
             if topic == TWIN_TOPICS.journal or back:
                 self._draw(node, waiting.pop(node, {}))
-            if back:  # draw the repetition after what is drawn
-                self._twin(node).canvas.delay += back
+                self._twin(node).canvas.delay += back  # draw a repetition after what is drawn
             waiting[node][topic].append(message)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
             self._draw(node, groups)
@@ -168,19 +162,12 @@ class Scene:
 
     def _draw(self, node: str, groups: Mapping[Topic, Sequence[Message]]) -> None:
         """Draw messages of one node, or messages that belong to no node."""
-        drawers: Mapping[Topic, Callable[..., None]] = {
-            _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
-        }
-        if node:
-            twin = self._twin(node)
-            drawers = {topic: partial(draw, twin) for topic, draw in _DRAWERS.items()}
-        for topic, draw in drawers.items():
-            messages = groups.get(topic, ())
-            if messages and topic.type == JOINT_STATE:
-                self._attempt(draw, messages)
-            else:
-                for message in messages:
-                    self._attempt(draw, [message])
+        drawer = self._twin(node) if node else self
+        for topic in [topic for topic in _DRAWERS if topic in groups]:
+            draw, messages = partial(_DRAWERS[topic], drawer), groups[topic]
+            at_once = len(messages) if topic.type == JOINT_STATE else 1
+            for first in range(0, len(messages), at_once):
+                self._attempt(draw, messages[first:first + at_once])
 
     def _attempt(self, draw: Callable[..., None], messages: Sequence[Message]) -> None:
         """Draw messages at once, or individually if one is damaged or different."""
@@ -194,7 +181,7 @@ class Scene:
                 self.damaged += 1
                 self.damage = self.damage or f'{messages[0].channel.topic}: {error!r:.200}'
 
-    def _draw_line(self, message: Message) -> None:
+    def draw_line(self, message: Message) -> None:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
         line = decode(message)
         stamp = _to_ns(line.stamp)
@@ -203,7 +190,7 @@ class Scene:
         level = rr.LoggingHandler.LVL2NAME.get(line.level)
         self._canvas.draw(layout.LOG, stamp, rr.TextLog(f'{line.name}: {line.msg}', level=level))
 
-    def _draw_diagnostics(self, message: Message) -> None:
+    def draw_diagnostics(self, message: Message) -> None:
         """Show diagnostics of a measured track, from a twin or from its calibrator."""
         for stamp, status, values in _read_statuses(message):
             node, _, task = str(status.name).rpartition(': ')
@@ -442,6 +429,8 @@ class _TwinView:
 
 
 _DRAWERS: Mapping[Topic, Callable[..., None]] = {
+    _LOG: Scene.draw_line,
+    TWIN_TOPICS.diagnostics: Scene.draw_diagnostics,
     TWIN_TOPICS.journal: _TwinView.draw_journal,
     **{
         line.topic: partial(_TwinView.draw_joints, topic=line.topic)
@@ -454,11 +443,7 @@ _DRAWERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.throw_field: _TwinView.draw_field,
     TWIN_TOPICS.throw_energies: _TwinView.draw_energies,
 }
-"""
-Methods that draw a message, or several ones of joints.
-
-Later methods need the data of earlier ones.
-"""
+"""Methods that draw a message, or several ones of joints, and need the data of earlier methods."""
 
 
 def is_drawn(topic: str, type_name: str) -> bool:
@@ -471,9 +456,8 @@ def _drawn_topic(name: str, type_name: str) -> tuple[str, Topic | None]:
     """Return node and topic of a name: no node if of all, no topic if it is not drawn."""
     if type_name == _LOG.type:
         return '', _LOG
-    node, topic = find_topic(name, type_name) or ('', _LOG)
-    is_known = topic in _DRAWERS or topic == TWIN_TOPICS.diagnostics
-    return (node, topic) if is_known else ('', None)
+    node, topic = find_topic(name, type_name) or ('', None)
+    return (node, topic) if topic in _DRAWERS else ('', None)
 
 
 def _read_cloud(message: Message, topic: Topic) -> Floats:
@@ -515,13 +499,7 @@ def _picture(
 
 def _texts(*places: tuple[float, float, str]) -> list[rr.AsComponents]:
     """Return texts in front of images, each a little below a point x, y of a view."""
-    return [
-        rr.Points2D(
-            [(x, y) for x, y, _ in places],
-            radii=rr.Radius.ui_points(0.0),
-            colors=[WHITE],
-            labels=[text for *_, text in places],
-            show_labels=True,
-            draw_order=40.0,
-        )
-    ]
+    return [rr.Points2D(
+        [(x, y) for x, y, _ in places], labels=[text for *_, text in places], show_labels=True,
+        colors=[WHITE], radii=rr.Radius.ui_points(0.0), draw_order=40.0,
+    )]
