@@ -11,10 +11,7 @@ from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.message import Channel, Message
 
 COMMAND = (recover.main,)
-CHANNELS = [
-    Channel(topic=topic, type='std_msgs/msg/String', schema='string data')
-    for topic in ('/a', '/longer')
-]
+CHANNEL = Channel(topic='/a', type='std_msgs/msg/String', schema='string data')
 
 
 @pytest.fixture
@@ -22,7 +19,7 @@ def bag(tmp_path):
     """Write a bag of three chunks."""
     with BagWriter(tmp_path / 'run', distribution='jazzy', compression='none') as writer:
         for number in range(300):
-            writer.write(Message(CHANNELS[number % 3 == 2], b'x' * 50, number, number, number))
+            writer.write(Message(CHANNEL, b'x' * 50, number, number, number))
             if number % 100 == 99:
                 writer.flush()
     return tmp_path / 'run'
