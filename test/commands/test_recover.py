@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `recover`."""
 
+import io
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -28,9 +29,8 @@ def bag(tmp_path):
 def damage(bag, chunk):
     """Damage a chunk of a bag; return the file."""
     (path,) = bag.glob('*.mcap')
-    with path.open('rb') as file:
-        index = make_reader(file).get_summary().chunk_indexes[chunk]
     data = bytearray(path.read_bytes())
+    index = make_reader(io.BytesIO(data)).get_summary().chunk_indexes[chunk]
     data[index.chunk_start_offset + index.chunk_length - 1] ^= 1
     path.write_bytes(data)
     return path
