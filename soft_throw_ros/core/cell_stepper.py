@@ -578,7 +578,6 @@ def _advance(core, nodes, path, events, time):
         return stepper.TOO_MANY_EVENTS
     if time < s.piece_begin:  # the grid is further on
         s.piece = piece
-    s.time = time
     s.fraction = 1.0
     if goal > 0:
         s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
