@@ -160,7 +160,6 @@ RECORD = np.dtype(
         ('step', 'f8'),  # [s]
         ('rate', 'f8'),  # 2 / step [1/s]
         ('cells', 'i8'),  # number of cells, and of the link that is the contact
-        ('is_curved', '?'),  # the sheets are neo-Hookean
         ('has_maxwell', '?'),
         ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
         ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
@@ -211,7 +210,6 @@ def _cut(s, nodes, counts, sheets):
         if modulus > 0.0:
             ratio = _static_stretch(weight / modulus)
             strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio, 0.0)
-            s.is_curved = True
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
         else:
             strain = weight / sheet[ROW.stiffness] * inverse
@@ -228,11 +226,8 @@ def _cut(s, nodes, counts, sheets):
             s.has_maxwell = s.has_maxwell or sheet[ROW.maxwell_stiffness + element] > 0.0
         if sheet[ROW.implicit_stiffness] > 0.0:
             s.stiff[0], s.stiff[1] = min(s.stiff[0], first), s.cells - 1
-    for end in range(2):
-        edge = end * (s.cells - 1)
-        is_alone = counts[end * (counts.size - 1)] == 1
-        s.edge_cells[end, 0] = edge
-        s.edge_cells[end, 1] = edge if is_alone else edge + 1 - 2 * end
+    s.edge_cells[0, 1] = min(1, counts[0] - 1)
+    s.edge_cells[1, 0], s.edge_cells[1, 1] = s.cells - 1, s.cells - min(2, counts[-1])
 
 
 @subroutine
@@ -338,7 +333,7 @@ def _prepare(
 def _elastic_tension(s, nodes):
     """Compute the elastic tension of all links."""
     now = s.index & 1
-    if s.is_curved:
+    if nodes[ROW.third_modulus, 0] > 0.0:  # all sheets have one law
         _neo_hookean_tension(s, nodes)
     else:
         for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
@@ -540,12 +535,10 @@ def _compare_loads(s, nodes):
 
 
 @subroutine
-def _motion(s, nodes, j, fraction):
+def _motion(s, nodes, j, t):
     """Interpolate displacement and velocity of a node between the last two steps."""
     u, v, step = nodes[ROW.displacement, j], nodes[ROW.velocity, j], s.step
-    if s.index == 0:
-        return u, v
-    now, t = s.index & 1, fraction
+    now = s.index & 1
     # Changes of velocity in half a step, of an acceleration that is linear in time
     old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
     before = u - step * v
@@ -578,9 +571,7 @@ def _advance(core, nodes, path, events, time):
         return stepper.TOO_MANY_EVENTS
     if time < s.piece_begin:  # the grid is further on
         s.piece = piece
-    s.fraction = 1.0
-    if goal > 0:
-        s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
+    s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
     later, weight = 2, 1.0
     if time < s.event_time:  # the event is still to come
         until = min(max(s.event_time / step - (goal - 1), 1e-9), 1.0)
@@ -604,7 +595,7 @@ def _advance(core, nodes, path, events, time):
 @subroutine
 def _move_nodes(s, nodes):
     """Interpolate all nodes, and the forces through all cells, at the requested time."""
-    now, fraction = s.index & 1, s.fraction if s.index > 0 else 1.0
+    now, fraction = s.index & 1, s.fraction
     for j in range(nodes.shape[1]):
         nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, fraction)
     nodes[ROW.position, 0] = s.state[stepper.PLATE_POSITION]
@@ -652,7 +643,7 @@ def _stored_energy(core: Any, nodes: Any) -> float:
     weight = s.mass * s.gravity
     total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
     total += weight * (position[0] + position[s.cells + 1] - position[s.cells])
-    remainder = (1.0 - s.fraction) * s.step if s.index > 0 else 0.0
+    remainder = (1.0 - s.fraction) * s.step
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
         total += 0.5 * nodes[ROW.stiffness, j] * stretch**2
