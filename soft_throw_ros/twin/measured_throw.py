@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import dataclasses
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from soft_throw_ros.twin.session import Session
 
 Floats = NDArray[np.float64]
+Path: TypeAlias = tuple[Floats, Floats]  # times and states of the plate
 
 _PREDICTION_ERROR = 0.03
 """Largest relative standard error of the ejection speed in the first prediction. [-]"""
@@ -78,14 +79,14 @@ class MeasuredThrow(OngoingThrow):
     def __init__(self, session: Session, onset: Onset, buffer: SampleBuffer) -> None:
         prepared, config = session.prepared, buffer.config
         assert prepared.fork is not None
-        assert prepared.release_weights is not None
+        assert prepared.release_response is not None
         rest_speed = MEASURED_REST_SPEED * config.start_speed
         super().__init__(session, start_ns=onset.onset_ns, rest_speed=rest_speed)
         self._fork = prepared.fork
         self._onset, self._buffer = onset, buffer
-        self._observer = PlateObserver(config, onset, prepared.release_weights)
-        self._settled = [(np.empty(0), np.empty((0, 3)))]  # times and states of the plate
-        self._path = self._settled[0]  # after these, with the continuation
+        self._observer = PlateObserver(config, onset, prepared.release_response)
+        self._settled = np.empty(0), np.empty((0, 3))  # times and states of the plate
+        self._path = self._settled  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
         self._compared_ns = onset.onset_ns  # until when the projectile has been compared [ns]
         self._differences = [np.empty((2, 0))]  # times [s], and model minus projectile [m]
@@ -158,7 +159,7 @@ class MeasuredThrow(OngoingThrow):
             times, states = times[:settled], states[:settled]
             self._stepper.append_plate_states(times, states)
             if not self._has_shown_field or times[0] < self._latest_peak(None):
-                self._settled.append((times, states))
+                self._settled = _joined(self._settled, (times, states))
 
     def _move_fork(self, time: float) -> State:
         """Advance the fork to a time, along the latest states of the plate."""
@@ -201,14 +202,14 @@ class MeasuredThrow(OngoingThrow):
 
     def _predict(self, release: Event, known: float, due_ns: int) -> None:
         """Report the release when it is first known well enough, and when it is certain."""
-        accuracy = self._assess_accuracy(release, is_certain=release.time <= known)
-        error = accuracy.ejection_speed_error / abs(release.velocity)
-        if accuracy.is_certain and error > _NOISY:
+        is_certain = release.time <= known
+        relative_error = self._observer.errors()[1] / abs(release.velocity)
+        if is_certain and relative_error > _NOISY:
             self.ended_by = 'noise'
-        elif accuracy.is_certain or (self._lead is None and error <= _PREDICTION_ERROR):
-            self._accuracy = accuracy
+        elif is_certain or (self._lead is None and relative_error <= _PREDICTION_ERROR):
             lead = release.time - (due_ns - self.start_ns) / SECOND
             self._lead = lead if self._lead is None else self._lead
+            self._accuracy = self._assess_accuracy(release, is_certain=is_certain)
             result = self._result_of('predicted', self._fork, [release])
             self.session.report(self._with_measurement(result, lead))
 
@@ -219,25 +220,22 @@ class MeasuredThrow(OngoingThrow):
 
     def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
-        times, states = self._plate(self._path)
+        times, states = _joined(self._settled, self._path)
         is_early = times <= self._latest_peak(release)
         fastest = peak_speed(times[is_early], states[is_early])
         return max(fastest, self._buffer.config.start_speed)
 
-    def _plate(self, *more: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-        """Return times and states of the plate that are settled, and more."""
-        times, states = zip(*self._settled, *more, strict=True)
-        return np.concatenate(times), np.concatenate(states)
-
     def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
         """Return the accuracy of a release."""
-        buffer, peak_speed = self._buffer, self._peak_plate_speed(release)
-        time, speed, energy_transfer = self._observer.errors(release.velocity, peak_speed)
+        buffer, speed, peak_speed = self._buffer, release.velocity, self._peak_plate_speed(release)
+        time_error, speed_error, peak_error = self._observer.errors()
+        # errors of both speeds count as independent: another motion than expected makes them so
+        relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
         return Accuracy(
             is_certain=is_certain,
-            release_time_error=time,
-            ejection_speed_error=speed,
-            energy_transfer_error=energy_transfer,
+            release_time_error=time_error,
+            ejection_speed_error=speed_error,
+            energy_transfer_error=relative_error * (speed / peak_speed) ** 2,
             samples=len(buffer.between(self.start_ns)) + buffer.outliers,
             samples_left_out=buffer.outliers,
         )
@@ -300,7 +298,7 @@ class MeasuredThrow(OngoingThrow):
         if length > known and not self.ended_by:
             return None
         self._has_shown_field = True
-        config, (times, states), start_ns = self._prepared.config, self._plate(), self.start_ns
+        config, (times, states), start_ns = self._prepared.config, self._settled, self.start_ns
 
         def throw_field() -> ThrowField:
             stepper, shown = stepper_of(config), slice(MAX_PIECES_AHEAD)
@@ -308,6 +306,11 @@ class MeasuredThrow(OngoingThrow):
             return throw_field_of(stepper, min(length, stepper.horizon), start_ns=start_ns)
 
         return throw_field
+
+
+def _joined(first: Path, second: Path) -> Path:
+    """Return both parts of a path."""
+    return np.concatenate((first[0], second[0])), np.concatenate((first[1], second[1]))
 
 
 def peak_speed(times: Floats, states: Floats) -> float:
