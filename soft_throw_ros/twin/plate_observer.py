@@ -40,8 +40,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, Record, subroutine
 from soft_throw_ros.core.plate import PlateMotion, Underdamped
-from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
-from soft_throw_ros.twin.sample_buffer import Onset, Samples
+from soft_throw_ros.twin.sample_buffer import Onset, OUTLIER_SIGMAS, Samples
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +69,6 @@ _MEMORY = np.dtype(
     [
         ('omega', 'f8'),  # of Eq. (D1) [1/s]
         ('zeta', 'f8'),
-        ('amplitude', 'f8'),  # expected [m]
         ('unmodelled', 'f8'),  # spectral density of q [m2/s3]
         ('time', 'f8'),  # since the start [s]
         ('state', 'f8', (3,)),
@@ -167,14 +165,12 @@ def _filter(
     steps: NDArray[np.void],
 ) -> None:
     """Go on to each time, and take the measured height there, unless it is NaN."""
-    s, f = memory[0], np.zeros((3, 3))
+    s = memory[0]
     for n in range(times.size):
         _predict(s, times[n], axis, changes)
         p, step = s.covariance, steps[s.steps]
         s.steps += 1
-        _transition(s, s.time, f)  # from the rest, which gives the expected speed
-        noise = errors[n] ** 2 + (f[1, 2] * s.amplitude * stamp_error) ** 2
-        variance = p[0, 0] + noise
+        variance = p[0, 0] + errors[n] ** 2 + (s.state[1] * stamp_error) ** 2
         most = OUTLIER_SIGMAS * math.sqrt(variance)
         error = min(max(heights[n] - s.state[0], -most), most)
         step.time, step.pull = times[n], 0.0
@@ -294,7 +290,7 @@ class PlateObserver:
         self._memory = memory = np.zeros(1, _MEMORY)
         if is_engine:
             memory['omega'], memory['zeta'] = omega, plate.damping_ratio
-            memory['amplitude'] = memory['state'][0, 2] = plate.amplitude
+            memory['state'][0, 2] = plate.amplitude
         memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
         memory['ratio'] = _FIRST_RATIO
         memory['settled'] = -1.0
