@@ -29,7 +29,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 import json
 import math
 from operator import index
@@ -198,15 +198,6 @@ def decode_onset(values: Entry) -> Onset:
         )
 
 
-@dataclass
-class _Checksum:
-    """CRC-32 of the states, and of the fields of the layer, since the step `first`."""
-
-    first: int
-    states: int = 0
-    fields: int = 0
-
-
 class JournalWriter:
     """
     A writer of the journal of a session: numbered entries, batches of samples, and checksums.
@@ -220,7 +211,7 @@ class JournalWriter:
         self._line = 0
         self._batches: list[tuple[int, Samples]] = []
         self._last_flush_step = step
-        self._checksum = _Checksum(step)
+        self._begin_checksum(step)
 
     def write(self, kind: str, step: int, **values: object) -> None:
         """Write an entry, without `motions` if there are none."""
@@ -251,13 +242,13 @@ class JournalWriter:
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
         """Add the outputs of a step to the checksum, and write the entries that are due."""
         checksum = self._checksum
-        checksum.states = crc32(STATE.pack(*outputs.state), checksum.states)
+        checksum['states'] = crc32(STATE.pack(*outputs.state), checksum['states'])
         for array in outputs.layer or ():
-            checksum.fields = crc32(array.data, checksum.fields)
+            checksum['fields'] = crc32(array.data, checksum['fields'])
         following = outputs.step + 1
         if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
             self._flush(following)  # also without samples, as a sign of life
-        if following - checksum.first >= CHECKSUM_TIME * rate:
+        if following - checksum['first'] >= CHECKSUM_TIME * rate:
             self._write_checksum(following)
 
     def close(self, step: int) -> None:
@@ -268,9 +259,13 @@ class JournalWriter:
 
     def _write_checksum(self, step: int) -> None:
         """Write the checksum of the steps before `step`, if any, and begin the next."""
-        if step > self._checksum.first:
-            self.write('checksum', step, **vars(self._checksum))
-        self._checksum = _Checksum(step)
+        if step > self._checksum['first']:
+            self.write('checksum', step, **self._checksum)
+        self._begin_checksum(step)
+
+    def _begin_checksum(self, step: int) -> None:
+        """Begin the checksum of states and fields from a step on."""
+        self._checksum = {'first': step, 'states': 0, 'fields': 0}
 
     def _flush(self, step: int) -> None:
         """Write the stored samples."""

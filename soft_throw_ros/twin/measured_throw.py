@@ -18,10 +18,11 @@ from typing import Any, TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
-from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION
+from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION, Stepper
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
     layer_of,
+    state_of,
     stepper_of,
     THROW_FIELD_LENGTH,
     throw_field_of,
@@ -88,7 +89,8 @@ class MeasuredThrow(OngoingThrow):
         self._settled = np.empty(0), np.empty((0, 3))  # times and states of the plate
         self._path = self._settled  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
-        self._compared_ns = onset.onset_ns  # until when the projectile has been compared [ns]
+        self._period = 1.0 / config.plate.frequency  # of the plate [s]
+        self._compared = 0.0  # until when the projectile has been compared [s]
         self._differences = [np.empty((2, 0))]  # times [s], and model minus projectile [m]
         self._accuracy: Accuracy | None = None  # of the last prediction, or of the release
         self._lead: float | None = None  # of the first prediction [s]
@@ -164,7 +166,7 @@ class MeasuredThrow(OngoingThrow):
     def _move_fork(self, time: float) -> State:
         """Advance the fork to a time, along the latest states of the plate."""
         self._try_to_advance(self._fork, time)
-        return State._make(self._fork.state.tolist()[1:])
+        return state_of(self._fork)
 
     def _event_ns(self, event: Event) -> int:
         """Return the time of an event by the stamps of the samples [ns]."""
@@ -176,11 +178,12 @@ class MeasuredThrow(OngoingThrow):
 
         They are compared until a period of the plate after the release.
         """
-        rest, stepper, begin_ns = self._onset.rest, self._stepper, self._compared_ns
-        if self.first_release and begin_ns > self._event_ns(self.first_release) + self._period_ns:
+        rest, stepper, begin = self._onset.rest, self._stepper, self._compared
+        if self.events and begin > self.events[0].time + self._period:
             return self._go_to(known)[1], None
-        self._compared_ns = self.start_ns + math.floor(known * SECOND)
-        samples = self._buffer.between(begin_ns + 1, self._compared_ns + 1)
+        self._compared = known
+        begin_ns, end_ns = (self.start_ns + math.floor(t * SECOND) + 1 for t in (begin, known))
+        samples = self._buffer.between(begin_ns, end_ns)
         samples = samples[np.isfinite(samples.projectile)]
         times = samples.seconds_since(self.start_ns)
         modelled = np.empty((len(samples), 2))
@@ -195,11 +198,6 @@ class MeasuredThrow(OngoingThrow):
         self._differences.append(np.stack((times, differences[:, 1])))
         return events, Residual(int(samples.stamps[-1]), *differences[-1].tolist())
 
-    @property
-    def _period_ns(self) -> float:
-        """Period of the plate [ns]."""
-        return SECOND / self._prepared.rig.engine.frequency
-
     def _predict(self, release: Event, known: float, due_ns: int) -> None:
         """Report the release when it is first known well enough, and when it is certain."""
         is_certain = release.time <= known
@@ -208,10 +206,10 @@ class MeasuredThrow(OngoingThrow):
             self.ended_by = 'noise'
         elif is_certain or (self._lead is None and relative_error <= _PREDICTION_ERROR):
             lead = release.time - (due_ns - self.start_ns) / SECOND
-            self._lead = lead if self._lead is None else self._lead
             self._accuracy = self._assess_accuracy(release, is_certain=is_certain)
-            result = self._result_of('predicted', self._fork, [release])
-            self.session.report(self._with_measurement(result, lead))
+            result = self._result('predicted', self._fork)
+            self.session.report(dataclasses.replace(result, lead=lead))
+            self._lead = lead if self._lead is None else self._lead
 
     def _latest_peak(self, release: Event | None) -> float:
         """Return the time until which the plate has its peak speed: until the release too [s]."""
@@ -240,34 +238,27 @@ class MeasuredThrow(OngoingThrow):
             samples_left_out=buffer.outliers,
         )
 
-    def _result(self, stage: str) -> ThrowResult:
+    def _result(self, stage: str, fork: Stepper | None = None) -> ThrowResult:
         """Return the result so far, with its accuracy and the faults of the measurement."""
-        release = self.first_release
-        if stage == 'release' and release is not None:
-            self._accuracy = self._assess_accuracy(release, is_certain=self._is_certain)
-        result = super()._result(stage)
-        return self._with_measurement(result, self._lead, comparison=self._compare())
-
-    def _with_measurement(
-        self, result: ThrowResult, lead: float | None, *, comparison: Comparison | None = None
-    ) -> ThrowResult:
-        """Add the faults of the measurement until now, and to a valid result its accuracy."""
+        if stage == 'release':
+            self._accuracy = self._assess_accuracy(self.events[0], is_certain=self._is_certain)
+        known: dict[str, Any] = {}
+        result = super()._result(stage, fork)
+        if result.is_valid:
+            comparison = None if fork else self._compare()
+            known = {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
         disturbances = Disturbances(
             clock_offset_ns=self._onset.clock_offset_ns,
             samples_missing=self._buffer.missing_since(self.start_ns),
             time_skipped=self._time_skipped,
         )
-        known: dict[str, Any] = {}
-        if result.is_valid:
-            known = {'lead': lead, 'accuracy': self._accuracy, 'comparison': comparison}
         return dataclasses.replace(result, disturbances=disturbances, **known)
 
     def _compare(self) -> Comparison | None:
         """Compare the throw with the samples of the projectile; None if there are none."""
         times, differences = np.concatenate(self._differences, axis=1)
-        longest = self._period_ns / SECOND
         release, landing, *_ = [*(event.time for event in self.events), math.inf, math.inf]
-        counted = differences[times <= release + longest]
+        counted = differences[times <= release + self._period]
         if not counted.size:
             return None
         comparison = Comparison(
@@ -278,7 +269,7 @@ class MeasuredThrow(OngoingThrow):
         )
         is_flying = (times > release) & (times < landing)
         times, differences = times[is_flying] - release, differences[is_flying]
-        if times.size < FEWEST_IN_FLIGHT or times[-1] < 0.5 * longest:
+        if times.size < FEWEST_IN_FLIGHT or times[-1] < 0.5 * self._period:
             return comparison
         # model and projectile fly freely, so that the residual is linear in time
         slope, offset = np.polyfit(times, differences, 1).tolist()
@@ -291,7 +282,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when the plate is known for long enough or lost."""
-        release, known = self.first_release, self._stepper.horizon
+        release, known = self.events[0] if self.events else None, self._stepper.horizon
         if self._has_shown_field or known <= 0.0 or not (release or self.ended_by):
             return None  # the throw may end before the plate is known
         length = THROW_FIELD_LENGTH * release.time if release else known

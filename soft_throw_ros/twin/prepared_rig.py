@@ -16,6 +16,7 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.plate import motion_of as motion_of_engine
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
+    Event,
     EventLimitError,
     PROJECTILE_FORCE,
     PROJECTILE_VELOCITY,
@@ -119,6 +120,11 @@ class PreparedRig:
         return min(ticks, self.period_ticks(period) // 2) if period else ticks
 
 
+def state_of(stepper: Stepper) -> State:
+    """Return the present state of plate and projectile."""
+    return State._make(stepper.state.tolist()[1:])
+
+
 def layer_of(stepper: Stepper) -> LayerState:
     """Return the present state of the layer."""
     rows = np.empty((3, FIELD_POINTS))
@@ -144,7 +150,7 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
 def _energies(stepper: Stepper) -> tuple[float, float, float, float]:
     """Return the energies of a rig before its first release, as in `interface.ENERGIES` [J]."""
     rig, total = stepper.rig, stepper.stored_energy()
-    state = State._make(stepper.state.tolist()[1:])
+    state = state_of(stepper)
     rise = state.projectile_position - stepper.rest_position
     projectile = rig.projectile.mass * (0.5 * state.projectile_velocity**2 + rig.gravity * rise)
     return stepper.plate_work, projectile, total - projectile, total
@@ -162,9 +168,8 @@ def _release_response(config: TwinConfig) -> ReleaseResponse:
     By superposition it is the motion of the projectile after a small pulse of the plate.
     """
     rig, motion = config.rig, config.measurement.motion
-    nominal = make_stepper(rig, is_measured=False, field_points=FIELD_POINTS)
-    _ejection_time(nominal)
-    release = nominal.events()[0] if nominal.event_count else None
+    nominal = make_stepper(rig, is_measured=False)
+    release = _first_release(nominal)
     end = 0.5 / rig.engine.frequency if release is None else release.time
     nominal.reset()
     nominal.advance_to((1.0 - _NEAR) * end)
@@ -214,10 +219,11 @@ def prepare(
     if config.is_measured:
         _require_time(config, stepper)
     path, motion = config.motion_file, config.rig.engine.motion
-    rest, rest_layer = State._make(stepper.state.tolist()[1:]), layer_of(stepper)
+    rest, rest_layer = state_of(stepper), layer_of(stepper)
     throw_field = None
     if not config.is_measured:
-        length = THROW_FIELD_LENGTH * _ejection_time(stepper)
+        release = _first_release(stepper)
+        length = THROW_FIELD_LENGTH * (release.time if release else config.rig.longest_wait)
         stepper.reset()
         throw_field = throw_field_of(stepper, length)
         stepper.reset()
@@ -288,11 +294,9 @@ def _require_playable(config: TwinConfig, lead: float) -> None:
         )
 
 
-def _ejection_time(stepper: Stepper) -> float:
-    """Return the ejection time, or the waiting time if the projectile does not leave soon."""
-    latest = stepper.rig.longest_wait
+def _first_release(stepper: Stepper) -> Event | None:
+    """Advance to the first release, and return it, or None if there is none soon."""
     try:
-        release = stepper.advance_to_release(latest=latest)
+        return stepper.advance_to_release(latest=stepper.rig.longest_wait)
     except EventLimitError:  # the projectile has left, and bounces on a stiff layer
-        release = stepper.events()[0]
-    return latest if release is None else release.time
+        return stepper.events()[0]

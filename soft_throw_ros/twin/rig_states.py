@@ -4,13 +4,13 @@
 The states of a rig in a session: at rest, in a throw, and returning to rest.
 
 Before `advance` gives the outputs of the present step, `start_next` enters the next state if it is
-due. `request_throw` returns the reason of a refusal, or an empty text.
+due. `refusal` returns the reason to refuse a throw, or an empty text.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
-from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, layer_of
+from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, layer_of, state_of
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
@@ -48,7 +48,6 @@ class AtRest:
     """Plate and projectile are at rest; the next throw starts when it is due or requested."""
 
     session: Session
-    is_requested: bool = False
     start_step: int | None = None  # of the next throw, whose motion is commanded already
 
     def start_next(self) -> None:
@@ -57,9 +56,9 @@ class AtRest:
         if self.start_step is not None:
             if session.step >= self.start_step:
                 session.begin_throw()
-        elif self.is_requested or session.step >= session.next_start:
+        elif session.step >= session.next_start:
             if session.pending:
-                session.put_back(is_requested=self.is_requested)
+                session.put_back()
             else:
                 session.command_plate()
 
@@ -74,12 +73,10 @@ class AtRest:
         """Return the layer at rest."""
         return self.session.prepared.rest_layer
 
-    def request_throw(self) -> str:
-        """Start a throw with the next step."""
-        if self.is_requested or self.start_step is not None:
-            return f'throw {self.session.throws + 1} is about to start'
-        self.is_requested = True
-        return ''
+    def refusal(self) -> str:
+        """Refuse another throw if one is about to start."""
+        is_about_to_start = self.session.is_requested or self.start_step is not None
+        return f'throw {self.session.throws + 1} is about to start' if is_about_to_start else ''
 
 
 @dataclass
@@ -94,13 +91,12 @@ class Returning:
     begin: int
     end: int
     origin: State
-    is_requested: bool = False  # the next throw starts when they have arrived
 
     def start_next(self) -> None:
         """Start a throw that is due, or else rest."""
         session = self.session
         if session.step >= self.end:
-            if self.is_requested or session.step >= session.next_start:
+            if session.step >= session.next_start:
                 session.command_plate()
             else:
                 session.enter(AtRest(session), Phase.REST)
@@ -148,9 +144,9 @@ class Returning:
             np.zeros(FIELD_POINTS),
         )
 
-    def request_throw(self) -> str:
+    def refusal(self) -> str:
         """Refuse a throw until the rig is at rest."""
-        return self.session.refusal('resetting the rig', self.end)
+        return self.session.ready_text('resetting the rig', self.end)
 
 
 class OngoingThrow(ABC):
@@ -173,11 +169,6 @@ class OngoingThrow(ABC):
         self._rest_speed = rest_speed
         self._last_moving_time = 0.0  # since the start [s]
         self._has_shown_field = False
-
-    @property
-    def first_release(self) -> Event | None:
-        """Return the first release, if the projectile has left."""
-        return self.events[0] if self.events else None
 
     def advance(self) -> Outputs:
         """Advance to the present step, and end the throw if it is over."""
@@ -206,9 +197,9 @@ class OngoingThrow(ABC):
         """Return the present state of the layer."""
         return layer_of(self._stepper)
 
-    def request_throw(self) -> str:
+    def refusal(self) -> str:
         """Refuse another throw."""
-        return self.session.refusal(f'throw {self.number} is under way', self.session.due)
+        return self.session.ready_text(f'throw {self.number} is under way', self.session.due)
 
     @abstractmethod
     def _advance(self) -> Outputs:
@@ -234,7 +225,7 @@ class OngoingThrow(ABC):
         """Advance to a time after the start; return the state and the new events."""
         stepper, seen = self._stepper, len(self.events)
         count = self._try_to_advance(stepper, time)
-        state = State._make(stepper.state.tolist()[1:])
+        state = state_of(stepper)
         if max(abs(state.plate_velocity), abs(state.projectile_velocity)) > self._rest_speed:
             self._last_moving_time = time
         if count > seen:
@@ -256,16 +247,13 @@ class OngoingThrow(ABC):
             self.ended_by = 'max_events'
             return 0
 
-    def _result(self, stage: str) -> ThrowResult:
-        """Return the result so far."""
-        return self._result_of(stage, self._stepper, self.events)
-
-    def _result_of(self, stage: str, stepper: Stepper, events: Sequence[Event]) -> ThrowResult:
-        """Return the result by a stepper; an invalid throw has no events."""
+    def _result(self, stage: str, fork: Stepper | None = None) -> ThrowResult:
+        """Return the result so far, or by a fork; an invalid throw has no events."""
+        stepper, events = fork or self._stepper, fork.events()[:1] if fork else self.events
         rig, loads = self._prepared.rig, stepper.loads
         peak_speed = self._peak_plate_speed(events[0] if events else None)
         if self.ended_by in INVALID_ENDS:
-            events = ()
+            events = []
         ejected = ejections(events)
         releases = [
             Release(
