@@ -181,11 +181,11 @@ def named(request: dict[str, Any]) -> dict[str, Any]:
 
 def same(ours: Outputs, theirs: Outputs) -> bool:
     """Compare outputs: numbers by all digits, arrays by bytes, and fields of throws by calls."""
-    return _content(ours) == _content(theirs)
+    return _content([*vars(ours).values()]) == _content([*vars(theirs).values()])
 
 
 def _content(value: Any) -> Any:
-    if isinstance(value, tuple):
+    if isinstance(value, (tuple, list)):
         return [_content(part) for part in value]
     if callable(value):
         return _content(value())

@@ -10,11 +10,12 @@ which it happened:
 kind          further keys
 ============= ================================================================================
 start         `settings`, `versions`, `motions` (of files, by their paths); it begins, at rest
-throw         the same, `throw` (its number), `pending` (changes that wait) and `schedule`;
-              a throw starts, and if the plate is measured, `onset`: how that was seen
+throw         the same, `throw` (its number), `pending` (changes that wait) and `schedule`, the
+              fields of a `TickSchedule`, by which steps are due; a throw starts, and if the plate
+              is measured, `onset`: how that was seen
 samples       `count` and `data`, see `encode_samples`: taken before this step, or others
 input         `input`: 'throw', 'reset', or 'parameters' with their `values` and `motions`
-tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
+tick_schedule `schedule`: from `step` on, steps are due by this
 result        `result`: the values of a `ThrowResult`, where None is infinite
 checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps from `first` to before
               `step`, for at most a second, and from the start of a throw on
@@ -29,7 +30,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple
 import json
 import math
 from operator import index
@@ -77,9 +77,6 @@ _LONGEST_DATA = 1 << 24
 
 _FARTHEST = 2**62
 """Largest magnitude of a step [-], and of a time [ns]."""
-
-_SCHEDULE = ('anchor_step', 'anchor_time_ns', 'rate')
-"""Keys of the fields of a `TickSchedule`."""
 
 _SAMPLE = np.dtype([('step', '<i8'), ('stamp_ns', '<i8'), ('heights', '<f8', (2,))])
 
@@ -132,18 +129,14 @@ def motion_source(entry: Entry) -> motions.MotionSource:
     return motion_of
 
 
-def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
-    """Encode a schedule for an entry."""
-    return dict(zip(_SCHEDULE, astuple(schedule), strict=True))
-
-
-def decode_schedule(values: Entry) -> TickSchedule:
-    """Decode a schedule from the values of an entry."""
-    with _reading('schedule of ticks', values):
-        step, time_ns, rate = (values[name] for name in _SCHEDULE)
-        if max(abs(index(step)), abs(index(time_ns))) > _FARTHEST or not 1e-3 <= rate <= 1e9:
+def decode_schedule(entry: Entry) -> TickSchedule:
+    """Decode the schedule of an entry."""
+    with _reading('schedule of ticks', dict(entry)):
+        schedule = TickSchedule(**entry['schedule'])
+        farthest = max(abs(index(schedule.step)), abs(index(schedule.time_ns)))
+        if farthest > _FARTHEST or not 1e-3 <= schedule.rate <= 1e9:
             raise ValueError('out of range')
-        return TickSchedule(step, time_ns, rate)
+        return schedule
 
 
 def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:

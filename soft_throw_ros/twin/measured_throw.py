@@ -90,8 +90,10 @@ class MeasuredThrow(OngoingThrow):
         self._path = self._settled  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
         self._period = 1.0 / config.plate.frequency  # of the plate [s]
+        self._peak_by = 1.1 * config.motion.peak_velocity_time  # has its largest speed [s]
         self._compared = 0.0  # until when the projectile has been compared [s]
         self._differences = [np.empty((2, 0))]  # times [s], and model minus projectile [m]
+        self._is_certain = False  # the plate cannot change the release any more
         self._accuracy: Accuracy | None = None  # of the last prediction, or of the release
         self._lead: float | None = None  # of the first prediction [s]
         self._last_due_ns = 0  # time of the last step [ns]
@@ -103,15 +105,10 @@ class MeasuredThrow(OngoingThrow):
         self._move_fork(self._now)
         return layer_of(self._fork)
 
-    @property
-    def _is_certain(self) -> bool:
-        """Whether the plate cannot change the release any more."""
-        return self._accuracy is not None and self._accuracy.is_certain
-
-    def _advance(self) -> Outputs:
+    def _advance(self, outputs: Outputs) -> None:
         """Advance as far as the plate is known, and predict from there."""
-        session, buffer, observer, fork = self.session, self._buffer, self._observer, self._fork
-        due_ns, crossing = session.due_ns(session.step), self._prepared.rig.crossing_time
+        buffer, observer, fork = self._buffer, self._observer, self._fork
+        due_ns, crossing = self.session.due_ns(outputs.step), self._prepared.rig.crossing_time
         if buffer.gap > crossing or due_ns - buffer.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
@@ -127,7 +124,7 @@ class MeasuredThrow(OngoingThrow):
         release_by = self._prepared.latest_release if self._lead is None else 0.0
         self._move_plate(max(now, known, release_by))
         horizon = self._stepper.horizon
-        events, residual = self._follow_plate(horizon)
+        outputs.events, outputs.residual = self._follow_plate(horizon)
         self._now, ahead = max(now, horizon), max(known, horizon)
         fork.sync_from(self._stepper, *self._path)
         states = {time: self._move_fork(time) for time in sorted((self._now, ahead))}
@@ -137,20 +134,13 @@ class MeasuredThrow(OngoingThrow):
             if fork.event_count:
                 self._predict(fork.events()[0], known, due_ns)
         if self.ended_by == 'noise':
-            self.events, events = [], ()
-        state, stamp_ns = states[ahead], self.start_ns + round(ahead * SECOND)
-        return Outputs(
-            session.step,
-            self.number,
-            states[self._now],
-            events=events,
-            prediction=PredictedState(
-                stamp_ns,
-                state.projectile_position,
-                state.projectile_velocity,
-                state.projectile_force,
-            ),
-            residual=residual,
+            self.events, outputs.events = [], []
+        outputs.state, state = states[self._now], states[ahead]
+        outputs.prediction = PredictedState(
+            self.start_ns + round(ahead * SECOND),
+            state.projectile_position,
+            state.projectile_velocity,
+            state.projectile_force,
         )
 
     def _move_plate(self, until: float) -> None:
@@ -160,7 +150,7 @@ class MeasuredThrow(OngoingThrow):
         if settled:
             times, states = times[:settled], states[:settled]
             self._stepper.append_plate_states(times, states)
-            if not self._has_shown_field or times[0] < self._latest_peak(None):
+            if not self._has_shown_field:
                 self._settled = _joined(self._settled, (times, states))
 
     def _move_fork(self, time: float) -> State:
@@ -172,7 +162,7 @@ class MeasuredThrow(OngoingThrow):
         """Return the time of an event by the stamps of the samples [ns]."""
         return self.start_ns + round(event.time * SECOND)
 
-    def _follow_plate(self, known: float) -> tuple[tuple[Event, ...], Residual | None]:
+    def _follow_plate(self, known: float) -> tuple[list[Event], Residual | None]:
         """
         Advance as far as the plate is known, and compare with samples of the projectile.
 
@@ -200,37 +190,31 @@ class MeasuredThrow(OngoingThrow):
 
     def _predict(self, release: Event, known: float, due_ns: int) -> None:
         """Report the release when it is first known well enough, and when it is certain."""
-        is_certain = release.time <= known
-        relative_error = self._observer.errors()[1] / abs(release.velocity)
-        if is_certain and relative_error > _NOISY:
+        self._is_certain = release.time <= known
+        relative_error = self._observer.errors()[0] / abs(release.velocity)
+        if self._is_certain and relative_error > _NOISY:
             self.ended_by = 'noise'
-        elif is_certain or (self._lead is None and relative_error <= _PREDICTION_ERROR):
+        elif self._is_certain or (self._lead is None and relative_error <= _PREDICTION_ERROR):
             lead = release.time - (due_ns - self.start_ns) / SECOND
-            self._accuracy = self._assess_accuracy(release, is_certain=is_certain)
             result = self._result('predicted', self._fork)
             self.session.report(dataclasses.replace(result, lead=lead))
             self._lead = lead if self._lead is None else self._lead
 
-    def _latest_peak(self, release: Event | None) -> float:
-        """Return the time until which the plate has its peak speed: until the release too [s]."""
-        peak_time = 1.1 * self._buffer.config.motion.peak_velocity_time
-        return max(peak_time, release.time if release else 0.0)
-
     def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
         times, states = _joined(self._settled, self._path)
-        is_early = times <= self._latest_peak(release)
+        is_early = times <= max(self._peak_by, release.time if release else 0.0)
         fastest = peak_speed(times[is_early], states[is_early])
         return max(fastest, self._buffer.config.start_speed)
 
-    def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
+    def _assess_accuracy(self, speed: float, peak_speed: float) -> Accuracy:
         """Return the accuracy of a release."""
-        buffer, speed, peak_speed = self._buffer, release.velocity, self._peak_plate_speed(release)
-        time_error, speed_error, peak_error = self._observer.errors()
+        buffer = self._buffer
+        speed_error, time_error, peak_error = self._observer.errors()
         # errors of both speeds count as independent: another motion than expected makes them so
         relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
         return Accuracy(
-            is_certain=is_certain,
+            is_certain=self._is_certain,
             release_time_error=time_error,
             ejection_speed_error=speed_error,
             energy_transfer_error=relative_error * (speed / peak_speed) ** 2,
@@ -240,10 +224,12 @@ class MeasuredThrow(OngoingThrow):
 
     def _result(self, stage: str, fork: Stepper | None = None) -> ThrowResult:
         """Return the result so far, with its accuracy and the faults of the measurement."""
-        if stage == 'release':
-            self._accuracy = self._assess_accuracy(self.events[0], is_certain=self._is_certain)
         known: dict[str, Any] = {}
         result = super()._result(stage, fork)
+        if result.first and stage != 'final':
+            self._accuracy = self._assess_accuracy(
+                result.first.ejection_speed, result.peak_plate_speed
+            )
         if result.is_valid:
             comparison = None if fork else self._compare()
             known = {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
@@ -286,7 +272,7 @@ class MeasuredThrow(OngoingThrow):
         if self._has_shown_field or known <= 0.0 or not (release or self.ended_by):
             return None  # the throw may end before the plate is known
         length = THROW_FIELD_LENGTH * release.time if release else known
-        if length > known and not self.ended_by:
+        if max(length, self._peak_by) > known and not self.ended_by:
             return None
         self._has_shown_field = True
         config, (times, states), start_ns = self._prepared.config, self._settled, self.start_ns

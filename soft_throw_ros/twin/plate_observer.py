@@ -277,21 +277,17 @@ class PlateObserver:
         plate = config.plate
         self._config, self._onset, self._response = config, onset, response
         self.next_ns = onset.onset_ns + 1  # time from which samples are not used yet [ns]
-        omega = 2.0 * math.pi * plate.frequency
-        speed, swing = plate.peak_velocity, plate.amplitude * omega
+        omega, swing = plate.angular_frequency, plate.amplitude * plate.angular_frequency
         is_engine = isinstance(config.motion, Underdamped)
         self._command = None if is_engine else config.motion
         unmodelled = UNMODELLED if is_engine else _COMMANDED * UNMODELLED
-        relative = (
-            unmodelled,
-            2.0 * config.frequency_error / plate.frequency,
-            2.0 * config.damping_error,
-        )
+        stiffness, damping = config.frequency_error / plate.frequency, config.damping_error
+        relative = math.hypot(unmodelled, 2.0 * stiffness, 2.0 * damping)
         self._memory = memory = np.zeros(1, _MEMORY)
         if is_engine:
             memory['omega'], memory['zeta'] = omega, plate.damping_ratio
             memory['state'][0, 2] = plate.amplitude
-        memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
+        memory['unmodelled'] = (relative * plate.peak_velocity) ** 2 * omega
         memory['ratio'] = _FIRST_RATIO
         memory['settled'] = -1.0
         variances = np.square(
@@ -367,7 +363,7 @@ class PlateObserver:
 
     def errors(self) -> tuple[float, float, float]:
         """
-        Return the standard errors of time [s] and speed [m/s] of the release, and peak speed.
+        Return the standard errors of speed [m/s] and time [s] of the release, and peak speed.
 
         Innovations that are larger than the stated noise explains make the errors larger.
         """
@@ -377,7 +373,7 @@ class PlateObserver:
         density = float(present['unmodelled']) * ratio**2
         variances = ratio * (present['release'] + density * np.array(later))
         speed_error, time_error, peak_error = np.sqrt(variances).tolist()
-        return time_error, speed_error, peak_error
+        return speed_error, time_error, peak_error
 
 
 def warm_up() -> None:

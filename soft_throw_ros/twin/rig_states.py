@@ -24,6 +24,7 @@ from soft_throw_ros.twin.results import (
     LayerState,
     Outputs,
     Phase,
+    PhaseChange,
     Release,
     State,
     ThrowField,
@@ -62,12 +63,10 @@ class AtRest:
             else:
                 session.command_plate()
 
-    def advance(self) -> Outputs:
-        """Return the rest, of a measured plate as it is measured."""
-        session = self.session
-        rest, monitor = session.prepared.rest, session.monitor
-        state = rest if monitor is None else monitor.state(rest)
-        return Outputs(session.step, session.throws, state)
+    def advance(self, outputs: Outputs) -> None:
+        """Output the rest, of a measured plate as it is measured."""
+        rest, monitor = self.session.prepared.rest, self.session.monitor
+        outputs.state = rest if monitor is None else monitor.state(rest)
 
     def layer(self) -> LayerState:
         """Return the layer at rest."""
@@ -101,9 +100,9 @@ class Returning:
             else:
                 session.enter(AtRest(session), Phase.REST)
 
-    def advance(self) -> Outputs:
+    def advance(self, outputs: Outputs) -> None:
         """
-        Return a point of the way to rest with the least jerk [1]_, or that of a measured plate.
+        Output a point of the way to rest with the least jerk [1]_, or that of a measured plate.
 
         Plate and projectile have covered the same share of their ways at any time, so that they
         do not collide. Forces are zero, because the layer is left out.
@@ -115,14 +114,15 @@ class Returning:
         """
         session, origin, goal = self.session, self.origin, self.session.prepared.rest
         if session.monitor is not None:
-            return Outputs(session.step, session.throws, session.monitor.state(goal))
+            outputs.state = session.monitor.state(goal)
+            return
         ticks = self.end - self.begin
         time = (session.step - self.begin) / ticks  # over the duration
         share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
         speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * session.prepared.tick)
         plate = goal.plate_position - origin.plate_position
         projectile = goal.projectile_position - origin.projectile_position
-        state = State(
+        outputs.state = State(
             plate_position=origin.plate_position + share * plate,
             projectile_position=origin.projectile_position + share * projectile,
             plate_velocity=speed * plate,
@@ -130,11 +130,10 @@ class Returning:
             plate_force=0.0,
             projectile_force=0.0,
         )
-        return Outputs(session.step, session.throws, state)
 
     def layer(self) -> LayerState:
         """Return the layer lying on the plate without force."""
-        prepared, state = self.session.prepared, self.session.state
+        prepared, state = self.session.prepared, self.session.outputs.state
         rest, gap = prepared.rest, state.projectile_position - state.plate_position
         scale = min(1.0, gap / (rest.projectile_position - rest.plate_position))
         height = prepared.rest_layer.height - rest.plate_position
@@ -170,27 +169,25 @@ class OngoingThrow(ABC):
         self._last_moving_time = 0.0  # since the start [s]
         self._has_shown_field = False
 
-    def advance(self) -> Outputs:
+    def advance(self, outputs: Outputs) -> None:
         """Advance to the present step, and end the throw if it is over."""
         session, was_released = self.session, bool(self.events)
-        outputs = self._advance()
-        session.state = outputs.state
+        self._advance(outputs)
         for event in outputs.events:
-            session.phases.append((_PHASES[event.kind], self._event_ns(event)))
+            outputs.phases.append(PhaseChange(_PHASES[event.kind], self._event_ns(event)))
         if self.events and not was_released:
             session.report(self._result('release'))
         returning = self._prepared.return_ticks(session.config.throw_period)
         if self.ended_by or session.step >= session.next_start - returning:
             self.end(self.ended_by or 'period')
         else:
-            session.throw_field = self._throw_field()
-        return outputs
+            outputs.throw_field = self._throw_field()
 
     def end(self, ended_by: str) -> None:
         """End the throw, and put the rig back."""
         self.ended_by = ended_by
         self.session.report(self._result('final'))
-        self.session.throw_field = self._throw_field()
+        self.session.outputs.throw_field = self._throw_field()
         self.session.put_back()
 
     def layer(self) -> LayerState:
@@ -202,7 +199,7 @@ class OngoingThrow(ABC):
         return self.session.ready_text(f'throw {self.number} is under way', self.session.due)
 
     @abstractmethod
-    def _advance(self) -> Outputs:
+    def _advance(self, outputs: Outputs) -> None:
         """Advance to the present step; end the throw by `ended_by`."""
 
     @abstractmethod
@@ -221,7 +218,7 @@ class OngoingThrow(ABC):
     def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate, until the first release if it is known [m/s]."""
 
-    def _go_to(self, time: float) -> tuple[State, tuple[Event, ...]]:
+    def _go_to(self, time: float) -> tuple[State, list[Event]]:
         """Advance to a time after the start; return the state and the new events."""
         stepper, seen = self._stepper, len(self.events)
         count = self._try_to_advance(stepper, time)
@@ -237,7 +234,7 @@ class OngoingThrow(ABC):
             self.ended_by = 'duration'
         elif time - self._last_moving_time > self._prepared.settling_time and stepper.in_contact:
             self.ended_by = 'rest'
-        return state, tuple(self.events[seen:])
+        return state, self.events[seen:]
 
     def _try_to_advance(self, stepper: Stepper, time: float) -> int:
         """Advance a stepper to a time; return its number of events, 0 if that is too large."""
@@ -297,11 +294,9 @@ class ScheduledThrow(OngoingThrow):
         self._time = 0.0  # since the start [s]
         self._stamps: dict[Event, int] = {}  # of events, by the clock of the ticks [ns]
 
-    def _advance(self) -> Outputs:
-        step = self.session.step
-        self._time = (step - self._start_step) * self._prepared.tick
-        state, events = self._go_to(self._time)
-        return Outputs(step, self.number, state, events=events)
+    def _advance(self, outputs: Outputs) -> None:
+        self._time = (outputs.step - self._start_step) * self._prepared.tick
+        outputs.state, outputs.events = self._go_to(self._time)
 
     def _event_ns(self, event: Event) -> int:
         # relative to the step, because steps may be skipped

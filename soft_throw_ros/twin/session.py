@@ -28,7 +28,6 @@ from soft_throw_ros.twin.results import (
     Phase,
     PhaseChange,
     PlateCommand,
-    ThrowField,
     ThrowResult,
 )
 from soft_throw_ros.twin.rig_states import (
@@ -38,8 +37,11 @@ from soft_throw_ros.twin.rig_states import (
     RigState,
     ScheduledThrow,
 )
-from soft_throw_ros.twin.sample_buffer import Onset, SampleCounts, Samples
+from soft_throw_ros.twin.sample_buffer import LONG_AGO, Onset, SampleCounts, Samples
 from soft_throw_ros.twin.tick_schedule import TickSchedule
+
+_NOW = LONG_AGO
+"""Stamp of a phase that begins at the deadline of the step, which may be set later. [ns]"""
 
 
 class RequestRejected(Exception):
@@ -108,13 +110,8 @@ class Session:
         self.sample_counts = SampleCounts()  # of the rig
         self.prepared = self.wanted = prepared or prepare(settings, motion_of=motion_of)
         self.config = self.prepared.config  # in effect
-        self.state = self.prepared.rest  # in the last step
         self.monitor: PlateMonitor | None = None  # if the plate is measured
-        # outputs of the next step; the time of a phase [ns] is None for the deadline of the step
-        self.phases: list[tuple[Phase, int | None]] = []
-        self.throw_field: Callable[[], ThrowField] | None = None
-        self._results: list[ThrowResult] = []
-        self._command: PlateCommand | None = None
+        self.outputs = Outputs(step, 0, self.prepared.rest)  # of the next step
         self._lock = Lock()  # held for microseconds
         self._journal = JournalWriter(on_entry, step=step)
         self._schedule = TickSchedule(step=step, time_ns=0, rate=self.rate)
@@ -125,7 +122,7 @@ class Session:
         self._start_monitoring()
         self._rig_state: RigState = AtRest(self)
         if not is_resumed:
-            self.phases.append((Phase.REST, None))
+            self.enter(self._rig_state, Phase.REST)
             self._journal.begin('start', step, settings, motions=self._encoded_motions)
 
     @classmethod
@@ -161,7 +158,7 @@ class Session:
                 session._stage(prepare({**settings, **pending}, session.prepared, motion_of))
             session.throws = entry['throw'] - 1
             if 'schedule' in entry:
-                session._schedule = journal.decode_schedule(entry['schedule'])
+                session._schedule = journal.decode_schedule(entry)
             onset = entry.get('onset', {})
             session.begin_throw(journal.decode_onset(onset) if session.is_measured else None)
         return session
@@ -298,7 +295,7 @@ class Session:
         """
         with self._lock:
             self._schedule = replace(schedule)  # its owner changes it later
-            self._journal.write('tick_schedule', self.step, **journal.encode_schedule(schedule))
+            self._journal.write('tick_schedule', self.step, schedule=vars(schedule))
 
     def close(self) -> None:
         """Write the remaining entries of the journal after the last step."""
@@ -314,22 +311,19 @@ class Session:
                 self._watch_plate(self.monitor)
             elif not isinstance(self._rig_state, OngoingThrow):
                 self._rig_state.start_next()
-            outputs = self._rig_state.advance()
-            self.state = outputs.state
+            outputs = self.outputs
+            outputs.throw = self.throws
+            self._rig_state.advance(outputs)
             due_ns, since = self.due_ns(self.step), self.step - self._field_start
+            outputs.phases = [
+                PhaseChange(phase, due_ns if stamp_ns == _NOW else stamp_ns)
+                for phase, stamp_ns in outputs.phases
+            ]
             row, last_row = (k * self.config.field_rate // self.rate for k in (since, since - 1))
-            outputs = outputs._replace(
-                phases=tuple(
-                    PhaseChange(phase, due_ns if stamp_ns is None else stamp_ns)
-                    for phase, stamp_ns in self.phases
-                ),
-                results=tuple(self._results),
-                layer=None if row == last_row else self._rig_state.layer(),
-                throw_field=self.throw_field,
-                command=self._command,
-            )
-            self.phases, self._results, self.throw_field, self._command = [], [], None, None
+            if row != last_row:
+                outputs.layer = self._rig_state.layer()
             self.step += 1
+            self.outputs = Outputs(self.step, self.throws, outputs.state)
             self._journal.end_step(outputs, rate=self.rate, is_measured=self.is_measured)
             return outputs
 
@@ -410,19 +404,19 @@ class Session:
 
     def report(self, result: ThrowResult) -> None:
         """Output a result, and write it to the journal."""
-        self._results.append(result)
+        self.outputs.results.append(result)
         self._journal.write_result(self.step, result)
 
-    def enter(self, rig_state: RigState, phase: Phase, stamp_ns: int | None = None) -> None:
-        """Enter a state with a phase."""
+    def enter(self, rig_state: RigState, phase: Phase, stamp_ns: int = _NOW) -> None:
+        """Enter a state with a phase, by default at the deadline of the step."""
         self._rig_state = rig_state
-        self.phases.append((phase, stamp_ns))
+        self.outputs.phases.append(PhaseChange(phase, stamp_ns))
 
     def command_plate(self) -> None:
         """Output the motion of the next throw if a controller plays it, and start the throw."""
         start_step, self.is_requested = self.step + self._lead_ticks, False
         if (motion := self._commanded_motion) is not None:
-            self._command = PlateCommand(self.due_ns(start_step), motion)
+            self.outputs.command = PlateCommand(self.due_ns(start_step), motion)
             self._busy_until = start_step + motion.end_time * self.rate
         if start_step == self.step:
             self.begin_throw()
@@ -450,7 +444,7 @@ class Session:
             motions=self._encoded_motions,
             throw=self.throws,
             pending=self.pending,
-            schedule=journal.encode_schedule(self._schedule),
+            schedule=vars(self._schedule),
             **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
         if onset is None:
@@ -474,7 +468,8 @@ class Session:
         self._start_monitoring()
         self._field_start, self._busy_until = self.step, self.step + ticks
         self.is_requested &= self.monitor is None
-        self.enter(Returning(self, self.step, self.step + ticks, self.state), Phase.RETURNING)
+        returning = Returning(self, self.step, self.step + ticks, self.outputs.state)
+        self.enter(returning, Phase.RETURNING)
 
     def _commit(self) -> None:
         """Put pending settings in effect; the time since the last start stays the same."""

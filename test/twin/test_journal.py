@@ -114,27 +114,27 @@ def test_encoded_onsets_are_decoded(projectile) -> None:
     entry = {
         'kind': 'throw',
         'step': 7,
-        'schedule': journal.encode_schedule(schedule),
+        'schedule': vars(schedule),
         'onset': journal.encode_onset(onset),
     }
     entry = journal.decode(journal.encode(entry))
     assert repr(journal.decode_onset(entry['onset'])) == repr(onset)
-    assert journal.decode_schedule(entry['schedule']) == schedule
+    assert journal.decode_schedule(entry) == schedule
 
 
 # inconsistent journals
 
-SCHEDULE = journal.encode_schedule(TickSchedule(step=0, time_ns=1_000, rate=1000.0))
+SCHEDULE = {'step': 0, 'time_ns': 1_000, 'rate': 1000.0}
 CUT = {**journal.encode_samples([(0, Samples.of([Sample(1, 0.5)]))]), 'count': 2}
 
 
 @pytest.mark.parametrize(
     ('decode', 'broken', 'value'),
     [
-        (journal.decode_schedule, {**SCHEDULE, 'anchor_time_ns': 0.5}, '0.5'),
-        (journal.decode_schedule, {**SCHEDULE, 'rate': 0.0}, '0.0'),
-        (journal.decode_schedule, {**SCHEDULE, 'rate': '1'}, "'1'"),
-        (journal.decode_schedule, {'anchor_step': 1}, 'anchor_time_ns'),
+        (journal.decode_schedule, {'schedule': {**SCHEDULE, 'time_ns': 0.5}}, '0.5'),
+        (journal.decode_schedule, {'schedule': {**SCHEDULE, 'rate': 0.0}}, '0.0'),
+        (journal.decode_schedule, {'schedule': {**SCHEDULE, 'rate': '1'}}, "'1'"),
+        (journal.decode_schedule, {'schedule': {'step': 1}}, 'time_ns'),
         (journal.decode, 'nonsense', 'nonsense'),
         (journal.decode, '[1, 2]', '1, 2'),
         (journal.decode, '{"kind": "throw"}', 'step'),
