@@ -146,11 +146,14 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     `data` contains for each sample the step, the stamp and the other fields of `Sample`, 8 bytes
     each, little endian, compressed by zlib, in base 64.
     """
-    parts = [np.zeros(len(samples), _SAMPLE) for _, samples in batches]
-    for rows, (step, samples) in zip(parts, batches, strict=True):
-        rows['step'], rows['stamp_ns'], rows['heights'] = step, samples.stamps, samples.heights
-    content = zlib.compress(b''.join(rows.tobytes() for rows in parts), 1)
-    return {'count': sum(map(len, parts)), 'data': base64.b64encode(content).decode()}
+    sizes = [len(samples) for _, samples in batches]
+    rows = np.empty(sum(sizes), _SAMPLE)
+    if batches:
+        rows['step'] = np.repeat([step for step, _ in batches], sizes)
+        rows['stamp_ns'] = np.concatenate([samples.stamps for _, samples in batches])
+        rows['heights'] = np.concatenate([samples.heights for _, samples in batches])
+    content = zlib.compress(rows.tobytes(), 1)
+    return {'count': len(rows), 'data': base64.b64encode(content).decode()}
 
 
 def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:

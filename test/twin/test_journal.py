@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Sample, Samples
+from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import TickSchedule
 from twin_runs import Run
 
 
@@ -80,7 +79,7 @@ def test_results_are_in_the_journal_with_all_digits(eventful) -> None:
     ]
 
 
-# samples and onsets
+# samples
 
 numbers = st.floats(allow_nan=False)
 samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers)
@@ -100,26 +99,6 @@ def test_encoded_samples_are_decoded_bit_by_bit(batches) -> None:
     entry = journal.decode(journal.encode(entry))
     assert repr(journal.decode_samples(entry)) == repr(batches)
     assert entry['count'] == sum(len(batch) for _, batch in batches)
-
-
-@pytest.mark.parametrize('projectile', [0.5, math.nan])
-def test_encoded_onsets_are_decoded(projectile) -> None:
-    onset = Onset(
-        onset_ns=10**18,
-        rest=RestBaseline(plate=0.3, projectile=projectile, noise=5e-6, error=1e-6),
-        clock_offset_ns=-7,
-        samples=Samples.of([Sample(10**18 + 7 * k, 0.1 * k) for k in range(9)]),
-    )
-    schedule = TickSchedule(step=0, time_ns=5, rate=1e3)
-    entry = {
-        'kind': 'throw',
-        'step': 7,
-        'schedule': vars(schedule),
-        'onset': journal.encode_onset(onset),
-    }
-    entry = journal.decode(journal.encode(entry))
-    assert repr(journal.decode_onset(entry['onset'])) == repr(onset)
-    assert journal.decode_schedule(entry) == schedule
 
 
 # inconsistent journals

@@ -384,18 +384,21 @@ CHANGES = st.fixed_dictionaries({}, optional={
     loss=st.sampled_from([0.0, 0.02]),
     rate=st.sampled_from([2000.0, 5000.0, 20_000.0]),
     wait=st.sampled_from([0.0, 1e-3]),
+    has_projectile=st.booleans(),
     changes=st.lists(st.tuples(st.floats(0.0, 1.0), CHANGES), max_size=40),
     gap=st.tuples(st.floats(0.0, 1.0), st.integers(0, 100)),
     throw=st.integers(0, 2),
 )
 def test_arbitrary_samples_are_followed_or_refused_and_replayed(
-    loss, rate, wait, changes, gap, throw
+    loss, rate, wait, has_projectile, changes, gap, throw
 ) -> None:
     request = {'layer__loss_tangent': loss, 'measured__latency': wait}
     run = Run(**MEASURED, **request, rate__field=10.0 + 900e3 * wait)
     samples = measured_throw(
         run.rig, begin_ns=run.begin_ns, noise=5e-6, jitter=0.4, rate=rate
     )
+    if not has_projectile:
+        samples = [sample._replace(projectile=math.nan) for sample in samples]
     delays = np.random.default_rng(7).integers(0, 2_000_000, len(samples)).tolist()
     last = len(samples) - 1
     for share, values in changes:
