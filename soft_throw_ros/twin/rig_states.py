@@ -204,11 +204,7 @@ class OngoingThrow(ABC):
 
     @abstractmethod
     def _throw_field(self) -> Callable[[], ThrowField] | None:
-        """
-        Return the layer over time once, when it is known for long enough or the throw ends.
-
-        It is a function, which takes milliseconds and may be called in any thread.
-        """
+        """Return the layer over time once, when it is known for long enough or the throw ends."""
 
     @abstractmethod
     def _event_ns(self, event: Event) -> int:
