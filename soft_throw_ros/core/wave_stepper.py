@@ -65,21 +65,14 @@ MAX_STEPS = 8192
 MAX_STEP_RATE = 4e7
 """Most steps per second of rig time; a processor computes 4e8 steps per second. [1/s]"""
 
-_STEPS = 512
-"""Steps per crossing that later events need for 1e-3. [-]"""
+_STEPS, _FEWEST_STEPS = 512, 64
+"""Steps per crossing for 1e-3 at later events, and fewest for 1e-6 at the first release. [-]"""
 
-_FEWEST_STEPS = 64
-"""Fewest steps per crossing, for 1e-6 at the first release. [-]"""
-
-_STEPS_PER_PERIOD = 160.0
-"""Fewest steps per period of the plate, for 1e-6 at the first release. [-]"""
-
-_STEPS_PER_RELAXATION = 8.0
-"""Steps per relaxation time that the first release needs. [-]"""
+_STEPS_PER_PERIOD, _STEPS_PER_RELAXATION = 160.0, 8.0
+"""Fewest steps per period of the plate and per relaxation time, for the first release. [-]"""
 
 _STEP_COST = 3e-9
 """Time of a processor for a step. [s]"""
-
 
 _PAD = 8
 """Steps that are kept beyond those that are read, for the cubics. [-]"""
