@@ -21,8 +21,8 @@ from soft_throw_ros.design.recommendation import recommend
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
-from page import replace_part, table  # noqa: E402, I100
-import style  # noqa: E402
+import style  # noqa: E402, I100
+from style import replace_part, table  # noqa: E402
 
 Floats = NDArray[np.float64]
 

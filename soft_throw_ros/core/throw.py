@@ -192,7 +192,7 @@ class Throw:
         rows, layer = np.empty((time.size, 5)), np.empty((time.size, 4, points))
         for row, heights, moment in zip(rows, layer, time.tolist(), strict=True):
             stepper.advance_to(moment)
-            stepper.read_layer(heights)
+            heights[:] = stepper.read_layer()
             plate, projectile, plate_velocity, velocity = stepper.state[1:5]
             row[:] = plate, stepper.surface_position, projectile, plate_velocity, velocity
         depth = np.linspace(0.0, self.rig.layer.thickness, points)

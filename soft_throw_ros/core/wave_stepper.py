@@ -481,7 +481,7 @@ def _between(wave, index):
 
 @kernel
 def _read_layer(core, waves, out):
-    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    """Read heights, velocities, forces and strains of the layer from plate to top."""
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     i = s.cell - s.base
@@ -512,8 +512,7 @@ def _read_layer(core, waves, out):
     error = (high - low - s.thickness + stretch * squeezed) / last
     for n in range(last + 1):
         height[n] = low + n * (cell + error) - stretch * height[n]
-        if out.shape[0] > 3:
-            out[3, n] = -force[n] * s.steps * s.step / s.thickness
+        out[3, n] = -force[n] * s.steps * s.step / s.thickness
         force[n] *= s.impedance
 
 
@@ -588,15 +587,15 @@ class WaveStepper(Stepper):
         steps = _default_steps(rig) if steps is None else steps
         self.steps = stepper.require_count('steps', steps, low=16, high=MAX_STEPS)
         self.cost = _STEP_COST * self.steps / rig.crossing_time
-        super().__init__(
-            rig, RECORD, _make_waves(self.steps), is_measured=is_measured,
-            field_points=field_points,
-        )
+        core = np.zeros(3, RECORD)
         _prepare(
-            self._core, self.steps, rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
+            core, self.steps, rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
             rig.gravity, rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
         )
-        self._start(_advance_compiled(), _read_layer_compiled())
+        super().__init__(
+            rig, core, _make_waves(self.steps), (_advance_compiled(), _read_layer_compiled()),
+            is_measured=is_measured, field_points=field_points,
+        )
 
 
 def throw_batch(
