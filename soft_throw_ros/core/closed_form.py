@@ -96,12 +96,8 @@ class FirstRelease(NamedTuple):
 
 
 def first_releases(
-    *,
-    mass_ratio: ArrayLike,
-    speed_ratio: ArrayLike,
-    damping_ratio: ArrayLike = 0.0,
-    gravity_ratio: ArrayLike = 0.0,
-    threads: int | None = None,
+    *, mass_ratio: ArrayLike, speed_ratio: ArrayLike, damping_ratio: ArrayLike = 0.0,
+    gravity_ratio: ArrayLike = 0.0, threads: int | None = None,
 ) -> FirstRelease:
     r"""
     Compute times and speeds of the first releases of rigid projectiles.

@@ -572,11 +572,7 @@ class WaveStepper(Stepper):
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        *,
-        is_measured: bool = False,
-        steps: int | None = None,
+        self, rig: Rig, *, is_measured: bool = False, steps: int | None = None,
         field_points: int = 64,
     ) -> None:
         if rig.layer.needs_cells:
@@ -599,10 +595,7 @@ class WaveStepper(Stepper):
 
 
 def throw_batch(
-    values: Mapping[str, Floats],
-    *,
-    until: Floats,
-    cancelled: Cancelled | None = None,
+    values: Mapping[str, Floats], *, until: Floats, cancelled: Cancelled | None = None
 ) -> Floats:
     """
     Compute loads for `throw.throw_many`, without loss, unchecked.
@@ -626,10 +619,8 @@ def throw_batch(
         _prepare(core, *(column[n] for column in columns))
         return _make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
 
-    latest = until + crossing / steps
-    return stepper.follow_batch(
-        RECORD, _advance_compiled(), prepare_throw, values, latest, cancelled
-    )
+    latest, advance = until + crossing / steps, _advance_compiled()
+    return stepper.follow_batch(RECORD, advance, prepare_throw, values, latest, cancelled)
 
 
 def warm_up() -> None:
