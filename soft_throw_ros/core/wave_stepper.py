@@ -77,8 +77,11 @@ _STEP_COST = 3e-9
 _PAD = 8
 """Steps that are kept beyond those that are read, for the cubics. [-]"""
 
-_SPARE_STEPS = 1024
-"""Spare steps in the memory of waves, so that it is rarely moved. [-]"""
+_SPARE_STEPS = 1000
+"""
+Spare steps in the memory of waves, so that it is rarely moved. With 1024 the memory of a stepper
+and its fork may differ by whole pages, between which a copy takes ten times as long. [-]
+"""
 
 _STRAINS_PER_CROSSING, _STRAIN_PHASE, _STRAIN_FADING = 32.0, 0.05, 0.25
 """
