@@ -117,7 +117,7 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(tmp_path) 
         assert len(recording.scalars(f'{root}/position')[0]) == 150
     assert '/rig1/twin/side/plate/body' not in recording.entities
     assert r'/rig\ 2/twin/side/plate/body' in recording.entities
-    assert recording.views.count('Position z (mm)') == 2
+    assert recording.layout('ViewBlueprint:display_name').count('Position z (mm)') == 2
 
 
 @pytest.mark.parametrize('is_live', [False, True])
@@ -167,7 +167,7 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
         sorted([1e6 * residual[0] for residual in residuals] + [0.0])
     )
     assert values.max() == pytest.approx(1e5)
-    assert recording.ranges == [(-100.0, 100.0)]
+    assert recording.layout('ScalarAxis:range') == [[-100.0, 100.0]]
     _, measured = recording.scalars('/twin/position/measured')
     assert measured[:, 1].max() > 1e3 * Rig().layer.thickness
 
