@@ -8,11 +8,13 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 import shutil
+import threading
 from typing import Any
 
 from bags import notes, saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
@@ -227,3 +229,23 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     monkeypatch.setattr(subscriptions, 'close', close_late)
     node.close()
     assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
+
+
+def test_messages_that_came_since_the_last_drain_are_saved_at_the_end(
+    ros, recorder, talker, tmp_path, monkeypatch
+) -> None:
+    node = recorder(name='bag')
+    publisher = talker.create_publisher(String, '/talk', 100)
+    say(ros, node, publisher, ['a'])
+    drains = threading.Semaphore(0)
+    drain = node.recording.subscriptions.drain
+    monkeypatch.setattr(recorder_module, '_DRAIN_TIME', 10.0)
+    monkeypatch.setattr(
+        node.recording.subscriptions, 'drain', lambda: (drain(), drains.release())[0]
+    )
+    for _ in range(2):  # the second one is followed by the long wait
+        drains.acquire(timeout=5.0)
+    publisher.publish(String(data='b'))
+    assert publisher.wait_for_all_acked(Duration(seconds=5))
+    node.close()
+    assert texts(tmp_path / 'bag') == ['a', 'b']
