@@ -149,14 +149,27 @@ def test_live_view_keeps_the_rig_for_late_viewers(twin, tmp_path) -> None:
     assert recording.rows['/twin/throw_result'] >= 2
 
 
-def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
-    tmp_path
-) -> None:
+@pytest.fixture(scope='module')
+def measured(tmp_path_factory) -> tuple[TwinMessages, RrdFile]:
+    """Return a measured throw with diagnostics of its track, and its recording."""
     twin = TwinMessages(engine__motion='measured')
-    twin.measure(duration=0.1)
-    onset = twin.schedule.time_ns + 50_000_000
-    twin.outgoing.send(TWIN_TOPICS.residual, onset + 5_000_000, (0.0, 0.1))  # an outlier
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
+    twin.measure(duration=0.1, noise=2e-6)
+    for node, task, values in (
+        ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
+        ('/twin', 'timing', {'ticks': 1000}),
+        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
+        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
+    ):
+        twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
+    outlier = twin.schedule.time_ns + 55_000_000
+    twin.outgoing.send(TWIN_TOPICS.residual, outlier, (0.0, 0.1))
+    return twin, record(tmp_path_factory.mktemp('scene') / 'scene.rrd', twin.messages)[0]
+
+
+def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
+    measured
+) -> None:
+    twin, recording = measured
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
     stamps, values = recording.scalars('/twin/position/predicted')
     assert stamps.tolist() == [item.stamp_ns for item in predictions]
@@ -168,23 +181,13 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
     )
     assert values.max() == pytest.approx(1e5)
     assert recording.layout('ScalarAxis:range') == [[-100.0, 100.0]]
-    _, measured = recording.scalars('/twin/position/measured')
-    assert measured[:, 1].max() > 1e3 * Rig().layer.thickness
+    _, positions = recording.scalars('/twin/position/measured')
+    assert positions[:, 1].max() > 1e3 * Rig().layer.thickness
 
 
-def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -> None:
-    twin = TwinMessages(engine__motion='measured')
-    twin.measure(duration=0.1, noise=2e-6)
-    for node, task, values in (
-        ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
-        ('/twin', 'timing', {'ticks': 1000}),
-        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
-        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
-    ):
-        twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
-    results = [result for outputs in twin.outputs for result in outputs.results]
-    (accuracy,) = [item.accuracy for item in results if item.stage == 'release']
+def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(measured) -> None:
+    twin, recording = measured
+    (accuracy,) = [result.accuracy for result in twin.results('release')]
     text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
     (cell,) = [row[1] for row in table_of(text) if row[0].startswith('energy transfer')]
     alpha, error = map(float, cell.split(' ± '))
