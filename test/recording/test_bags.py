@@ -435,8 +435,9 @@ def test_bag_is_read_up_to_the_first_damaged_chunk_and_recovered_file_by_file(tm
             recover(folder, target)
 
 
+@pytest.mark.parametrize('size', [10**9, 10**12])
 @pytest.mark.parametrize('kind', ['message', 'chunk', 'unpacked', 'data'])
-def test_record_that_claims_more_than_there_is_is_refused_in_little_memory(tmp_path, kind):
+def test_record_that_claims_more_than_there_is_is_refused_in_little_memory(tmp_path, kind, size):
     path = tmp_path / 'claiming.mcap'
     _, begin = write_by_mcap(
         path, [1, 2], chunk_size=1, use_chunking=kind != 'message',
@@ -444,7 +445,7 @@ def test_record_that_claims_more_than_there_is_is_refused_in_little_memory(tmp_p
     )
     with path.open('r+b') as file:
         file.seek(begin + {'message': 1, 'chunk': 1, 'unpacked': 9 + 16, 'data': 9 + 32}[kind])
-        file.write((10**12).to_bytes(8, 'little'))
+        file.write(size.to_bytes(8, 'little'))
     tracemalloc.start()
     try:
         with contextlib.suppress(BagError):

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from bags import datas
@@ -41,16 +40,10 @@ def twin() -> Any:
 
 
 @pytest.fixture(scope='module')
-def path(twin, tmp_path_factory) -> Path:
+def recording(twin, tmp_path_factory) -> RrdFile:
     journal = [item for item in twin.messages if item.channel.topic == '/twin/journal']
     path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
-    record(path, twin.messages, throw=find_throws(journal)['/twin'][-1])
-    return path
-
-
-@pytest.fixture(scope='module')
-def recording(path) -> RrdFile:
-    return RrdFile(path)
+    return record(path, twin.messages, throw=find_throws(journal)['/twin'][-1])[0]
 
 
 def test_scene_has_every_state_in_its_units(twin, recording) -> None:
@@ -203,14 +196,16 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(measured) -
 @pytest.mark.slow
 @settings(max_examples=10, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
-def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> None:
+def test_damaged_messages_are_counted_and_others_are_shown(
+    twin, tmp_path_factory, data
+) -> None:
     messages = list(twin.messages[:60])
     index = data.draw(st.integers(0, len(messages) - 1))
     messages[index] = messages[index]._replace(
         data=data.draw(datas(messages[index].data)),
         publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
     )
-    recording, scene = record(path.with_name('damaged.rrd'), messages)
+    recording, scene = record(tmp_path_factory.mktemp('damaged') / 'scene.rrd', messages)
     states = sum(item.channel.topic == '/twin/joint_states' for item in messages)
     assert recording.rows['/twin/position'] >= states - 1
     assert scene.damaged <= 2
