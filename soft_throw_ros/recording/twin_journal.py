@@ -95,7 +95,7 @@ class TwinJournal:
     def _start_throw(self, entry: journal.Entry) -> None:
         onset = journal.decode_onset(entry['onset']) if 'onset' in entry else None
         if onset is None:
-            stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
+            stamp = journal.decode_schedule(entry).deadline(entry['step'])
         self._take_effect(entry)
         self.rest_heights = None
         if onset is not None:
