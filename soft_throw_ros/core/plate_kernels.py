@@ -134,13 +134,14 @@ def append_states(last: Floats, pieces: int, path: Floats, times: Floats, states
     return pieces
 
 
-def extrapolate(core: NDArray[np.void], path: Floats) -> None:
+@kernel
+def extrapolate(core: Record, path: Floats) -> None:
     """Extend the plate's motion for ever, with its acceleration at the horizon."""
-    s = core[0]
-    time, height, velocity, acceleration = s['last'].tolist()
-    if math.isfinite(s['horizon']) and time >= 0.0:
-        piece = time, height, velocity, 0.5 * acceleration, 0.0, 0.0, 0.0
-        path[:, s['pieces'] % path.shape[1]] = piece
-        s['pieces'] += 1
-    s['piece_end'] = -math.inf  # the present piece may end now
-    core['horizon'][:2] = math.inf
+    s, last = core[0], core[0].last
+    if math.isfinite(s.horizon) and last[0] >= 0.0:
+        piece = path[:, s.pieces % path.shape[1]]
+        piece[0], piece[1], piece[2] = last[0], last[1], last[2]
+        piece[3], piece[4:] = 0.5 * last[3], 0.0
+        s.pieces += 1
+    s.piece_end = -math.inf  # the present piece may end now
+    s.horizon = core[1].horizon = math.inf

@@ -465,7 +465,6 @@ def _advance(core, waves, path, events, time):
     i = goal - s.base - s.steps
     m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
     height, speed, _ = motion_at(s, path, time)
-    s.time = time
     s.upward[0] = speed - m
     s.downward[0] = m
     s.state[stepper.TIME] = time
