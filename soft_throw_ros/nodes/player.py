@@ -58,9 +58,8 @@ class Player(RunnableNode):
             is_clock = bool(clock) and channel.topic == REPLAY_CLOCK.name
             if not is_clock and (not topics or channel.topic in topics):
                 self._make_publisher(channel)
-        self._schedule: PlaybackSchedule[Message] = PlaybackSchedule(
+        self._schedule = PlaybackSchedule(
             self._messages,
-            lambda message: message.log_time,
             begin_ns=reader.start_time,
             end_ns=reader.end_time,
             rate=rate,

@@ -75,7 +75,7 @@ def test_record_agrees_with_the_motion_that_it_samples(start, jitter):
     """At 5 kHz, wherever between two samples it starts; the height at rest does not matter."""
     times = 2e-4 * (np.arange(600) + jitter * np.random.default_rng(3).uniform(size=600))
     motion = motions.motion_from_record(times, PLATE.position(times - start) + 3e-3)
-    assert motion.start_time == 0.0
+    assert motion.times[0] == 0.0
     inside = np.linspace(0.0, 0.095, 4001)
     misfit = motion.velocity(inside) - PLATE.velocity(inside)
     assert np.abs(misfit).max() < 1e-3 * PLATE.peak_velocity
