@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
+from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
@@ -29,21 +30,20 @@ BATCH_NS = 10 * MILLISECOND
 
 @pytest.fixture
 def twin(ros: Any) -> Any:
-    return ros.start_twin('-p', 'engine.motion:=measured')
+    return ros.start_twin(engine__motion='measured')
 
 
 @pytest.fixture
-def sensors(sensors_of: Any, twin: Any) -> Any:
-    return sensors_of(twin)
+def sensors(ros: Any, twin: Any) -> Any:
+    return ros.sensors_of(twin)
 
 
-def test_joints_have_the_names_of_the_parameters(ros, sensors_of, capfd) -> None:
+def test_joints_have_the_names_of_the_parameters(ros, capfd) -> None:
     names = 'carriage', 'ball'
     twin = ros.start_twin(
-        '-p', 'engine.motion:=measured',
-        '-p', 'joint_names.plate:=carriage', '-p', 'joint_names.projectile:=ball',
+        engine__motion='measured', joint_names__plate=names[0], joint_names__projectile=names[1]
     )
-    sensors = sensors_of(twin)
+    sensors = ros.sensors_of(twin)
     sensors.send(Sample(twin.clock.time, 0.0, 0.0))
     sensors.wait()
     assert "['plate', 'projectile']" in capfd.readouterr().err
@@ -114,8 +114,8 @@ def test_other_messages_are_refused_with_a_reason(twin, sensors, listener, capfd
     listener.listen(TWIN_TOPICS.diagnostics)
     now = twin.clock.time
     sensors.send(Sample(now, 0.0, 0.0), ('plank', 'projectile'))
-    sensors.send(Sample(now, 0.0, 0.0), ('plate',))
-    sensors.send(Sample(now, 0.0, 0.0), ('plate', *map(str, range(2000))))
+    sensors.publish(JointState(name=['plate'], position=[0.0, 0.0]))
+    sensors.publish(JointState(name=[*map(str, range(2000))]))
     for since_ns, plate in (
         (0, math.nan), (0, 300.0), (SECOND, 0.0), (0, 0.0), (0, 0.0), (-MILLISECOND, 0.0)
     ):
@@ -134,11 +134,11 @@ def test_other_messages_are_refused_with_a_reason(twin, sensors, listener, capfd
     assert 'millimetres' in capfd.readouterr().err
 
 
-def test_without_measurement_messages_are_dropped_and_not_reported(ros, sensors_of) -> None:
+def test_without_measurement_messages_are_dropped_and_not_reported(ros) -> None:
     twin = ros.start_twin()
     listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.diagnostics)
-    sensors_of().send(Sample(twin.clock.time, 0.0, 0.0))
+    ros.sensors_of().send(Sample(twin.clock.time, 0.0, 0.0))
     ros.spin_until(
         lambda: twin.go(10) or twin.measurement.count()['messages'] == 1, 'the sample'
     )

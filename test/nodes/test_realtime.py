@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 import pytest
+from ros_nodes import GivenClock
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, SystemClock, Ticker
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
@@ -52,8 +53,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(given_clock: Any) -> Bench:
-    return Bench(given_clock(now=0, max_catch_up=SECOND // 10))
+def bench() -> Bench:
+    return Bench(GivenClock(now=0, max_catch_up=SECOND // 10))
 
 
 def test_late_tick_does_not_delay_others(bench) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros_nodes import GivenClock
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import to_twin
 from soft_throw_ros.core.plate import SampledMotion
@@ -47,9 +48,9 @@ class Driven(SimulatedRig):
 
 
 @pytest.fixture
-def start(ros: Any, given_clock: Any) -> Any:
+def start(ros: Any) -> Any:
     """Start a rig with ROS arguments."""
-    return lambda *ros_args: ros.node(Driven, given_clock(), ros_args=ros_args)
+    return lambda *ros_args: ros.node(Driven, GivenClock(), ros_args=ros_args)
 
 
 def test_perfect_sensors_measure_the_true_positions(start) -> None:

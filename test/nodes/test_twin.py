@@ -354,14 +354,15 @@ def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
     twin.clock.time += 3600 * SECOND  # and forth
     twin.clock.epoch += 1
     twin.go(50)
-    twin.session.close()
+    twin.finish()
     assert twin.ticker.counts['clock_jumps'] == 3
     assert twin.ticker.counts['ticks_skipped'] == 0
     assert [outputs.step for outputs in twin.outputs] == list(range(len(twin.outputs)))
     count = len(twin.outputs) - 1  # the first was before anybody listened
     stamps = [m.header.stamp.sec for m in listener.hear(TWIN_TOPICS.joint_states, count)]
     assert max(map(abs, stamps)) - min(map(abs, stamps)) >= 3599
-    entries = [journal.decode(line) for line in twin.lines]
+    lines = twin.of(TWIN_TOPICS.journal)
+    entries = [journal.decode(decode(line).data) for line in lines]
     session = Session.from_entry(entries[0])
     again = [outputs for entry in entries[1:] for outputs in session.follow(entry)]
     ours = [outputs.state for outputs in twin.outputs]

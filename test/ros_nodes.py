@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 import contextlib
 from dataclasses import replace
 import fcntl
+import itertools
 import os
 from pathlib import Path
 import re
@@ -26,6 +27,7 @@ import traceback
 from typing import Any, TypeVar
 import warnings
 
+from bags import channel, wait_until
 import pytest
 from rcl_interfaces.msg import Log
 import rclpy
@@ -34,18 +36,29 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from soft_throw_ros.commands.warm_up import load_kernels
-from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Topic, TWIN_TOPICS
-from soft_throw_ros.nodes.conversions import time_to_msg
+from soft_throw_ros.configuration.interface import (
+    FRAME,
+    JOINTS,
+    resolve,
+    Service,
+    Topic,
+    TWIN_TOPICS,
+)
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.nodes.realtime import SystemClock
+from soft_throw_ros.nodes.recommendations import RecommendationState
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.transport import use_transport_profile
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
-from soft_throw_ros.storage.message import SECOND
+from soft_throw_ros.storage.cdr import JointStateEncoder
+from soft_throw_ros.storage.message import Message, SECOND
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample
 from std_srvs.srv import Trigger
@@ -126,20 +139,18 @@ class Ros:
         """Make a client for the parameter services of `node`."""
         return Parameters(self, node)
 
-    def start_twin(self, *ros_args: str) -> DrivenTwin:
-        """Start a twin on a clock set by the test."""
-        return self.node(DrivenTwin, ros_args=ros_args)
+    def start_twin(self, *ros_args: str, **values: Any) -> DrivenTwin:
+        """Start a twin on a clock set by the test with parameters, `a__b` for a.b."""
+        return self.node(DrivenTwin, ros_args=(*ros_args, *rules(**values)))
+
+    def sensors_of(self, twin: DrivenTwin | None = None) -> Sensors:
+        """Make the sensors of a twin, or of none that takes the samples."""
+        return self.node(Sensors, self, twin)
 
     def listen_to(self, node: Node | str) -> Listener:
         """Make a listener of a node, which is named if it is in another process."""
         name = node if isinstance(node, str) else node.get_fully_qualified_name()
         return self.node(Listener, self, name)
-
-    def remove(self, node: Node) -> None:
-        """Destroy a node."""
-        self.nodes.remove(node)
-        self._executor.remove_node(node)
-        node.destroy_node()
 
     def close(self) -> None:
         """Destroy the nodes in reverse order of their creation, and the context."""
@@ -148,6 +159,12 @@ class Ros:
             node.destroy_node()
         self._executor.shutdown(timeout_sec=TIMEOUT)
         rclpy.try_shutdown(context=self.context)
+
+
+def rules(**values: Any) -> list[str]:
+    """Return ROS arguments that set parameters, `a__b` for a.b."""
+    each = (f'{name.replace("__", ".")}:={value}' for name, value in values.items())
+    return [word for rule in each for word in ('-p', rule)]
 
 
 def _destroy_unfinished(error: BaseException) -> None:
@@ -221,29 +238,86 @@ class GivenClock(SystemClock):
 
 
 class DrivenTwin(Twin):
-    """A twin on a clock set by the test, which keeps its outputs and journal lines."""
+    """
+    A twin on a clock set by the test.
 
-    def __init__(self, **kwargs: Any) -> None:
-        self.clock = GivenClock()
+    `outputs` are those of all steps, and `messages` what a recorder would have received, each a
+    nanosecond later than the one before.
+    """
+
+    def __init__(self, *, clock: GivenClock | None = None, **kwargs: Any) -> None:
+        self.clock = clock or GivenClock()
         self.outputs: list[Outputs] = []
-        self.lines: list[str] = []
+        self.messages: list[Message] = []
+        self._advised: TwinConfig | None = None  # with its uncertainty
         super().__init__(system_clock=self.clock, **kwargs)
         self.ticker.run_due()  # the first step
+
+    def create_publisher(self, kind: Any, topic: str, *args: Any, **kwargs: Any) -> Publisher:
+        publisher = super().create_publisher(kind, topic, *args, **kwargs)
+        return publisher if topic == '/parameter_events' else self.keep(publisher)
+
+    def keep(self, publisher: Publisher) -> Publisher:
+        """Keep all that a publisher of this or another node publishes."""
+        kind, publish, numbers = publisher.msg_type, publisher.publish, itertools.count(1)
+        kept = channel(
+            publisher.topic_name, f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
+        )
+
+        def keep_and_publish(message: Any) -> None:
+            data = message if isinstance(message, bytes) else serialize_message(message)
+            time = self.clock.time + len(self.messages)
+            self.messages.append(Message(kept, data, time, time, next(numbers)))
+            publish(message)
+
+        publisher.publish = keep_and_publish
+        return publisher
+
+    def of(self, topic: Topic) -> list[Message]:
+        """Return the messages of a topic."""
+        name = topic.at(self.get_fully_qualified_name()).name
+        return [message for message in self.messages if message.channel.topic == name]
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         self.outputs.append(outputs)
         super().on_step(outputs, due)
 
-    def on_entry(self, line: str) -> None:
-        self.lines.append(line)
-        super().on_entry(line)
+    def advance(self, time_ns: int) -> None:
+        """Advance the clock, and run the due ticks and the jobs of the executor."""
+        self.clock.time += time_ns
+        self.ticker.run_due()
+        self._run_jobs()
 
-    def go(self, milliseconds: int) -> None:
-        """Advance the clock in steps of 10 ms and run the due ticks."""
-        end = self.clock.time + milliseconds * MILLISECOND
-        while self.clock.time < end:
-            self.clock.time = min(end, self.clock.time + 10 * MILLISECOND)
-            self.ticker.run_due()
+    def go(self, milliseconds: int) -> DrivenTwin:
+        """Advance in steps of a millisecond."""
+        for _ in range(milliseconds):
+            self.advance(MILLISECOND)
+        return self
+
+    def change(self, **request: Any) -> None:
+        """Change parameters together (`a__b` is a.b)."""
+        self.parameters.apply({name.replace('__', '.'): value for name, value in request.items()})
+
+    def settle(self) -> RecommendationState:
+        """Wait until the recommendation is for the present settings, and return it."""
+        wait_until(self._is_settled, TIMEOUT)
+        assert self.recommendation is not None
+        return self.recommendation
+
+    def _is_settled(self) -> bool:
+        self._run_jobs()
+        state = self.recommendation
+        is_present = state is not None and state.is_for(self.parameters.settings)
+        return is_present and state.config is self._advised
+
+    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
+        super()._recommend(config, cancelled)
+        self._advised = config
+
+    def finish(self) -> None:
+        """End the session, and publish the last lines of its journal."""
+        self.session.close()
+        self._run_jobs()
 
     @property
     def results(self) -> list[ThrowResult]:
@@ -312,19 +386,24 @@ class Listener(Node):
 class Sensors(Node):
     """Sensors of a rig, which wait until a twin in this process has received their samples."""
 
-    def __init__(self, ros: Ros, twin: DrivenTwin | None, **kwargs: Any) -> None:
+    def __init__(self, ros: Ros, twin: DrivenTwin | None = None, **kwargs: Any) -> None:
         super().__init__('sensors', **kwargs)
         self._ros = ros
         self._twin = twin
         self._sent = 0
         name = TWIN_TOPICS.measured_joint_states.at('/twin').name
         self.publisher = self.create_publisher(JointState, name, QoSProfile(depth=1000))
+        if twin is not None:
+            twin.keep(self.publisher)
         ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
 
     def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
-        """Publish a sample."""
-        message = JointState(name=list(names), position=[sample.plate, sample.projectile])
-        message.header.stamp = time_to_msg(sample.stamp_ns)
+        """Publish a sample as the heights of two joints."""
+        encoder = JointStateEncoder(FRAME, names, series=1)
+        self.publish(encoder.encode(sample.stamp_ns, (sample.plate, sample.projectile)))
+
+    def publish(self, message: JointState | bytes) -> None:
+        """Publish a message."""
         self.publisher.publish(message)
         self._sent += 1
 
@@ -353,19 +432,17 @@ class Sensors(Node):
                 self.send(sample._replace(stamp_ns=sample.stamp_ns - behind_ns))
             del waiting[:count]
             self.wait()
-            twin.clock.time = until
-            twin.ticker.run_due()
-
-
-@pytest.fixture(scope='session', autouse=True)
-def _kernels() -> None:
-    """Compile all kernels before the tests, so that no node compiles during a test."""
-    load_kernels()
+            twin.advance(step_ns)
 
 
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
-    """Lock a ROS domain that no other test process uses; child processes inherit the domain."""
+    """
+    Lock a ROS domain that no other test process uses; child processes inherit the domain.
+
+    All kernels are compiled before, so that no node compiles during a test.
+    """
+    load_kernels()
     folder = Path(tempfile.gettempdir()) / f'soft_throw_ros_domains_{os.getuid()}'
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
@@ -395,26 +472,14 @@ module_ros = pytest.fixture(_make_ros, name='module_ros', scope='module')
 
 
 @pytest.fixture
-def given_clock() -> Callable[..., GivenClock]:
-    """Return the class of clocks set by the test."""
-    return GivenClock
-
-
-@pytest.fixture
 def twin(ros: Ros) -> DrivenTwin:
     """Start a twin that throws only on request."""
-    return ros.start_twin('-p', 'throw.period:=0.0')
+    return ros.start_twin(throw__period=0.0)
 
 
 @pytest.fixture
 def listener(ros: Ros, twin: DrivenTwin) -> Listener:
     return ros.listen_to(twin)
-
-
-@pytest.fixture
-def sensors_of(ros: Ros) -> Callable[..., Sensors]:
-    """Return a function that makes the sensors of a twin, or of none that takes the samples."""
-    return lambda twin=None: ros.node(Sensors, ros, twin)
 
 
 @pytest.fixture
