@@ -103,7 +103,7 @@ class Ros:
         self,
         make: Callable[..., AnyNode],
         *args: Any,
-        ros_args: tuple[str, ...] = (),
+        ros_args: Iterable[str] = (),
         **kwargs: Any,
     ) -> AnyNode:
         """Make a node with `make(*args, context=..., ...)`; `ros_args` follow `--ros-args`."""

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values
+from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.measured import to_samples
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.storage.message import SECOND
@@ -54,28 +54,6 @@ def test_joints_have_the_names_of_the_parameters(ros, capfd) -> None:
     listener.listen(TWIN_TOPICS.joint_states)
     twin.go(1)
     assert tuple(listener.hear(TWIN_TOPICS.joint_states)[0].name) == names
-
-
-def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
-    listener.listen(TWIN_TOPICS.predicted_joint_states, TWIN_TOPICS.residual)
-    sensors.throw(measured_throw(Rig(), begin_ns=twin.clock.time, noise=5e-6))
-    predicted = next(result for result in twin.results if result.stage == 'predicted')
-    assert predicted.first.ejection_speed == pytest.approx(
-        simulate(Rig()).ejection_speed, rel=0.01
-    )
-    assert predicted.lead > 0.0
-
-    predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
-    residuals = [outputs.residual for outputs in twin.outputs if outputs.residual]
-    for topic, names, expected in (
-        (TWIN_TOPICS.predicted_joint_states, ['projectile'], predictions),
-        (TWIN_TOPICS.residual, ['plate', 'projectile'], residuals),
-    ):
-        heard = listener.hear(topic, len(expected))
-        for message, (stamp_ns, *values) in zip(heard, expected, strict=True):
-            assert message.name == names
-            assert msg_to_time(message.header.stamp) == stamp_ns
-            assert [*message.position, *message.velocity, *message.effort] == values
 
 
 def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener) -> None:

@@ -6,32 +6,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import contextlib
-from functools import partial
 from pathlib import Path
 import sys
 from typing import Any
 
-import bags
-from bags import BEGIN, channel, text
+from bags import BEGIN, channel, text, write
 import pytest
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from soft_throw_ros.configuration.interface import REPLAY_SERVICES, resolve
+from soft_throw_ros.configuration.interface import REPLAY_SERVICES
 from soft_throw_ros.nodes.conversions import msg_to_time
 from soft_throw_ros.nodes.player import Player
-from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import Channel, Message, SECOND
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
-write = partial(bags.write, compression='none')
 EVERYTHING = QoSProfile(depth=5000)
 
 FAST = channel('/fast', depth=5000)
 SLOW = channel('/slow', durability='transient_local', depth=3)
 LOSSY = channel('/lossy', reliability='best_effort', depth=7)
+UNKNOWN = channel('/unknown', durability='transient_local', history='unknown', depth=0)
 
 
 def messages(count: int = 1000) -> list[Message]:
@@ -39,10 +35,10 @@ def messages(count: int = 1000) -> list[Message]:
     made = []
     for number in range(count):
         time = BEGIN + number * 1_000_000
-        made.append(Message(FAST, text(f'fast {number}'), time, time))
-        if number % 100 == 0:
-            made.append(Message(SLOW, text(f'slow {number}'), time, time))
-            made.append(Message(LOSSY, text(f'lossy {number}'), time, time))
+        made += [
+            Message(item, text(f'{item.topic} {number}'), time, time)
+            for item in (FAST, SLOW, LOSSY, UNKNOWN)[: 4 if number % 100 == 0 else 1]
+        ]
     return made
 
 
@@ -51,52 +47,50 @@ def datas(made: list[Message], topic: str) -> list[bytes]:
 
 
 @pytest.fixture
-def listener(ros: Any) -> Node:
-    return ros.node(Node, 'listener')
+def listen(ros: Any) -> Callable[..., list[bytes]]:
+    """Return a function that returns the list of bytes that a topic will fill."""
+    node = ros.node(Node, 'listener')
 
+    def listen(topic: str, qos: QoSProfile = EVERYTHING, kind: Any = String) -> list[bytes]:
+        heard: list[bytes] = []
+        node.create_subscription(kind, topic, heard.append, qos, raw=kind is String)
+        return heard
 
-def listen(listener: Node, topic: str, qos: QoSProfile = EVERYTHING) -> list[bytes]:
-    """Subscribe to a topic and return the list that will receive its messages as bytes."""
-    heard: list[bytes] = []
-    listener.create_subscription(String, topic, heard.append, qos, raw=True)
-    return heard
+    return listen
 
 
 @pytest.fixture
-def play(ros: Any) -> Iterator[Callable[..., Player]]:
-    """Return a function that plays a bag to a number of subscribers."""
-    readers = contextlib.ExitStack()
+def play(ros: Any, tmp_path: Path) -> Iterator[Callable[..., Player]]:
+    """Return a function that plays messages, or a bag, to a number of subscribers."""
+    with contextlib.ExitStack() as readers:
 
-    def play(path: Path, listeners: int = 0, **options: Any) -> Player:
-        reader = readers.enter_context(BagReader(path))
-        player = ros.node(Player, reader, **options)
-        publishers = list(player.publishers)
-        ros.spin_until(
-            lambda: sum(item.get_subscription_count() for item in publishers) >= listeners,
-            'the listeners',
-        )
-        player.start()
-        return player
+        def play(made: list[Message] | Path, listeners: int = 0, **options: Any) -> Player:
+            if isinstance(made, list):
+                made.sort(key=lambda message: message.log_time)
+                made = write(tmp_path / f'bag{len(ros.nodes)}', made)
+            player = ros.node(Player, readers.enter_context(BagReader(made)), **options)
+            publishers = list(player.publishers)
+            ros.spin_until(
+                lambda: sum(item.get_subscription_count() for item in publishers) >= listeners,
+                'the listeners',
+            )
+            player.start()
+            return player
 
-    yield play
-    readers.close()
+        yield play
 
 
-def finish(ros: Any, player: Player) -> int:
+def finish(ros: Any, player: Player) -> int | None:
     ros.spin_until(lambda: player.exit_code is not None, 'the end of the bag')
-    assert player.exit_code is not None
     return player.exit_code
 
 
 def test_bag_is_played_byte_by_byte_with_its_qualities_of_service(
-    ros, listener, play, tmp_path, capfd
+    ros, listen, play, capfd
 ) -> None:
-    unknown = channel('/unknown', durability='transient_local', history='unknown', depth=0)
     made = messages()
-    made += [message._replace(channel=unknown) for message in made[:50]]
-    made.sort(key=lambda message: message.log_time)
-    heard = {topic: listen(listener, topic) for topic in ('/fast', '/slow')}
-    player = play(write(tmp_path / 'bag', made), 2, rate=10.0)
+    heard = {topic: listen(topic) for topic in ('/fast', '/slow')}
+    player = play(made, 2, rate=10.0)
     assert finish(ros, player) == 0
     for topic, received in heard.items():
         sent = datas(made, topic)
@@ -105,102 +99,92 @@ def test_bag_is_played_byte_by_byte_with_its_qualities_of_service(
     for topic, is_latched, is_reliable in (
         ('/fast', False, True), ('/slow', True, True), ('/lossy', False, False)
     ):
-        (information,) = listener.get_publishers_info_by_topic(topic)
+        (information,) = player.get_publishers_info_by_topic(topic)
         offer = information.qos_profile
         assert (offer.durability is DurabilityPolicy.TRANSIENT_LOCAL) == is_latched
         assert (offer.reliability is ReliabilityPolicy.RELIABLE) == is_reliable
     # Late subscribers get the publisher's history, or all messages if the bag has no history depth
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    slow, kept = listen(listener, '/slow', latched), listen(listener, '/unknown', latched)
-    ros.spin_until(lambda: len(slow) == 3 and len(kept) == 50, 'receipt of latched messages')
+    slow, kept = listen('/slow', latched), listen('/unknown', latched)
+    ros.spin_until(lambda: len(slow) == 3 and len(kept) == 10, 'receipt of latched messages')
     assert slow == datas(made, '/slow')[-3:]
     player.close()
     assert f'{len(made)} messages of 4 topics played' in capfd.readouterr().err
 
 
 def test_clock_topic_has_the_time_of_the_bag_instead_of_a_recorded_clock(
-    ros, listener, play, tmp_path
+    ros, listen, play
 ) -> None:
     made = messages(500)
     recorded = channel('/clock', 'rosgraph_msgs/msg/Clock')
-    made.insert(250, Message(recorded, b'\0\1\0\0' + bytes(8), BEGIN + SECOND // 4, BEGIN))
-    stamps: list[int] = []
-    listener.create_subscription(
-        Clock, '/clock', lambda message: stamps.append(msg_to_time(message.clock)), EVERYTHING
-    )
-    player = play(write(tmp_path / 'bag', made), 1, clock=200.0, rate=0.5)
+    made.append(Message(recorded, b'\0\1\0\0' + bytes(8), BEGIN + SECOND // 4, BEGIN))
+    clocks = listen('/clock', kind=Clock)
+    player = play(made, 1, clock=200.0, rate=0.5)
     assert finish(ros, player) == 0
+    stamps = [msg_to_time(message.clock) for message in clocks]
     assert stamps == sorted(stamps)
     assert BEGIN <= stamps[0] < stamps[-1] <= BEGIN + SECOND // 2
     assert len(set(stamps)) > 10
     assert player.played == len(made) - 1
 
 
-def test_paused_bag_is_resumed_and_only_requested_topics_are_played(
-    ros, listener, play, tmp_path
-) -> None:
-    pause, resume = (
-        partial(ros.call, listener.create_client(Trigger, resolve(service.name, '/replay')),
-                Trigger.Request())
-        for service in REPLAY_SERVICES
-    )
-    fast, slow = listen(listener, '/fast'), listen(listener, '/slow')
-    path = write(tmp_path / 'bag', messages(300))
-    player = play(path, 1, paused=True, topics=['/fast'], rate=0.5)
-    assert '0.000 s of 0.299 s' in pause().message
+def test_paused_bag_is_resumed_and_only_requested_topics_are_played(ros, listen, play) -> None:
+    fast, slow = listen('/fast'), listen('/slow')
+    player = play(messages(300), 1, paused=True, topics=['/fast'], rate=0.5)
+    listener = ros.listen_to(player)
+    response = listener.trigger(REPLAY_SERVICES.pause)
+    assert '0.000 s of 0.299 s' in response.message
     assert (player.played, player.exit_code) == (0, None)
-    assert resume().success
+    assert listener.trigger(REPLAY_SERVICES.resume).success
     ros.spin_until(lambda: player.played > 10, 'start of playback')
-    assert pause().success
+    assert listener.trigger(REPLAY_SERVICES.pause).success
     played = player.played
-    assert pause().success  # no message arrived during the call
+    assert listener.trigger(REPLAY_SERVICES.pause).success  # nothing was played during the call
     assert player.played == played
-    assert resume().success
+    assert listener.trigger(REPLAY_SERVICES.resume).success
     assert finish(ros, player) == 0
     ros.spin_until(lambda: len(fast) == 300, 'receipt of all messages')
-    assert fast == [text(f'fast {number}') for number in range(300)]
+    assert fast == [text(f'/fast {number}') for number in range(300)]
     assert slow == []
 
 
-def test_unplayable_topics_are_skipped_and_reported(ros, play, tmp_path, capfd) -> None:
-    made = messages(100)
-    string = find_schema('std_msgs/msg/String', installed_prefixes())
+def test_unplayable_topics_are_skipped_and_reported(ros, play, capfd) -> None:
+    absent = [
+        Channel(topic=f'/{kind.replace("/", "_")}', type=kind, schema='int32 x')
+        for kind in (
+            'no_such_msgs/msg/Thing', 'no_such_msgs/action/Go_FeedbackMessage', 'Thing',
+            'this/msg/Thing',
+        )
+    ]
+    string = channel('/any')
     strange = [
-        Channel(topic='/strange', type='no_such_msgs/msg/Thing', schema='int32 x'),
-        Channel(topic='/action', type='no_such_msgs/action/Go_FeedbackMessage', schema=''),
-        Channel(topic='/odd', type='Thing', schema=''),
-        Channel(topic='/code', type='this/msg/Thing', schema=''),
-        Channel(topic='bad name', type='std_msgs/msg/String', schema=string.text),
-        Channel(topic='/otherwise', type='std_msgs/msg/String', schema='', type_hash='RIHS01_ab'),
+        *absent,
+        Channel(topic='bad name', type=string.type, schema=string.schema),
+        Channel(topic='/otherwise', type=string.type, schema='', type_hash='RIHS01_ab'),
         channel('/deep', depth=2**40),
         channel('/by_node', liveliness='manual_by_node'),
         channel('/late', deadline=-5),
     ]
-    for item in strange:
-        made += [Message(item, text('?'), BEGIN, BEGIN)] * 2
-    player = play(write(tmp_path / 'bag', sorted(made, key=lambda message: message.log_time)))
+    made = messages(100) + 2 * [Message(item, text('?'), BEGIN, BEGIN) for item in strange]
+    player = play(made)
     assert finish(ros, player) == 0
     reasons = {item.topic: reason for item, reason in player.skipped.items()}
     assert 'this' not in sys.modules  # a bag imports nothing
-    for topic in ('/strange', '/action', '/odd', '/code'):
-        (kind,) = (item.type for item in strange if item.topic == topic)
-        assert reasons[topic] == f'{kind} is not installed here'
+    for item in absent:
+        assert reasons[item.topic] == f'{item.type} is not installed here'
     assert {'bad name', '/deep'} <= set(reasons)
     printed = capfd.readouterr().err
     for topic, reason in reasons.items():
         assert f'{topic} is skipped: {reason}' in printed
     assert player.played == len(made) - 2 * len(reasons)
-    nothing = [Message(strange[0], b'', BEGIN, BEGIN)]
-    assert finish(ros, play(write(tmp_path / 'nothing', nothing))) == 1
+    assert finish(ros, play([Message(absent[0], b'', BEGIN, BEGIN)])) == 1
 
 
-def test_damaged_bag_is_played_up_to_the_damage(
-    ros, listener, play, tmp_path, capfd
-) -> None:
+def test_damaged_bag_is_played_up_to_the_damage(ros, listen, play, tmp_path, capfd) -> None:
     made = messages(5000)
-    (file,) = write(tmp_path / 'bag', made).glob('*.mcap')
+    (file,) = write(tmp_path / 'bag', made, compression='none').glob('*.mcap')
     file.write_bytes(file.read_bytes().replace(b'fast 2500', b'fast 25oo'))
-    heard = listen(listener, '/fast')
+    heard = listen('/fast')
     player = play(tmp_path / 'bag', 1, rate=20.0)
     assert finish(ros, player) == 1
     assert str(file) in capfd.readouterr().err

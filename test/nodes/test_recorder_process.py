@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-import random
 import re
 import resource
 import signal
@@ -76,21 +75,6 @@ def end_recorder(recorder: Any, code: int = 0) -> tuple[int, int]:
     counts = re.search(r'(\d+) messages in .* s, (\d+) lost', line)
     assert counts is not None, line
     return int(counts[1]), int(counts[2])
-
-
-@pytest.mark.slow
-def test_recorder_that_is_killed_loses_at_most_the_last_second(ros, record, tmp_path) -> None:
-    publisher, path = Publisher(ros, 'reliable'), tmp_path / 'bag'
-    recorder = record('bag')
-    publisher.publish_until(lambda: len(saved(path)) >= 100)
-    end = time.monotonic() + random.uniform(0.0, 1.0)  # any time between two flushes
-    publisher.publish_until(lambda: time.monotonic() > end)
-    killed = time.time_ns()
-    assert recorder.end(signal.SIGKILL) == -signal.SIGKILL
-    recover.main([str(path), '--to', str(tmp_path / 'recovered')])
-    stamps = stamps_in(tmp_path / 'recovered')
-    assert killed - stamps[-1] < 10**9
-    assert len(stamps) > 100
 
 
 @pytest.mark.once

@@ -13,41 +13,24 @@ from typing import Any
 
 from bags import BEGIN, channel, text, write
 import pytest
-from rclpy.duration import Duration
 from rclpy.node import Node
-from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.replay import main
-from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import Message
 
 pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture(scope='module')
-def bag(module_ros: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record a twin during half a second."""
-    folder = tmp_path_factory.mktemp('recorded')
-    rules = ('-p', f'folder:={folder}', '-p', 'name:=bag', '-p', 'topics:=[twin]')
-    recorder = module_ros.node(Recorder, ros_args=rules)
-    twin = module_ros.start_twin('-p', 'throw.period:=0.1')
-    recorder.start()
-    topics = {'/twin/joint_states', '/twin/journal', '/twin/throw_result'}
-    publishers = [item for item in twin.publishers if item.topic_name in topics]
-    module_ros.spin_until(
-        lambda: all(item.get_subscription_count() > 0 for item in publishers), 'the recorder'
-    )
-    twin.go(500)
-    twin.session.close()
-    module_ros.spin_until(lambda: not twin._jobs, 'the journal')
-    assert all(item.wait_for_all_acked(Duration(seconds=60.0)) for item in publishers)
-    recorder.close()
-    return folder / 'bag'
+def messages(module_ros: Any) -> list[Message]:
+    """Return the messages of a twin during half a second."""
+    twin = module_ros.start_twin(throw__period=0.1).go(500)
+    twin.finish()
+    return twin.messages
 
 
 @pytest.fixture(scope='module')
-def messages(bag: Path) -> list[Message]:
-    with BagReader(bag) as reader:
-        return list(reader.messages())
+def bag(messages: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp('recorded') / 'bag', messages)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
-from soft_throw_ros.configuration import rig_of, rig_values
+from soft_throw_ros.configuration import ParameterError, rig_of, rig_values
 from soft_throw_ros.configuration.interface import (
     ENERGIES,
     FRAME,
@@ -38,6 +39,7 @@ from soft_throw_ros.nodes.conversions import (
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.topics import create_service
 from soft_throw_ros.nodes.twin import Twin
+from soft_throw_ros.storage.cdr import decode
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.session import Session
@@ -52,19 +54,16 @@ MILLISECOND = SECOND // 1000
 def thrown(module_ros: Any) -> SimpleNamespace:
     """Return a twin that has thrown once, and a listener with all its messages since the start."""
     # Its own namespace keeps it, for the whole module, apart from the other twins
-    twin = module_ros.start_twin('-r', '__ns:=/thrown', '-p', 'throw.period:=0.0')
-    listener, parameters = module_ros.listen_to(twin), module_ros.parameters(twin)
+    twin = module_ros.start_twin('-r', '__ns:=/thrown', throw__period=0.0)
+    listener = module_ros.listen_to(twin)
     listener.listen(*PUBLISHED)
-    request = {'uncertainty__wave_speed': 0.6, 'uncertainty__mass': 0.0}
-    assert parameters.set_atomically(throw__max_events=1, **request) == ''
-    settled(module_ros, twin)
+    twin.change(throw__max_events=1, uncertainty__wave_speed=0.6, uncertainty__mass=0.0)
+    twin.settle()
     listener.trigger(TWIN_SERVICES.throw)
     twin.go(700)
     listener.hear(TWIN_TOPICS.throw_result, 2)
     listener.hear(TWIN_TOPICS.joint_states, 700)
-    return SimpleNamespace(
-        ros=module_ros, twin=twin, listener=listener, heard=listener.heard, parameters=parameters
-    )
+    return SimpleNamespace(ros=module_ros, twin=twin, listener=listener, heard=listener.heard)
 
 
 def test_every_tick_and_phase_has_a_message_with_its_stamp(thrown) -> None:
@@ -134,14 +133,14 @@ def test_results_of_both_stages_have_uncertainties_and_the_stamps_of_their_event
 def test_numbers_of_a_throw_without_a_release_are_nan(ros, twin, listener) -> None:
     topics = TWIN_TOPICS.ejection_time, TWIN_TOPICS.ejection_speed, TWIN_TOPICS.energy_transfer
     listener.listen(*topics)
-    assert ros.parameters(twin).set_atomically(throw__max_events=1) == ''
+    twin.change(throw__max_events=1)
     assert listener.trigger(TWIN_SERVICES.throw).message.startswith('throw 1: ')
     twin.go(700)
     first = twin.results[0].first
     assert [listener.hear(topic)[0].data for topic in topics] == [
         first.ejection_time, first.ejection_speed, first.energy_transfer
     ]
-    assert ros.parameters(twin).set_atomically(engine__amplitude=1e-5) == ''
+    twin.change(engine__amplitude=1e-5)
     listener.trigger(TWIN_SERVICES.throw)
     twin.go(300)
     listener.trigger(TWIN_SERVICES.reset)
@@ -177,12 +176,10 @@ def test_latched_topics_reach_late_subscribers(thrown) -> None:
 
 
 def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
-    words = ('-p', 'throw.period:=0.25', '-p', 'throw.max_events:=1', '-p', 'rate.state:=200.0')
-    twin = ros.start_twin(*words)
+    twin = ros.start_twin(throw__period=0.25, throw__max_events=1, rate__state=200.0)
 
     def lines(level: str, milliseconds: int = 1020) -> list[str]:
         twin.go(milliseconds)
-        ros.spin_until(lambda: not twin._jobs, 'the end of all publishing jobs')
         printed = capfd.readouterr().err.splitlines()
         return [line for line in printed if f'[{level}]' in line and ': throw ' in line]
 
@@ -192,25 +189,27 @@ def test_log_sums_up_ten_seconds_and_warns_once_of_a_strain(ros, capfd) -> None:
     (line,) = lines('INFO', 2000)
     assert line.endswith('; 41 throws, 3 ticks skipped since the start')
     assert lines('WARN') == []
-    assert ros.parameters(twin).set(engine__amplitude=3e-3) == ['']
+    twin.change(engine__amplitude=3e-3)
     (line,) = lines('WARN')
     assert 'exceeds the linear range of 15 %' in line
     assert lines('WARN') == []
 
 
-def test_diagnostics_report_the_timing(thrown) -> None:
-    thrown.parameters.set(layer__thickness=0.01)
+def test_diagnostics_report_the_timing_and_pending_changes(thrown) -> None:
+    thrown.twin.change(layer__thickness=0.01)
 
-    def status(task: str, done: Any = lambda _status: True) -> Any:
-        return thrown.listener.status(TWIN_TOPICS.diagnostics, task, done)
+    def status(task: str, done: Any) -> Any:
+        return thrown.listener.status(
+            TWIN_TOPICS.diagnostics, task, lambda item: done(msg_to_values(item))
+        )
 
-    pending = status('parameters', lambda item: 'layer.thickness' in msg_to_values(item))
+    pending = status('parameters', lambda values: 'layer.thickness' in values)
     values = msg_to_values(pending)
     assert (values['layer.name'], values['layer.thickness']) == ('custom', 0.01)
     assert values['pending'] == len(values) - 1
     assert pending.hardware_id == NAME
     step = thrown.twin.session.step
-    timing = msg_to_values(status('timing', lambda item: msg_to_values(item)['ticks'] == step))
+    timing = msg_to_values(status('timing', lambda values: values['ticks'] == step))
     assert timing['ticks_skipped'] == 0
     assert {'lateness_p99', 'compute_p50', 'scheduler'} <= timing.keys()
 
@@ -229,20 +228,10 @@ def test_throw_is_accepted_at_rest_and_refused_in_flight(twin, listener) -> None
     assert [change.phase.value for out in twin.outputs for change in out.phases] == names
 
 
-def settled(ros: Any, twin: Any) -> Any:
-    """Wait until the recommendation is for the present settings, and return it."""
-    ros.spin_until(
-        lambda: twin.recommendation and twin.recommendation.is_for(twin.parameters.settings),
-        'the recommendation',
-    )
-    return twin.recommendation
-
-
-def ask(ros: Any, twin: Any, **request: Any) -> Any:
+def ask(twin: Any, **request: Any) -> Any:
     """Ask for another recommendation, and return it."""
-    values = {f'recommendation__{name}': value for name, value in request.items()}
-    assert ros.parameters(twin).set_atomically(**values) == ''
-    return settled(ros, twin).best
+    twin.change(**{f'recommendation__{name}': value for name, value in request.items()})
+    return twin.settle().best
 
 
 @pytest.mark.parametrize(
@@ -259,10 +248,9 @@ def test_recommendation_follows_a_change_is_applied_and_holds(
 ) -> None:
     monkeypatch.setenv('ROS_HOME', str(tmp_path))
     listener.listen(TWIN_TOPICS.recommendation)
-    client = ros.parameters(twin)
     for changes in ({'engine__amplitude': 1.9e-3}, rig):
-        assert client.set(**changes) == ['']
-    best, before = ask(ros, twin, **request_), twin.parameters.settings
+        twin.change(**changes)
+    best, before = ask(twin, **request_), twin.parameters.settings
     status = listener.status(
         TWIN_TOPICS.recommendation,
         'recommendation',
@@ -270,13 +258,13 @@ def test_recommendation_follows_a_change_is_applied_and_holds(
     )
     assert values_to_rig(msg_to_values(status)) == rig_of(before)
     for name, value in twin.recommendation.results().items():
-        assert client.get(f'recommended.{name}') == value
+        assert twin.get_parameter(f'recommended.{name}').value == value
     assert listener.trigger(TWIN_SERVICES.apply_recommendation).success
     assert twin.parameters.settings[changed] != before[changed]
     if changed == 'engine.motion_file':
         path = Path(twin.parameters.settings[changed])
         assert path.parent == tmp_path / 'soft_throw'
-        assert client.set(engine__command=True) == ['']
+        twin.change(engine__command=True)
     listener.trigger(TWIN_SERVICES.throw)
     twin.go(700)
     throw = twin.results[-1].first
@@ -284,25 +272,25 @@ def test_recommendation_follows_a_change_is_applied_and_holds(
 
 
 def test_request_after_one_that_failed_or_is_impossible_is_answered(
-    ros, twin, listener, monkeypatch
+    twin, listener, monkeypatch
 ) -> None:
-    settled(ros, twin)
+    twin.settle()
     listener.listen(TWIN_TOPICS.recommendation)
     with monkeypatch.context() as patch:
         patch.setattr(twin_module, 'recommend_for', lambda *_: 1 / 0)
-        assert ask(ros, twin, vary='thickness') is None
+        assert ask(twin, vary='thickness') is None
     assert 'ZeroDivisionError' in twin.recommendation.describe()
-    assert ask(ros, twin, objective='aim', target_height=0.2, max_strain=0.12) is None
+    assert ask(twin, objective='aim', target_height=0.2, max_strain=0.12) is None
     status = listener.status(
         TWIN_TOPICS.recommendation, 'recommendation', lambda s: 'takes an amplitude' in s.message
     )
     assert status.level == DiagnosticStatus.ERROR
     refused = listener.trigger(TWIN_SERVICES.apply_recommendation)
     assert (refused.success, refused.message) == (False, status.message)
-    assert math.isnan(ros.parameters(twin).get('recommended.amplitude'))
-    (reason,) = ros.parameters(twin).set(engine__command=True)
-    assert 'engine.command' in reason
-    assert ask(ros, twin, objective='peak', vary='wave_speed') is not None
+    assert math.isnan(twin.get_parameter('recommended.amplitude').value)
+    with pytest.raises(ParameterError, match='command'):
+        twin.change(engine__command=True)
+    assert ask(twin, objective='peak', vary='wave_speed') is not None
 
 
 def test_steps_follow_a_clock_topic_that_is_chosen_later_and_a_standstill_is_reported(ros) -> None:
@@ -334,10 +322,10 @@ def test_steps_follow_a_clock_topic_that_is_chosen_later_and_a_standstill_is_rep
 def test_two_twins_of_one_name_are_reported_by_both(ros, capfd) -> None:
     for _ in range(2):
         ros.start_twin()
-    log: list[str] = []
+    log = io.StringIO()
     ros.spin_until(
-        lambda: log.append(capfd.readouterr().err)
-        or ''.join(log).count('another node is named /twin') >= 2,
+        lambda: log.write(capfd.readouterr().err)
+        and log.getvalue().count('another node is named /twin') >= 2,
         'the errors of both twins',
     )
 
@@ -371,7 +359,7 @@ def test_clock_that_is_set_changes_stamps_but_no_state(twin, listener) -> None:
 
 
 def test_participant_that_is_lost_and_comes_back_is_heard_again(ros) -> None:
-    twin = ros.start_twin('-p', 'engine.motion:=measured')
+    twin = ros.start_twin(engine__motion='measured')
     for number in (1, 2):
         others = type(ros)(ros.domain_id)  # a participant of its own
         sender = others.node(Node, 'sensors').create_publisher(
