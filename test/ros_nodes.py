@@ -349,17 +349,15 @@ class Listener(Node):
         self._ros.spin_until(lambda: len(heard) >= count, f'{count} messages on {topic.name}')
         return heard
 
+    def statuses(self, topic: Topic, task: str) -> list[Any]:
+        """Return the statuses of a task so far."""
+        statuses = [item for message in self.heard[topic.name] for item in message.status]
+        return [status for status in statuses if status.name == f'{self._name}: {task}']
+
     def status(self, topic: Topic, task: str, done: Any = lambda _status: True) -> Any:
         """Wait for a status of a task that meets a condition, and return the latest."""
-        matching: list[Any] = []
-
-        def is_published() -> bool:
-            statuses = [item for message in self.heard[topic.name] for item in message.status]
-            matching[:] = [s for s in statuses if s.name == f'{self._name}: {task}' and done(s)]
-            return bool(matching)
-
-        self._ros.spin_until(is_published, task)
-        return matching[-1]
+        self._ros.spin_until(lambda: any(map(done, self.statuses(topic, task))), task)
+        return list(filter(done, self.statuses(topic, task)))[-1]
 
     def trigger(self, service: Service) -> Trigger.Response:
         """Call a service of the twin."""

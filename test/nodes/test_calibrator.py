@@ -18,9 +18,13 @@ from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
-from soft_throw_ros.nodes.calibrator import Calibrator, describe_gain, MeasuredThrow
+from soft_throw_ros.nodes.calibrator import (
+    Calibrator,
+    describe_gain,
+    MeasuredPositions,
+    MeasuredThrow,
+)
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.measured_positions import MeasuredPositions
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample

@@ -12,13 +12,14 @@ from bags import accepted, datas, few
 from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.measured import to_samples
+from soft_throw_ros.nodes.measured import SensorClock, to_samples, TOLERATED
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -88,7 +89,7 @@ def test_clock_topic_that_moves_in_steps_is_no_offset_of_the_sensors(twin, senso
     assert release.lead > 0.0
 
 
-def test_other_messages_are_refused_with_a_reason(twin, sensors, listener, capfd) -> None:
+def test_other_messages_are_refused_with_a_reason(ros, twin, sensors, listener, capfd) -> None:
     listener.listen(TWIN_TOPICS.diagnostics)
     now = twin.clock.time
     sensors.send(Sample(now, 0.0, 0.0), ('plank', 'projectile'))
@@ -102,13 +103,14 @@ def test_other_messages_are_refused_with_a_reason(twin, sensors, listener, capfd
     assert twin.session.sample_counts.refused == {
         'names': 2, 'too large': 1, 'not finite': 1, 'out of range': 1, 'future': 1, 'doubled': 1,
     }
-    status = listener.status(
-        TWIN_TOPICS.diagnostics, 'measurement', lambda s: msg_to_values(s)['samples_refused']
-    )
-    values = msg_to_values(status)
-    assert status.level == DiagnosticStatus.WARN
-    assert (values['samples'], values['samples_refused'], values['refused.names']) == (2, 7, 2)
-    assert values['samples_out_of_order'] == 1
+
+    def reported(name: str) -> int:
+        statuses = listener.statuses(TWIN_TOPICS.diagnostics, 'measurement')
+        return sum(msg_to_values(status).get(name, 0) for status in statuses)
+
+    ros.spin_until(lambda: reported('samples_refused') == 7, 'the counts')
+    names = ('samples', 'refused.names', 'samples_out_of_order')
+    assert [reported(name) for name in names] == [2, 2, 1]
     assert 'millimetres' in capfd.readouterr().err
 
 
@@ -123,6 +125,44 @@ def test_without_measurement_messages_are_dropped_and_not_reported(ros) -> None:
     (message, *_) = listener.hear(TWIN_TOPICS.diagnostics)
     assert [status.name for status in message.status] == ['/twin: timing', '/twin: parameters']
     assert twin.session.sample_counts.taken == 0
+
+
+def observe(clock: SensorClock, offset_ns: int, begin_ns: int = BEGIN) -> int:
+    """Feed five seconds of stamps with an offset to a clock and count its warnings."""
+    random = np.random.default_rng(0)
+    warnings = 0
+    for now_ns in range(begin_ns, begin_ns + 5 * SECOND, MILLISECOND):
+        delays = random.exponential(3e-4 * SECOND, 5).astype(int) + MILLISECOND // 10
+        stamps = [now_ns - offset_ns - delay for delay in delays.tolist()]
+        warnings += clock.observe(stamps, now_ns)
+    return warnings
+
+
+@pytest.mark.parametrize(
+    ('offset_ns', 'is_corrected'),
+    [
+        (20 * MILLISECOND, True), (-300 * MILLISECOND, True), (5 * SECOND, True),
+        (BEGIN - 3600 * SECOND, True),  # since boot
+        (TOLERATED - MILLISECOND, False),  # the time of transport
+    ],
+)
+def test_constant_offset_is_found_and_reported_once_until_it_ends(offset_ns, is_corrected) -> None:
+    clock = SensorClock()
+    assert observe(clock, offset_ns) == is_corrected
+    assert clock.offset_ns == pytest.approx(is_corrected * offset_ns, abs=MILLISECOND)
+    assert (f'{abs(clock.offset_ns) / MILLISECOND:.1f} ms' in clock.problem) == is_corrected
+    assert observe(clock, 0, BEGIN + 5 * SECOND) == is_corrected
+    assert (clock.offset_ns, clock.problem) == (0, '')
+
+
+@pytest.mark.parametrize(('step', 'words'), [(0, 'is 0'), (SECOND, 'is of whole seconds')])
+def test_stamps_without_the_time_of_the_sample_are_named(step, words) -> None:
+    clock = SensorClock()
+    for tick in range(1000):
+        now_ns = BEGIN + tick * MILLISECOND
+        clock.observe([now_ns // step * step if step else 0], now_ns)
+    assert f'header.stamp of the samples {words}' in clock.problem
+    assert clock.offset_ns == 0
 
 
 THROW = [

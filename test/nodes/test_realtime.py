@@ -94,6 +94,7 @@ def test_thread_that_cannot_keep_up_loses_its_priority_for_a_while() -> None:
     seen: list[str] = []
 
     class Stalling(Bench):
+
         def on_tick(self, due: int) -> None:
             super().on_tick(due)
             seen.append(self.ticker.scheduler)

@@ -114,8 +114,7 @@ def test_file_beside_a_bag_has_every_message_that_came_before_the_end(
     listener.listen(VIEWER_TOPICS.diagnostics)
 
     def reports() -> list[Any]:
-        statuses = [status for each in listener.heard['/diagnostics'] for status in each.status]
-        return [status for status in statuses if status.name == '/viewer: display']
+        return listener.statuses(VIEWER_TOPICS.diagnostics, 'display')
 
     ros.spin_until(lambda: len(reports()) >= 2, 'two reports, between which all messages arrive')
     assert msg_to_values(reports()[-1]) == {'lost': 0, 'damaged': 0}
