@@ -11,6 +11,7 @@ import pytest
 from reference.cases import exact_release
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import rig_with, throw_many
+from soft_throw_ros.design.maximise import Box, maximise
 from soft_throw_ros.design.prediction import predict
 from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
 from soft_throw_ros.design.uncertainty import changes_of, Uncertainties
@@ -26,6 +27,15 @@ def random_transfers(rig, uncertainties, seed):
     variants = uncertainties.variants(rig, random.uniform(-1.0, 1.0, (3000, 5)))
     changes = changes_of(variants, rig.layer.thickness, rig.layer.wave_speed)
     return throw_many(rig, changes).energy_transfer
+
+
+def test_of_equally_good_layers_the_thinnest_is_chosen():
+    def score(thickness, *_):
+        distances = [np.abs(np.log(thickness / good)) for good in (3e-3, 12e-3)]
+        return np.minimum(np.exp(0.03 - np.minimum(*distances)), 1.0)
+
+    best = maximise(score, Box((1e-3, 2e-2), (10.0, 10.0)), step=0.05)
+    assert (best.score, best.thickness) == (1.0, pytest.approx(3e-3, rel=0.03))
 
 
 def test_versatile_is_the_worst_of_each_projectile_at_each_frequency():

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import deque
 import contextlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -114,9 +115,23 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
     assert capfd.readouterr().err.count('; identifying') == 1
 
 
-def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_still(
-    ros
-) -> None:
+def test_only_wrong_predictions_in_a_row_make_the_rig_identified(ros, monkeypatch) -> None:
+    calibrator = ros.node(Calibrator, ros_args=('-p', 'throws:=2'))
+    reasons: list[str] = []
+    monkeypatch.setattr(calibrator, '_submit', lambda _task, reason: reasons.append(reason))
+    monkeypatch.setattr(calibrator._measured, 'between', lambda *_: None)
+    counts = []
+    for is_right in (False, True, False, False):
+        result = SimpleNamespace(
+            throw=1, rig=Rig(), disturbances=True, ended_by='period', first=None,
+            comparison=SimpleNamespace(is_within_threshold=is_right),
+        )
+        calibrator._on_measured_throw(result, 0, SECOND)
+        counts.append(len(reasons))
+    assert counts == [0, 0, 0, 1]
+
+
+def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_still(ros) -> None:
     node = ros.node(RunnableNode, 'calibrator')
     positions = MeasuredPositions(node, '/twin', ('plate', 'projectile'))
     positions._batches = deque(maxlen=9)

@@ -149,7 +149,8 @@ def observe(clock: SensorClock, offset_ns: int, begin_ns: int = BEGIN) -> int:
 def test_constant_offset_is_found_and_reported_once_until_it_ends(offset_ns, is_corrected) -> None:
     clock = SensorClock()
     assert observe(clock, offset_ns) == is_corrected
-    assert clock.offset_ns == pytest.approx(is_corrected * offset_ns, abs=MILLISECOND)
+    fastest = offset_ns + MILLISECOND // 10
+    assert clock.offset_ns == pytest.approx(is_corrected * fastest, abs=MILLISECOND // 50)
     assert (f'{abs(clock.offset_ns) / MILLISECOND:.1f} ms' in clock.problem) == is_corrected
     assert observe(clock, 0, BEGIN + 5 * SECOND) == is_corrected
     assert (clock.offset_ns, clock.problem) == (0, '')

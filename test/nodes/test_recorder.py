@@ -8,11 +8,13 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 import shutil
+import threading
 from typing import Any
 
 from bags import notes, saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_nodes import rules
@@ -195,14 +197,21 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     ros, recorder, talker, tmp_path, monkeypatch
 ) -> None:
     node = recorder(name='bag')
-    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
-    subscriptions = node.recording.subscriptions
-    close = subscriptions.close
+    publisher = talker.create_publisher(String, '/talk', 100)
+    say(ros, node, publisher, ['a'])
+    subscriptions, drains = node.recording.subscriptions, threading.Semaphore(0)
+    drain, close = subscriptions.drain, subscriptions.close
 
     def close_late() -> None:
-        ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 3, 'the messages in the bag')
+        ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 2, 'the messages in the bag')
         close()
 
+    monkeypatch.setattr(recorder_module, '_DRAIN_TIME', 60.0)
+    monkeypatch.setattr(subscriptions, 'drain', lambda: (drain(), drains.release())[0])
     monkeypatch.setattr(subscriptions, 'close', close_late)
+    for _ in range(2):  # the second one is followed by the long wait
+        drains.acquire(timeout=60.0)
+    publisher.publish(String(data='b'))
+    assert publisher.wait_for_all_acked(Duration(seconds=60.0))
     node.close()
-    assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
+    assert texts(tmp_path / 'bag') == ['a', 'b']
