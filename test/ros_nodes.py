@@ -34,8 +34,6 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -67,8 +65,7 @@ with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
     import lark  # noqa: F401  rclpy imports lark with the first node, and lark obsolete modules
 
-_KEPT = 100
-"""Messages that a listener keeps at least, since it does not spin while a twin runs."""
+_KEPT = 100  # messages that a listener keeps at least, since it does not spin while a twin runs
 
 TIMEOUT = 60.0
 """Longest wait for anything; a busy machine must not reach it. [s]"""
@@ -76,13 +73,11 @@ TIMEOUT = 60.0
 PROCESS_TIMEOUT = 110.0
 """Longest wait for another process, including compilation. [s]"""
 
-OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
-"""Prefix of messages such as of a port in use, which Fast DDS prints at every log level."""
+# Prefix of messages such as of a port in use, which Fast DDS prints at every log level
+_OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
 
 _FUTEX = '202'  # number of the system call on x86-64
 _WAITING = {0, 9}  # its operations that wait, FUTEX_WAIT and FUTEX_WAIT_BITSET
-
-COLOURS = re.compile(r'\x1b\[[0-9;]*m')
 
 MILLISECOND = SECOND // 1000
 
@@ -135,10 +130,6 @@ class Ros:
         self.spin_until(client.service_is_ready, client.srv_name)
         return self.result(client.call_async(request))
 
-    def parameters(self, node: Node) -> Parameters:
-        """Make a client for the parameter services of `node`."""
-        return Parameters(self, node)
-
     def start_twin(self, *ros_args: str, **values: Any) -> DrivenTwin:
         """Start a twin on a clock set by the test with parameters, `a__b` for a.b."""
         return self.node(DrivenTwin, ros_args=(*ros_args, *rules(**values)))
@@ -184,42 +175,6 @@ def _destroy_unfinished(error: BaseException) -> None:
                 if handle is not None:
                     handle.destroy_when_not_in_use()
             return
-
-
-class Parameters:
-    """The parameters of a node, set and read through its services from another node."""
-
-    def __init__(self, ros: Ros, node: Node) -> None:
-        self._ros = ros
-        client_node = ros.node(Node, 'parameter_client')
-        self._client = AsyncParameterClient(client_node, node.get_fully_qualified_name())
-        ros.spin_until(self._client.services_are_ready, 'parameter services')
-
-    def get(self, name: str) -> Any:
-        """Return the value of one parameter."""
-        (value,) = self._ros.result(self._client.get_parameters([name])).values
-        return rclpy.parameter.parameter_value_to_python(value)
-
-    def describe(self, name: str) -> Any:
-        """Return the descriptor of one parameter."""
-        (descriptor,) = self._ros.result(self._client.describe_parameters([name])).descriptors
-        return descriptor
-
-    def set(self, **values: Any) -> list[str]:  # noqa: A003
-        """Set parameters one by one (`a__b` is a.b); return the reasons, '' for accepted ones."""
-        return self._request(self._client.set_parameters, values)
-
-    def set_atomically(self, **values: Any) -> str:
-        """Set parameters atomically; return the reason, '' if accepted."""
-        return self._request(self._client.set_parameters_atomically, values)[0]
-
-    def _request(self, request: Any, values: dict[str, Any]) -> list[str]:
-        items = [(name.replace('__', '.'), value) for name, value in values.items()]
-        future = request([Parameter(name, value=value) for name, value in items])
-        response = self._ros.result(future)
-        results = getattr(response, 'results', None) or [response.result]
-        assert all(result.successful == (not result.reason) for result in results)
-        return [result.reason for result in results]
 
 
 class GivenClock(SystemClock):
@@ -538,7 +493,7 @@ class Process:
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            if not OF_FAST_DDS.match(COLOURS.sub('', line)):
+            if not _OF_FAST_DDS.match(re.sub(r'\x1b\[[0-9;]*m', '', line)):
                 self.lines.append(line.rstrip())
 
 

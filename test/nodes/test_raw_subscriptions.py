@@ -133,18 +133,3 @@ def test_no_message_is_read_before_the_clock_starts(ros, talker, subscribe) -> N
     clock.publish(Clock(clock=time_to_msg(5 * SECOND)))
     (message,) = take(ros, subscriptions, 1)
     assert (message.log_time, message.publish_time) == (5 * SECOND, 5 * SECOND)
-
-
-def test_sequence_numbers_of_simultaneous_or_restarted_publishers_are_not_losses(
-    ros, talker, subscribe
-) -> None:
-    publishers = [talker.create_publisher(String, '/talk', LATCHED) for _ in range(2)]
-    subscriptions = subscribe('/talk')
-    for number in (0, 0, 0, 1, 0, 1, 2):
-        if number == len(publishers):
-            talker.destroy_publisher(publishers[0])
-            publishers.append(talker.create_publisher(String, '/talk', LATCHED))
-        publishers[number].publish(String())
-        take(ros, subscriptions, 1)
-    subscriptions.discover()
-    assert [subscription.lost for subscription in subscriptions] == [0]

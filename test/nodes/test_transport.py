@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Transport profiles of Fast DDS; `test_recorder_process` tests their effect on recordings."""
+"""Transport profiles of Fast DDS; `test_faults` tests their effect on recordings."""
 
 from __future__ import annotations
 
