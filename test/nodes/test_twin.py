@@ -17,7 +17,6 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration import ParameterError, rig_of, rig_values
 from soft_throw_ros.configuration.interface import (
     ENERGIES,
@@ -41,6 +40,7 @@ from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.storage.cdr import stamp_of
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.sample_buffer import Sample
 from std_srvs.srv import Trigger
 
 PUBLISHED = [topic for topic in TWIN_TOPICS if not topic.is_input]
@@ -340,22 +340,16 @@ def test_clock_that_is_set_changes_stamps_and_skips_nothing(twin) -> None:
 
 def test_participant_that_is_lost_and_comes_back_is_heard_again(ros) -> None:
     twin = ros.start_twin(engine__motion='measured')
-    for number in (1, 2):
+    for count in (1, 2):
         others = type(ros)(ros.domain_id)  # a participant of its own
-        sender = others.node(Node, 'sensors').create_publisher(
-            JointState, '/twin/measured_joint_states', 10
+        sensors = others.sensors_of()
+        sample = Sample(twin.go(10).clock.time, 0.0, math.nan)
+        ros.spin_until(
+            lambda sensors=sensors, sample=sample, count=count: sensors.send(sample)
+            or twin.measurement.read_messages()
+            or twin.session.sample_counts.taken == count,
+            'a sample',  # the twin may not know of the sender yet
         )
-        others.spin_until(lambda s=sender: s.get_subscription_count() > 0, 'the twin')
-        twin.go(10)
-        message = JointState(name=['plate'], position=[0.0], velocity=[math.inf])
-        message.header.stamp = time_to_msg(twin.clock.time)
-
-        def is_taken(sender: Any = sender, message: Any = message, number: int = number) -> bool:
-            sender.publish(message)  # the twin may not know of the sender yet
-            twin.measurement.read_messages()
-            return bool(twin.session.sample_counts.taken == number)
-
-        ros.spin_until(is_taken, 'the sample')
         others.close()
 
 

@@ -50,15 +50,13 @@ def throw(ros: Any) -> Callable[[], None]:
 
 
 @pytest.fixture
-def show(start: Any) -> Callable[..., Any]:
+def show(start_node: Any) -> Callable[..., Any]:
     """Start the node without a screen, and wait until it is ready."""
 
-    def show(**parameters: object) -> Any:
-        rules = [f'{name}:={value}' for name, value in parameters.items()]
-        command = [sys.executable, '-m', 'soft_throw_ros', 'viewer', '--ros-args']
+    def show(*rules: str) -> Any:
         hidden = ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET')
         environment = {name: value for name, value in os.environ.items() if name not in hidden}
-        process = start(*command, *(w for rule in rules for w in ('-p', rule)), env=environment)
+        process = start_node('viewer', *rules, env=environment)
         process.wait_for('ready')
         return process
 
@@ -77,7 +75,7 @@ def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
     ros, show, throw
 ) -> None:
     port = free_port()
-    node = show(port=port)  # without a screen it serves
+    node = show(f'port:={port}')  # without a screen it serves
     node.wait_for(url_of(port))
     listening = Path('/proc/net/tcp').read_text(encoding='ascii')
     assert f' 0100007F:{port:04X} ' in listening
@@ -96,7 +94,7 @@ def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
 
 def test_node_without_a_viewer_ends_well(show) -> None:
     with socket.create_server(('127.0.0.1', 0)) as other:  # a viewer of something else
-        node = show(port=other.getsockname()[1])
+        node = show(f'port:={other.getsockname()[1]}')
         node.end_well()
     assert node.lines[-1].endswith('messages, 0 not shown')
 
