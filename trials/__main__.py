@@ -23,31 +23,21 @@ import sys
 
 from soft_throw_ros.commands.options import add_dask_option, open_map
 from soft_throw_ros.core.batch import usable_processors
-from trials import table
-from trials.judge import end_with_parent, judge, Verdict
+from trials.judge import end_with_parent, judge, summary, table_head, table_line, Verdict
 from trials.rows import Row, ROWS
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the trials; return exit code 0."""
     parser = argparse.ArgumentParser(prog='python -m trials', description=__doc__)
-    parser.add_argument(
-        '--rigs', metavar='N', type=int, default=12, help='number of rigs per row (default 12)'
-    )
-    parser.add_argument(
-        '--seed', metavar='N', type=int, default=0, help='seed of the random rigs (default 0)'
-    )
-    parser.add_argument(
-        '--rows', metavar='TEXT', nargs='+', default=[''],
-        help='only rows whose names contain one of these texts',
-    )
-    parser.add_argument(
-        '--log', metavar='FILE', type=Path, help='write all verdicts to a file of JSON lines'
-    )
-    parser.add_argument(
-        '--workers', metavar='N', type=int, default=usable_processors(),
-        help='number of worker processes without --dask (default: one per processor)',
-    )
+    add = parser.add_argument
+    add('--rigs', metavar='N', type=int, default=12, help='number of rigs per row (default 12)')
+    add('--seed', metavar='N', type=int, default=0, help='seed of the random rigs (default 0)')
+    add('--rows', metavar='TEXT', nargs='+', default=[''],
+        help='only rows whose names contain one of these texts')
+    add('--log', metavar='FILE', type=Path, help='write all verdicts to a file of JSON lines')
+    add('--workers', metavar='N', type=int, default=usable_processors(),
+        help='number of worker processes without --dask (default: one per processor)')
     add_dask_option(parser)
     arguments = parser.parse_args(args)
     if arguments.rigs < 1:
@@ -67,7 +57,7 @@ def main(args: list[str] | None = None) -> int:
     if arguments.log:
         lines = [json.dumps(asdict(verdict)) for verdict in verdicts]
         arguments.log.write_text('\n'.join(lines) + '\n', encoding='utf-8')
-    print('', table.summary(verdicts, [row.name for row in rows if row.is_clean]), sep='\n')
+    print('', summary(verdicts, [row.name for row in rows if row.is_clean]), sep='\n')
     return 0
 
 
@@ -75,16 +65,14 @@ def _run(
     rows: list[Row], arguments: argparse.Namespace, run_trials: Callable[..., Iterable[Verdict]]
 ) -> list[Verdict]:
     """Run the trials of all rows, and print each line of the table when it is complete."""
-    verdicts = []
+    verdicts: list[Verdict] = []
     names = [row.name for row in rows for _ in range(arguments.rigs)]
     numbers = [number for _ in rows for number in range(arguments.rigs)]
-    run_trial = partial(judge, seed=arguments.seed)
-    results = iter(run_trials(run_trial, names, numbers))
-    print(*table.header(), sep='\n', flush=True)
+    results = iter(run_trials(partial(judge, seed=arguments.seed), names, numbers))
+    print(*table_head(), sep='\n', flush=True)
     for row in rows:
-        of_row = [next(results) for _ in range(arguments.rigs)]
-        print(table.line(row.name, of_row), flush=True)
-        verdicts += of_row
+        verdicts += (of_row := [next(results) for _ in range(arguments.rigs)])
+        print(table_line(row.name, of_row), flush=True)
     return verdicts
 
 

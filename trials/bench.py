@@ -18,29 +18,16 @@ from soft_throw_ros.simulated_rig.sensor_faults import draw_chances, SensorFault
 
 Floats = NDArray[np.float64]
 
-NOISES = 10e-6, 30e-6
-"""Default range of the standard deviation of heights. [m]"""
-
-RATES = 3000.0, 8000.0
-"""Default range of the sample rate. [Hz]"""
-
-MODES = 3.0, 7.0
-"""Range of the frequency of a second mode, over that of the plate. [-]"""
-
+NOISES = (10e-6, 30e-6)  # default range of the standard deviation of heights [m]
+RATES = (3000.0, 8000.0)  # default range of the sample rate [Hz]
+MODES = (3.0, 7.0)  # range of the frequency of a second mode, over that of the plate [-]
 ERRORS = {'mass': 0.01, 'thickness': 1e-4, 'diameter': 1e-4}
 """Standard errors of the command by default: relative for the mass, of lengths in metres."""
 
-_START = (14e-3, 18e-3)
-"""Range of the start of a throw in its record. [s]"""
-
-_SLOWEST = 0.5
-"""Smallest ejection speed, over the peak speed of the plate. [-]"""
-
-_LATEST = 1.2
-"""Latest release. [plate periods]"""
-
-_DRAWS = 1000
-"""Largest number of rigs that are drawn for one throw. [-]"""
+_START = (14e-3, 18e-3)  # range of the start of a throw in its record [s]
+_SLOWEST = 0.5  # smallest ejection speed, over the peak speed of the plate [-]
+_LATEST = 1.2  # latest release [plate periods]
+_DRAWS = 1000  # largest number of rigs that are drawn for one throw
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,15 +60,14 @@ class RigRange:
         def log_uniform(limits: tuple[float, float]) -> float:
             return float(np.exp(random.uniform(*np.log(limits))))
 
-        layer = Layer(
-            thickness=log_uniform(self.thickness), wave_speed=log_uniform(self.wave_speed)
-        )
+        thickness, wave_speed = map(log_uniform, (self.thickness, self.wave_speed))
         engine = Engine(
             frequency=log_uniform(self.frequency),
             amplitude=log_uniform(self.amplitude),
             damping_ratio=random.uniform(*self.damping_ratio),
         )
-        layer = replace(layer, loss_tangent=random.uniform(*self.loss_tangent))
+        tangent = random.uniform(*self.loss_tangent)
+        layer = Layer(thickness=thickness, wave_speed=wave_speed, loss_tangent=tangent)
         projectile = Projectile(mass=log_uniform(self.mass_ratio) * layer.mass)
         return Rig(engine=engine, layer=layer, projectile=projectile)
 
@@ -116,12 +102,20 @@ class Bench:
             rig = self.rigs.draw(random)
             if self.is_neo_hookean:
                 rig = replace(rig, layer=replace(rig.layer, stress_strain_law='neo_hookean'))
-            quick = throw(rig, until=_LATEST / rig.engine.frequency)
-            if is_good(quick) and self.accept(quick):
+            if self._accepts(throw(rig, until=_LATEST / rig.engine.frequency)):
                 thrown = self.throw(rig, random)
-                if is_good(thrown) and self.accept(thrown):
+                if self._accepts(thrown):
                     return thrown
         raise RuntimeError(f'none of {_DRAWS} random rigs has an acceptable throw')
+
+    def _accepts(self, thrown: ImperfectThrow) -> bool:
+        """Return whether the projectile rests until the throw, and is released soon and fast."""
+        if not thrown.events:
+            return False
+        release, engine = thrown.events[0], thrown.rig.engine
+        fast = _SLOWEST * Underdamped.of(engine).peak_velocity
+        is_soon = 0.0 < release.time < _LATEST / engine.frequency
+        return is_soon and release.velocity > fast and self.accept(thrown)
 
     def throw(self, rig: Rig, random: np.random.Generator) -> ImperfectThrow:
         """Simulate a throw with the imperfections of this bench."""
@@ -129,11 +123,10 @@ class Bench:
         if imperfections.ringing:
             phase = random.uniform(0.0, 2.0 * math.pi)
             imperfections = replace(imperfections, ringing_phase=phase)
-        until, start = self.duration, -_START[1]
         if self.has_modes:
             frequency = random.uniform(*MODES) * rig.engine.frequency
             imperfections = replace(imperfections, second_mode_frequency=frequency)
-        return throw(rig, imperfections, until=until, start=start)
+        return throw(rig, imperfections, until=self.duration, start=-_START[1])
 
     def measure(self, thrown: ImperfectThrow, random: np.random.Generator) -> Floats:
         """Measure a throw with the faults of the sensors; return the received samples."""
@@ -157,21 +150,10 @@ class Bench:
         return np.asarray(columns[is_received])
 
 
-def is_good(thrown: ImperfectThrow) -> bool:
-    """Return whether the projectile is at rest until the throw, and released soon and fast."""
-    if not thrown.events:
-        return False
-    release = thrown.events[0]
-    engine = thrown.rig.engine
-    fast = _SLOWEST * Underdamped.of(engine).peak_velocity
-    return 0.0 < release.time < _LATEST / engine.frequency and release.velocity > fast
-
-
 def truth_of(thrown: ImperfectThrow) -> dict[str, float]:
     """Return the true parameters of the rig, and the true first release."""
     rig, release = thrown.rig, thrown.events[0]
-    peak = Underdamped.of(rig.engine).peak_velocity
-    values = values_of(rig, PARAMETERS)
+    peak, values = Underdamped.of(rig.engine).peak_velocity, values_of(rig, PARAMETERS)
     if rig.layer.stress_strain_law != 'linear':  # it has the wave speed at rest only there
         values['layer.rest_wave_speed'] = values.pop('layer.wave_speed')
     return {

@@ -1,19 +1,18 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of the results of `soft-throw identify` with the true values of a trial."""
+"""Results of `soft-throw identify` beside the true values of trials, and their table."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 import contextlib
+import ctypes
 from dataclasses import dataclass
 import io
 import json
-import multiprocessing
-import os
 from pathlib import Path
+import signal
 import tempfile
-import threading
 import time
 from typing import Any, NamedTuple
 import zlib
@@ -22,11 +21,20 @@ import numpy as np
 from soft_throw_ros.commands import identify
 from trials.rows import ROWS_BY_NAME
 
-FAR_OFF = 5.0
-"""Deviation from which on a result is wrong. [standard errors]"""
+FAR_OFF = 5.0  # deviation from which on a result is wrong [standard errors]
+_INTERVAL = 1.96  # half width of a 95 % interval [standard errors]
 
-_INTERVAL = 1.96
-"""Half width of a 95 % interval. [standard errors]"""
+_COLUMNS = {
+    'c_s': ('layer.wave_speed', 'layer.rest_wave_speed'),
+    'loss': ('layer.loss_tangent',),
+    'A': ('engine.amplitude',),
+    'f, zeta': ('engine.frequency', 'engine.damping_ratio'),
+    't_e': ('ejection.time',),
+    'V_e, alpha': ('ejection.speed', 'ejection.energy_transfer'),
+}
+"""Quantities whose intervals are counted in a column, by the head of the column."""
+
+HEADS = ('row', 'rigs', 'refused', 'warned', 'silently wrong', 'all', *_COLUMNS)
 
 
 class Deviation(NamedTuple):
@@ -41,11 +49,6 @@ class Deviation(NamedTuple):
         """Absolute deviation from the true value [standard errors]."""
         return abs(self.value - self.truth) / max(self.error, 1e-12 * abs(self.truth))
 
-    @property
-    def is_covered(self) -> bool:
-        """Whether the 95 % interval contains the true value."""
-        return self.errors <= _INTERVAL
-
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
@@ -53,23 +56,16 @@ class Verdict:
 
     row: str
     number: int
-    refusal: str = ''
-    """Error message of the command; empty if the fit succeeded."""
+    refusal: str = ''  # error message of the command, if it refused
     warnings: tuple[str, ...] = ()
-    results: Mapping[str, Deviation]
-    """Deviations by the parameter names of the twin; `ejection.*` is the first release."""
-    seconds: float
-    """Duration of the command [s]."""
-
-    @property
-    def wrong(self) -> list[str]:
-        """Names of the results that are wrong."""
-        return [name for name, result in self.results.items() if result.errors > FAR_OFF]
+    results: Mapping[str, Deviation]  # by the names of the rows of the report
+    seconds: float  # duration of the command [s]
 
     @property
     def is_silently_wrong(self) -> bool:
         """Whether a result is wrong although the command neither refused nor warned."""
-        return not self.refusal and not self.warnings and bool(self.wrong)
+        is_wrong = any(result.errors > FAR_OFF for result in self.results.values())
+        return is_wrong and not self.refusal and not self.warnings
 
 
 def judge(name: str, number: int, *, seed: int) -> Verdict:
@@ -116,20 +112,52 @@ def compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Dev
     for row in report.get('rows', ()):
         name = row['name']
         if name in truth and row['error'] is not None:
-            deviation = Deviation(row['value'], row['error'], truth[name])
-            deviations[name] = min(
-                deviation, deviations.get(name, deviation), key=lambda item: item.errors
-            )
+            found = Deviation(row['value'], row['error'], truth[name])
+            known = deviations.get(name, found)
+            deviations[name] = min(found, known, key=lambda item: item.errors)
     return deviations
 
 
 def end_with_parent() -> None:
-    """End this worker process when its parent has been killed."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
+    """Let Linux kill this worker process when its parent has been killed."""
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
 
-    def wait() -> None:
-        parent.join()
-        os._exit(1)
 
-    threading.Thread(target=wait, daemon=True).start()
+def table_head() -> list[str]:
+    """Return the head of the table of verdicts in Markdown."""
+    return [f'| {" | ".join(HEADS)} |', '|---' + '|---:' * (len(HEADS) - 1) + '|']
+
+
+def table_line(name: str, verdicts: Sequence[Verdict]) -> str:
+    """Return the line of a row."""
+    fitted = [verdict for verdict in verdicts if not verdict.refusal]
+    names = {name for verdict in fitted for name in verdict.results}
+    counts = (
+        len(verdicts),
+        len(verdicts) - len(fitted),
+        sum(bool(verdict.warnings) for verdict in verdicts),
+        sum(verdict.is_silently_wrong for verdict in verdicts),
+    )
+    shares = [_coverage(fitted, quantities) for quantities in (names, *_COLUMNS.values())]
+    return f'| {" | ".join([name, *map(str, counts), *shares])} |'
+
+
+def _coverage(verdicts: Sequence[Verdict], names: Collection[str]) -> str:
+    """Return the fraction of 95 % intervals that contain the true value."""
+    is_covered = [
+        result.errors <= _INTERVAL
+        for verdict in verdicts for name, result in verdict.results.items() if name in names
+    ]
+    return f'{100.0 * sum(is_covered) / len(is_covered):.0f} %' if is_covered else '-'
+
+
+def summary(verdicts: Sequence[Verdict], clean: Collection[str]) -> str:
+    """Compare the numbers of silently wrong trials and of false alarms with their goals."""
+    silent = sum(verdict.is_silently_wrong for verdict in verdicts)
+    alarms = [
+        bool(verdict.refusal or verdict.warnings) for verdict in verdicts if verdict.row in clean
+    ]
+    return (
+        f'{silent} of {len(verdicts)} are silently wrong (goal: 0), and {sum(alarms)} of '
+        f'{len(alarms)} clean trials have a false alarm (goal: at most 2 %).'
+    )

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from soft_throw_ros.core.rig import Rig
@@ -17,64 +17,52 @@ from trials.bench import Bench, measured_options, RigRange, Trial, truth_of
 
 Random: TypeAlias = np.random.Generator
 
-_AMPLITUDES = (2.00e-3, 1.94e-3, 2.05e-3)
-"""Amplitudes of three throws in one fit. [m]"""
+_AMPLITUDES = (2.00e-3, 1.94e-3, 2.05e-3)  # of three throws in one fit [m]
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A row of the table."""
 
-    name: str
-    """Name of the row, from which the seeds of its trials are derived."""
+    name: str  # from which the seeds of its trials are derived
     draw: Callable[[Random], Trial]
-    """Function that returns a random trial."""
-    is_clean: bool = False
-    """Whether the data have no fault, so that every warning is a false alarm."""
-
-
-def _draw(bench: Bench, random: Random, *arguments: str, is_exact: bool = False) -> Trial:
-    """Return a trial with one throw; masses and lengths have errors unless `is_exact`."""
-    thrown = bench.draw_throw(random)
-    return Trial(
-        records=(bench.measure(thrown, random),),
-        arguments=(*measured_options(thrown.rig, None if is_exact else random), *arguments),
-        truth=truth_of(thrown),
-    )
+    is_clean: bool = False  # whether the data have no fault: every warning is a false alarm
 
 
 def _single(bench: Bench, *arguments: str, is_exact: bool = False) -> Callable[[Random], Trial]:
-    """Return a function that draws trials with one throw on a bench."""
-    return lambda random: _draw(bench, random, *arguments, is_exact=is_exact)
+    """Return a drawer of single throws, whose sizes are known with errors unless `is_exact`."""
+
+    def draw(random: Random) -> Trial:
+        thrown = bench.draw_throw(random)
+        record = bench.measure(thrown, random)
+        options = measured_options(thrown.rig, None if is_exact else random)
+        return Trial(records=(record,), arguments=(*options, *arguments), truth=truth_of(thrown))
+
+    return draw
 
 
 def _measured_with(**faults: float) -> Callable[[Random], Trial]:
-    """Return a function that draws trials with one throw, noise and a fault of the sensors."""
+    """Return a drawer of single throws with noise and a fault of the sensors."""
     return _single(Bench(faults=SensorFaults(**faults)))
 
 
 def _uncertain(random: Random) -> Trial:
     """Return a trial with errors of 5 % in mass and lengths, which the arguments state."""
-    bench = Bench()
+    bench, arguments = Bench(), []
     thrown = bench.draw_throw(random)
     options = measured_options(thrown.rig)
-    arguments = []
     for option, text in zip(options[::2], options[1::2], strict=True):
         if option != '--density':
             value = float(text) * max(1.0 + 0.05 * random.standard_normal(), 0.5)
             arguments += [option, f'{value:.9g}+-5%']
-    return Trial(
-        records=(bench.measure(thrown, random),),
-        arguments=tuple(arguments),
-        truth=truth_of(thrown),
-    )
+    record = bench.measure(thrown, random)
+    return Trial(records=(record,), arguments=tuple(arguments), truth=truth_of(thrown))
 
 
 def _as_expected(random: Random) -> Trial:
     """Return a trial with errors of scale, delay and drift as large as the command expects."""
     scale, delay, drift = random.standard_normal(3).tolist()
     faults = SensorFaults(projectile_scale=1.0 + 0.005 * scale, projectile_delay=1e-4 * delay)
-    return _draw(Bench(faults=faults, drift=0.02 * drift), random)
+    return _single(Bench(faults=faults, drift=0.02 * drift))(random)
 
 
 def _three_throws(random: Random) -> Trial:

@@ -21,8 +21,8 @@ from soft_throw_ros.design.recommendation import recommend
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'paper'))
 
-from page import replace_part, table  # noqa: E402, I100
-import style  # noqa: E402
+import style  # noqa: E402, I100
+from style import replace_part, table  # noqa: E402
 
 Floats = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
         throw = simulate(Rig(layer=best.layer), cells=cells, until=times[-1])
         trajectory = throw.trajectory(times)
         right.plot(1e3 * times, trajectory.projectile_velocity, color=colour)
-        release = throw.first_release
+        release = throw.events[0]
         right.plot(1e3 * release.time, release.velocity, 'o', color=colour, mec='white')
     plate = trajectory.plate_velocity
     right.plot(1e3 * times, plate, color=style.BLACK, ls='--', lw=1.0, label='plate')

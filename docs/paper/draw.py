@@ -4,22 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 import sys
 
+from comparison import update_page
 import fits
-import limits
 import maps
-from matplotlib.figure import Figure
-from page import update_page
 import series
 import style
 import throws
 
 DOCS = Path(__file__).resolve().parents[1]
 
-DRAWINGS: Mapping[str, Callable[[], Figure]] = {
+DRAWINGS = {
     'throw': throws.draw_throw,
     'fig1': throws.draw_states,
     'fig2': throws.draw_traces,
@@ -27,7 +24,7 @@ DRAWINGS: Mapping[str, Callable[[], Figure]] = {
     'fig4': maps.draw_best,
     'fig5': series.draw_series,
     'fig6': maps.draw_crossings,
-    'fig7': limits.draw_spring,
+    'fig7': series.draw_spring,
     'fig8': fits.draw_free_layers,
     'fig10': fits.draw_plate_fit,
     'fig11': maps.draw_damped_maps,

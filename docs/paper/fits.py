@@ -19,17 +19,11 @@ from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, R
 
 Floats = NDArray[np.float64]
 
-SLOPE = 0.256
-"""Slope of T_0 over L_s, as printed without a unit, which can only be this one. [s/m]"""
+SLOPE, SLOPE_ERROR = 0.256, 0.008
+"""Slope of T_0 over L_s and its error, printed without a unit, which can only be this. [s/m]"""
 
-SLOPE_ERROR = 0.008
-"""Its printed error. [s/m]"""
-
-NOISE = 20e-6
-"""Standard deviation of a measured height of the plate. [m]"""
-
-RATE = 5000.0
-"""Frame rate of the camera. [Hz]"""
+NOISE, RATE = 20e-6, 5000.0
+"""Standard deviation of a measured height of the plate [m], and frame rate of the camera [Hz]."""
 
 
 def ringing(time: Floats, period: float, *, loss_tangent: float = 0.02) -> Floats:
@@ -83,18 +77,12 @@ def draw_free_layers() -> Figure:
     return legend_below(figure, *panels, columns=3)
 
 
-def plate_track() -> Track:
-    """Return a simulated track of the plate with noise."""
-    time = np.arange(-5e-3, 60e-3, 1.0 / RATE)
-    height = Underdamped.of(Engine()).position(np.maximum(time, 0.0))
-    noise = NOISE * np.random.default_rng(0).standard_normal(time.size)
-    return Track(time=time, position=height + noise)
-
-
 def draw_plate_fit() -> Figure:
     """Draw Fig. 10: the motion of the plate, the fitted damped step, and the residual."""
-    track = plate_track()
-    fitted = fit_plate(track)
+    time = np.arange(-5e-3, 60e-3, 1.0 / RATE)
+    height = Underdamped.of(Engine()).position(np.maximum(time, 0.0))
+    height += NOISE * np.random.default_rng(0).standard_normal(time.size)
+    fitted = fit_plate(Track(time=time, position=height))
     frequency, damping, amplitude, start, offset = (fitted[name] for name in NAMES)
     plate = Underdamped(
         frequency=frequency.value, damping_ratio=damping.value, amplitude=amplitude.value
@@ -107,8 +95,8 @@ def draw_plate_fit() -> Figure:
         'the slower plate.',
         height=5.2, grid=(2, 1), sharex=True, height_ratios=(3.0, 1.0),
     )
-    fine = np.linspace(track.time[0], track.time[-1], 1500)
-    panels[0].plot(MILLI * track.time, MILLI * track.position, '.', color=BLUE, ms=5,
+    fine = np.linspace(time[0], time[-1], 1500)
+    panels[0].plot(MILLI * time, MILLI * height, '.', color=BLUE, ms=5,
                    label='heights of the plate')
     panels[0].plot(
         MILLI * fine, MILLI * (offset.value + plate.position(fine - start.value)),
@@ -118,7 +106,7 @@ def draw_plate_fit() -> Figure:
         f'$A$ = {MILLI * amplitude.value:.3f} $\\pm$ {MILLI * amplitude.error:.3f} mm',
     )
     panels[1].axhline(0.0, color=BLACK, lw=0.8)
-    panels[1].plot(MILLI * track.time, 1e6 * fitted.residuals[0].values, '.', color=BLUE, ms=4)
+    panels[1].plot(MILLI * time, 1e6 * fitted.residuals[0].values, '.', color=BLUE, ms=4)
     panels[0].set(title='(a) height', ylabel='$z_p$ (mm)', ylim=(-0.3, 4.0))
     panels[1].set(title='(b) residual', ylabel=r'($\mu$m)', xlabel='time $t$ (ms)',
                   xlim=(-5.0, 60.0), ylim=(-90.0, 90.0))

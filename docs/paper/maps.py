@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import functools
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -15,75 +15,56 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from models import best_ratios, DAMPING_RATIO, releases_at, SERIES
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from soft_throw_ros.core.closed_form import FirstRelease
 from style import BLACK, BLUE, broken, C_LABEL, legend_below, new_figure, PAPER, RED, X_LABEL
 
-Floats = NDArray[np.float64]
+_C_END = 14.0
+_GRID = (np.arange(420) + 0.5) / 420, _C_END * (np.arange(420) + 0.5) / 420
+"""Points of a map along x and along C, about one per dot."""
 
-POINTS = 420
-"""Number of points of a map along each axis, about one per dot."""
-
-C_END = 14.0
-"""Upper end of C."""
-
-GRID = (np.arange(POINTS) + 0.5) / POINTS, C_END * (np.arange(POINTS) + 0.5) / POINTS
-"""Points of a map along x and along C."""
-
-_PHASES = np.arange(0.0, 1.21, 0.05)
-_TRANSFERS = np.arange(0.0, 4.41, 0.2)
+# Levels of ejection time, energy transfer, crossings and changes, and positions of labels
+_PHASES, _TRANSFERS = np.arange(0.0, 1.21, 0.05), np.arange(0.0, 4.41, 0.2)
 _CROSSINGS = np.arange(1.0, 10.1, 1.0)
 _CHANGES = (-15.0, -10.0, -6.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 6.0, 10.0, 15.0)
-_CONTOUR_LABELS = (
+_LABELS = (
     (0.85, 3.0), (0.72, 4.6), (0.66, 9.0), (0.53, 9.8), (0.43, 10.6), (0.35, 11.4), (0.3, 12.2),
 )
 
 
 @functools.lru_cache(maxsize=2)
-def landscape(damping_ratio: float) -> FirstRelease:
+def _landscape(damping_ratio: float) -> FirstRelease:
     """Compute the first releases of the paper's map over (x, C)."""
-    x, c = GRID
-    return releases_at(x[:, None], c, damping_ratio=damping_ratio)
+    return releases_at(_GRID[0][:, None], _GRID[1], damping_ratio=damping_ratio)
 
 
 def _show(
-    figure: Figure,
-    axes: Axes,
-    title: str,
-    values: Any,
-    label: str,
-    levels: Sequence[float] | Floats,
-    colours: str,
-    *,
-    extend: Literal['neither', 'both', 'max'] = 'neither',
-    ticks: Sequence[float] | None = None,
+    axes: Axes, title: str, values: ArrayLike, label: str, levels: Sequence[float], colours: str,
+    *, extend: Any = 'neither', ticks: Sequence[float] | None = None,
 ) -> None:
     """Show values of shape (x, C) as bands of colour between levels, with a colour bar."""
     bands = mpl.colormaps[colours]
     image = axes.imshow(
         np.asarray(values).T, origin='lower', aspect='auto', interpolation='nearest',
-        extent=(0.0, 1.0, 0.0, C_END), cmap=bands,
+        extent=(0.0, 1.0, 0.0, _C_END), cmap=bands,
         norm=BoundaryNorm(levels, bands.N, extend=extend),
     )
-    figure.colorbar(image, ax=axes, label=label, ticks=ticks, pad=0.01)
-    axes.set(title=title, xlim=(0.0, 1.0), ylim=(0.0, C_END), xlabel=X_LABEL, ylabel=C_LABEL)
+    axes.figure.colorbar(image, ax=axes, label=label, ticks=ticks, pad=0.01)
+    axes.set(title=title, xlim=(0.0, 1.0), ylim=(0.0, _C_END), xlabel=X_LABEL, ylabel=C_LABEL)
     axes.label_outer()
 
 
-def _show_phase(figure: Figure, axes: Axes, releases: FirstRelease) -> None:
+def _show_phase(axes: Axes, releases: FirstRelease) -> None:
     title = '(a) ejection time in plate periods'
-    _show(figure, axes, title, releases.ejection_phase, '$t_e f$', _PHASES, 'magma', extend='max')
+    _show(axes, title, releases.ejection_phase, '$t_e f$', _PHASES, 'magma', extend='max')
 
 
-def _show_transfer(
-    figure: Figure, axes: Axes, releases: FirstRelease, *, contours: bool = True
-) -> None:
+def _show_transfer(axes: Axes, releases: FirstRelease, *, contours: bool = True) -> None:
     alpha = np.asarray(releases.energy_transfer)
-    _show(figure, axes, '(b) energy transfer factor', alpha, r'$\alpha$', _TRANSFERS, 'cividis')
+    _show(axes, '(b) energy transfer factor', alpha, r'$\alpha$', _TRANSFERS, 'cividis')
     if contours:
-        lines = axes.contour(
-            *GRID, alpha.T, levels=[1.0, 2.0, 3.0, 4.0], colors='black', linewidths=0.8
-        )
+        levels = [1.0, 2.0, 3.0, 4.0]
+        lines = axes.contour(*_GRID, alpha.T, levels=levels, colors='black', linewidths=0.8)
         axes.clabel(lines, fmt='%g')
 
 
@@ -117,8 +98,8 @@ def draw_maps() -> Figure:
         "rig's ratio of 1.3\nthe optimum is elsewhere on these axes (see the table).",
         height=5.3, sharex=True, sharey=True,
     )
-    _show_phase(figure, panels[0], landscape(0.0))
-    _show_transfer(figure, panels[1], landscape(0.0))
+    _show_phase(panels[0], _landscape(0.0))
+    _show_transfer(panels[1], _landscape(0.0))
     axes = panels[1]
     x = np.linspace(0.0, 0.3, 100)
     axes.plot(
@@ -145,7 +126,7 @@ def draw_best() -> Figure:
         'is the largest\nfrom there on: one for every wave interval of the release.',
         height=4.4,
     )
-    x, c = np.linspace(0.002, 0.998, 499), np.linspace(0.02, C_END, 2800)
+    x, c = np.linspace(0.002, 0.998, 499), np.linspace(0.02, _C_END, 2800)
     alpha = np.asarray(releases_at(x[:, None], c).energy_transfer)
     best_c = broken(c[alpha.argmax(axis=1)])
     ridge_x, end = np.linspace(0.0, 0.25, 100), PAPER | {'marker': 'o', 'markersize': 7}
@@ -174,15 +155,15 @@ def draw_crossings() -> Figure:
         'jump at 3, 5, 7 ... crossings.',
         height=5.3, sharex=True, sharey=True,
     )
-    x, c = GRID
-    crossings = np.asarray(landscape(0.0).ejection_phase * c / x[:, None])
-    _show(figure, panels[0], '(a) ejection time in crossings', crossings, '$t_e / t_s$',
+    x, c = _GRID
+    crossings = np.asarray(_landscape(0.0).ejection_phase * c / x[:, None])
+    _show(panels[0], '(a) ejection time in crossings', crossings, '$t_e / t_s$',
           _CROSSINGS, 'viridis', extend='max')
-    _show_transfer(figure, panels[1], landscape(0.0), contours=False)
+    _show_transfer(panels[1], _landscape(0.0), contours=False)
     for axes in panels:
         lines = axes.contour(x, c, crossings.T, levels=_CROSSINGS[1:8], colors='white',
                              linewidths=[1.0, 2.0, 1.0, 2.0, 1.0, 1.0, 1.0])
-        axes.clabel(lines, fmt='%g', fontsize=9, manual=_CONTOUR_LABELS)
+        axes.clabel(lines, fmt='%g', fontsize=9, manual=_LABELS)
     panels[0].plot([], [], color='0.6', lw=2.0, label=r'$t_e$ = 3 $t_s$ and 5 $t_s$')
     panels[1].plot(0.8, 6.7, **PAPER, label=r'paper: $\alpha$ = 4.12 between 3 $t_s$ and 5 $t_s$')
     return legend_below(figure, *panels, columns=2)
@@ -196,15 +177,15 @@ def draw_damped_maps() -> Figure:
         r'$\alpha$ counts from the largest speed of the damped plate, Eq. (D4).',
         height=8.6, grid=(2, 2), sharex=True, sharey=True,
     )
-    harmonic, damped = landscape(0.0), landscape(DAMPING_RATIO)
-    _show_phase(figure, panels[0, 0], damped)
-    _show_transfer(figure, panels[0, 1], damped)
+    harmonic, damped = _landscape(0.0), _landscape(DAMPING_RATIO)
+    _show_phase(panels[0, 0], damped)
+    _show_transfer(panels[0, 1], damped)
     for axes, title, name in zip(
         panels[1], ('(c) change of $t_e$', r'(d) change of $\alpha$'),
         ('ejection_phase', 'energy_transfer'), strict=True,
     ):
         change = 100.0 * (np.asarray(getattr(damped, name)) / getattr(harmonic, name) - 1.0)
-        _show(figure, axes, title, change, 'change by damping (%)', _CHANGES, 'PuOr_r',
+        _show(axes, title, change, 'change by damping (%)', _CHANGES, 'PuOr_r',
               extend='both', ticks=_CHANGES)
     for axes in panels.flat:
         _mark_optimum(axes, 0.0, 'harmonic optimum', marker='o')

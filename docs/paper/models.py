@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from soft_throw_ros.core.closed_form import first_releases, FirstRelease
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import throw_many, Throws
@@ -34,17 +34,6 @@ def releases_at(x: ArrayLike, c: ArrayLike, *, damping_ratio: float = 0.0) -> Fi
     """Compute first releases over the axes of the paper, with equal densities."""
     x, c = np.broadcast_arrays(np.asarray(x, dtype=np.float64), c)
     return first_releases(mass_ratio=(1.0 - x) / x, speed_ratio=c / x, damping_ratio=damping_ratio)
-
-
-def rig_of(*, mass_ratio: float, speed_ratio: float, loss_tangent: float = 0.0) -> Rig:
-    """Return a rig with a harmonic plate from its ratios."""
-    layer = Layer(loss_tangent=loss_tangent)
-    return Rig(
-        engine=Engine(frequency=1.0 / (speed_ratio * layer.crossing_time), damping_ratio=0.0),
-        layer=layer,
-        projectile=Projectile(mass=mass_ratio * layer.mass),
-        gravity=0.0,
-    )
 
 
 def releases_of(rig: Rig, *, periods: float) -> list[tuple[float, float]]:
@@ -69,16 +58,8 @@ class BestRatios(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def best_ratios(damping_ratio: float) -> BestRatios:
-    """
-    Find the mass and speed ratio that transfer the most energy without limits, gravity and loss.
+    """Find the ratios that transfer the most energy without limits, gravity and loss."""
 
-    Examples
-    --------
-    >>> best = best_ratios(0.064)
-    >>> round(best.mass_ratio, 5), round(best.speed_ratio, 5), round(best.energy_transfer, 6)
-    (0.2554, 8.57592, 4.142897)
-
-    """
     def loss(logs: Floats) -> float:
         mu, kappa = np.exp(logs)
         release = first_releases(mass_ratio=mu, speed_ratio=kappa, damping_ratio=damping_ratio)
@@ -113,11 +94,6 @@ class Series:
         thickness = np.asarray(thickness, dtype=np.float64)
         return np.asarray(thickness / (thickness + self.projectile_length))
 
-    def thickness_of(self, x: ArrayLike) -> Floats:
-        """Return the thickness of a layer at x [m]."""
-        x = np.asarray(x, dtype=np.float64)
-        return np.asarray(self.projectile_length * x / (1.0 - x))
-
     def rig(self, thickness: float, *, damping_ratio: float) -> Rig:
         """Return the rig with one of the layers."""
         layer = Layer(thickness=thickness)
@@ -132,13 +108,11 @@ class Series:
         )
 
     def throws(
-        self, thickness: ArrayLike = THICKNESSES, *, damping_ratio: ArrayLike,
-        loads: bool = False, **changes: ArrayLike,
+        self, thickness: ArrayLike = THICKNESSES, *, damping_ratio: float, loads: bool = False
     ) -> Throws:
         """Compute first releases; the arguments are those of `throw_many`."""
-        rig = self.rig(THICKNESSES[0], damping_ratio=0.0)
-        changes = {'thickness': thickness, 'damping_ratio': damping_ratio, **changes}
-        return throw_many(rig, changes, loads=loads)
+        rig = self.rig(THICKNESSES[0], damping_ratio=damping_ratio)
+        return throw_many(rig, {'thickness': thickness}, loads=loads)
 
 
 SERIES = (
@@ -157,3 +131,28 @@ def period_of_free_layer(cells: int) -> float:
         stiffness, -np.ones(cells - 1), select='i', select_range=(0, 1)
     )
     return 2.0 * math.pi / (math.sqrt(lowest) * cells)
+
+
+def best_frequency_ratio() -> float:
+    """Return the best frequency ratio f_0 / f of a massless spring, from Eq. (A4)."""
+
+    def slope(q: float) -> float:
+        """Return the logarithmic derivative of the speed."""
+        angle = 2.0 * math.pi / (q + 1.0)
+        return angle / (q + 1.0) / math.tan(angle) + 1.0 / (q * (q - 1.0))
+
+    return float(brentq(slope, 1.1, 2.9, xtol=1e-15))
+
+
+def thick_layer(omega_tau: float) -> tuple[float, float]:
+    r"""
+    Return angle :math:`\omega (t_e - t_s)` of the plate [rad] and energy transfer factor [-].
+
+    The projectile leaves the layer before the wave has returned. The throw then depends on
+    :math:`\omega \tau` alone (App. C). The plate is harmonic.
+    """
+    speed_ratio = 1.0  # any value below 4: the wave returns after half a plate period
+    mass_ratio = omega_tau * speed_ratio / (2.0 * math.pi)
+    release = first_releases(mass_ratio=mass_ratio, speed_ratio=speed_ratio)
+    angle = 2.0 * math.pi * (float(release.ejection_phase) - 1.0 / speed_ratio)
+    return angle, float(release.energy_transfer)

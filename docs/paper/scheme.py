@@ -96,21 +96,10 @@ def releases(
     rig: Rig, *, cells: int, is_glued: bool = False, periods: float = 2.0, limit: int = 1
 ) -> list[Release]:
     """
-    Follow a throw of an elastic projectile.
+    Follow a throw of an elastic projectile for some periods, or up to a number of releases.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig; the mass of the projectile is that of its length.
-    cells : int
-        Fewest cells of the layer; the projectile has at least 2 of the same crossing time.
-    is_glued : bool
-        Whether the layer is on the projectile (ref. 27) instead of the plate.
-    periods : float
-        Time after which to stop, in periods of the plate. [-]
-    limit : int
-        Number of releases after which to stop.
-
+    The layer has at least so many cells, the projectile at least 2 of the same crossing time. If
+    it `is_glued`, the layer is on the projectile (ref. 27) instead of the plate.
     """
     layer, projectile, engine = rig.layer, rig.projectile, rig.engine
     stiffness = MODULUS * layer.section / projectile.length

@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Common style of the figures."""
+"""Common style of the figures, and tables of the pages in docs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+import re
 from typing import Any
 
 from matplotlib import style
@@ -80,28 +82,8 @@ def legend_below(figure: Figure, *panels: Axes, columns: int) -> Figure:
     for axes in panels:
         shown, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, shown, strict=True))
-    figure.legend(
-        list(handles.values()), list(handles), loc='outside lower center', ncols=columns
-    )
+    figure.legend([*handles.values()], [*handles], loc='outside lower center', ncols=columns)
     return figure
-
-
-def label_results(
-    panels: NDArray[np.object_], *, phase_end: float, **options: Any
-) -> None:
-    """Label two panels as ejection time and energy transfer, and set options of all panels."""
-    panels[0].set(title='(a) ejection time', ylabel='$t_e f$', ylim=(0.0, phase_end))
-    panels[1].set(title='(b) energy transfer factor', ylabel=r'$\alpha$', ylim=(0.0, 4.4))
-    for axes in panels:
-        axes.set(**options)
-
-
-def draw_results(
-    panels: NDArray[np.object_], x: Floats, phase: ArrayLike, transfer: ArrayLike, **options: Any
-) -> None:
-    """Draw ejection phase and energy transfer in the first two panels, broken at jumps."""
-    for axes, values in zip(panels[:2], (phase, transfer), strict=True):
-        axes.plot(x, broken(values), **options)
 
 
 def broken(values: ArrayLike) -> Floats:
@@ -118,3 +100,18 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, without the version of matplotlib, so that bytes do not change."""
     with settings():
         figure.savefig(path, metadata={'Software': None}, pil_kwargs={'optimize': True})
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    lines = [heads, ['---'] * len(heads), *rows]
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
+
+
+def replace_part(page: str, name: str, part: str) -> str:
+    """Return a page with other text between the comments `<!-- name -->` and `<!-- end -->`."""
+    pattern = rf'(?<=<!-- {name} -->\n).*?(?=\n<!-- end -->)'
+    result, count = re.subn(pattern, lambda _: part, page, flags=re.DOTALL)
+    if count != 1:
+        raise ValueError(f'the page must have one part {name!r}, got {count}')
+    return result

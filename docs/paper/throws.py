@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 
 import matplotlib as mpl
@@ -28,29 +27,14 @@ Floats = NDArray[np.float64]
 PLATE, PROJECTILE, BARE = style.BLACK, style.BLUE, style.GREEN
 """Colours of the plate, the projectile on the layer, and the projectile on the bare plate."""
 
-_THICKNESS = 16.8e-3
-"""Thickness of the layer of Figs. 1 and 2. [m]"""
-
-_DRAWN_TIME = 0.016
-"""End of the time axis of Fig. 2. [s]"""
-
-_GAP = 1.5
-"""Distance of a projectile from the middle of a panel of Fig. 1. [mm]"""
-
-_README_TIME = 0.022
-"""End of the pictures of the README. [s]"""
-
-STEP = 2e-4
-"""Time between two frames. [s]"""
-
-_RATE = 15
-"""Frames per second; with `STEP`, the picture is slower than the throw by a factor of 333. [Hz]"""
-
-_PAUSE = 15
-"""Number of frames for which the last picture stays. [-]"""
+_THICKNESS = 16.8e-3  # of the layer of Figs. 1 and 2 [m]
+_DRAWN_TIME = 0.016  # end of the time axis of Fig. 2 [s]
+_GAP = 1.5  # distance of a projectile from the middle of a panel of Fig. 1 [mm]
+_README_TIME = 0.022  # end of the pictures of the README [s]
+_FRAME = 2e-4  # time between two frames of the animation [s]
+_RATE, _PAUSE = 15, 15  # frames per second, 333 times too slow; frames of the last picture
 
 
-@functools.lru_cache(maxsize=1)
 def shown_throw() -> Throw:
     """Simulate the throw of Figs. 1 and 2: short projectile, higher frequency."""
     return simulate(SERIES[1].rig(_THICKNESS, damping_ratio=DAMPING_RATIO), until=_DRAWN_TIME)
@@ -62,13 +46,6 @@ def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats
     rest = path.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
     rise = cumulative_trapezoid(path.layer_velocity, time, axis=0, initial=0.0)
     return rest + rise, path.strain
-
-
-def _time_of_peak_strain(throw: Throw) -> float:
-    """Return the time of the largest strain before the release, to 0.01 ms."""
-    time = np.arange(0.0, throw.ejection_time, 1e-5)
-    strain = np.abs(throw.trajectory(time, points=97).strain)
-    return float(time[strain.max(axis=1).argmax()])
 
 
 def bare_flight(throw: Throw, time: Floats) -> Floats:
@@ -85,14 +62,14 @@ def draw_states() -> Figure:
     """Draw Fig. 1: the throw at six moments, beside one from the bare plate."""
     throw = shown_throw()
     rig = throw.rig
-    release = throw.ejection_time
-    bare = Underdamped.of(rig.engine).peak_velocity_time
+    before = np.arange(0.0, throw.ejection_time, 1e-5)
+    strain = np.abs(throw.trajectory(before, points=97).strain)
     moments = (
         (0.0, 'at rest'),
         (rig.crossing_time, 'wave is at the top'),
-        (bare, 'bare plate throws'),
-        (_time_of_peak_strain(throw), 'pressed hardest'),
-        (release, 'layer throws'),
+        (Underdamped.of(rig.engine).peak_velocity_time, 'bare plate throws'),
+        (before[strain.max(axis=1).argmax()], 'pressed hardest'),
+        (throw.ejection_time, 'layer throws'),
         (0.0125, 'in flight'),
     )
     figure, panels = style.new_figure(
@@ -111,10 +88,9 @@ def draw_states() -> Figure:
         image = draw_state(axes, throw, moment, heights[row], strain[row], limit)
         axes.set_title(f'{name}\n$t$ = {MILLI * moment:.1f} ms', fontsize='small', loc='center')
         axes.set(xlim=(-15.5, 15.5), ylim=(-1.5, 37.5), xticks=[], aspect='equal')
-        axes.spines[['bottom', 'left']].set_visible(False)
-        axes.tick_params(left=False)
-    panels[0].spines['left'].set_visible(True)
-    panels[0].tick_params(left=True)
+        axes.spines['bottom'].set_visible(False)
+        axes.spines['left'].set_visible(axes is panels[0])
+        axes.tick_params(left=axes is panels[0])
     panels[0].set_ylabel('height $z$ (mm)')
     panels[0].text(-7.5, 9.5, 'on the\nplate', ha='center', fontsize='small', color=BARE)
     panels[0].text(7.5, 26.3, 'on the\nlayer', ha='center', fontsize='small', color=PROJECTILE)
@@ -235,7 +211,7 @@ def draw_throw() -> Figure:
     bare = rig.layer.thickness + bare_flight(throw, time[after])
     axes.plot(MILLI * time[after], MILLI * bare, color=BARE, lw=1.8, ls=(0, (4, 2)))
     axes.axvline(MILLI * throw.ejection_time, color='0.5', lw=0.8, ls=':')
-    _quote_release(axes, throw, (1.0, 40.0), MILLI * throw.first_release.position)
+    _quote_release(axes, throw, (1.0, 40.0), MILLI * throw.events[0].position)
     for text, x, y, color, angle in (
         ('projectile', 13.6, 32.2, 'white', 27.0),
         ('from a bare plate, $\\alpha$ = 1', 15.6, 23.9, BARE, 10.5),
@@ -251,7 +227,7 @@ def save_animation(path: Path) -> None:
     """Write a throw of the default rig as an animated GIF, which repeats without end."""
     throw = simulate(Rig(), until=_README_TIME)
     # Displacements are integrals of velocities, so heights need smaller steps than frames.
-    time = np.linspace(0.0, _README_TIME, 1 + 10 * round(_README_TIME / STEP))
+    time = np.linspace(0.0, _README_TIME, 1 + 10 * round(_README_TIME / _FRAME))
     heights, strain = heights_of_layer(throw, time, points=61)
     limit = 100.0 * np.abs(strain[time < throw.ejection_time]).max()  # colours of Fig. 1
     bare_release = Underdamped.of(throw.rig.engine).peak_velocity_time

@@ -9,8 +9,10 @@ Out come a parameter file for the twin, a table with uncertainties, and a figure
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from pathlib import Path
 
-from soft_throw_ros.commands import identify_figure
+import numpy as np
 from soft_throw_ros.commands.identify_input import add_track_options, read_throws
 from soft_throw_ros.commands.identify_report import (
     ejection_rows,
@@ -30,9 +32,9 @@ from soft_throw_ros.commands.options import (
     read_settings,
     stated_parameters,
 )
-from soft_throw_ros.commands.output import CommandParser, run_command
+from soft_throw_ros.commands.output import CommandParser, run_command, written_file
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.identification.ejection import doubt, ejection_of
+from soft_throw_ros.identification.ejection import doubt, Ejection, ejection_of
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
@@ -42,13 +44,18 @@ from soft_throw_ros.identification.fit_description import (
     Treatment,
     values_of,
 )
-from soft_throw_ros.identification.fit_warnings import fit_warnings
-from soft_throw_ros.identification.least_squares import FitError
-from soft_throw_ros.identification.rig_fit import fit_rig
+from soft_throw_ros.identification.least_squares import fit_warnings, FitError
+from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ
 _NOISE = 'measured.position_noise'  # noise of all heights, if it is stated
 _STAMP_ERROR = 'measured.stamp_error'  # standard deviation of all times
+
+# Colours of Okabe and Ito, which colour-blind readers can distinguish
+_COLOURS = {'plate': '#000000', 'projectile': '#0072b2'}
+_PERIODS = 2.5  # length of the upper panel [plate periods]
+_RISES = 2.2  # height of the upper panel over the rise of the plate [-]
+_MAX_THROWS = 6  # largest number of throws in one figure
 
 
 def main(args: list[str] | None = None) -> int:
@@ -122,7 +129,7 @@ def _run(arguments: argparse.Namespace) -> int:
     found = [row.name for row in rows]
     if arguments.figure:
         summary = [f'{row.name.rpartition(".")[2]} {row}' for row in rows]
-        identify_figure.draw_throws(result, ejection, summary, arguments.figure)
+        _draw_throws(result, ejection, summary, arguments.figure)
     held = [name for name in (PARAMETERS if is_thrown else ENGINE) if name not in found]
     rows += held_rows(values_of(result.model.rig, held), description.assumed)
     rows += ejection_rows(ejection) if ejection else ()
@@ -177,3 +184,48 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
             except ValueError as refusal:
                 raise ValueError(f'{argument_of(arguments, name)}: {name} {refusal}') from None
     return known
+
+
+def _draw_throws(
+    result: RigFit, ejection: Ejection | None, summary: Sequence[str], path: Path
+) -> None:
+    """Draw the contact in tracks and model of some throws, all residuals, and a summary."""
+    from matplotlib.figure import Figure
+
+    model, bodies = result.model, ['plate', 'projectile'][: 1 + bool(result.model.projectiles)]
+    figure = Figure(figsize=(9.6, 3.6 + 1.5 * len(bodies)), layout='constrained')
+    above, *below = figure.subplots(1 + len(bodies), 1, height_ratios=[2.6, *[1.0] * len(bodies)])
+    below[-1].sharex(below[0])
+    highest = 0.0
+    for (throw, body, _), residual in zip(model.series, result.fit.residuals, strict=True):
+        if throw >= _MAX_THROWS:
+            continue
+        track, colour, start = residual.track, _COLOURS[body], result.start_time(throw).value
+        fine = np.linspace(track.time[0], track.time[-1], 2000)
+        times = np.concatenate([[start], fine])
+        heights = model.trajectory(result.fit.values, throw, body, times).height
+        rest = heights[0]
+        if body == 'plate':
+            highest = max(highest, 1e3 * float(np.ptp(track.position)))
+        since = 1e3 * (track.time - start)
+        label = body if throw == 0 else None
+        above.plot(since, 1e3 * (track.position - rest), '.', color=colour, alpha=0.5)
+        above.plot(1e3 * (fine - start), 1e3 * (heights[1:] - rest), color=colour, label=label)
+        panel = below[bodies.index(body)]
+        panel.axhspan(-2e6 * track.noise, 2e6 * track.noise, color='0.9', zorder=0)
+        panel.plot(since, 1e6 * residual.values, '.', color=colour, alpha=0.5)
+        panel.set(ylabel=f'{body},\ndata - model (µm)')
+    period = 1e3 / result.rig.engine.frequency
+    above.set(
+        xlim=(-0.3 * period, _PERIODS * period), ylim=(-0.3 * highest, _RISES * highest),
+        ylabel='height above rest (mm)',
+    )
+    above.legend(loc='upper right')
+    below[-1].set_xlabel('time since the plate began to move (ms); dotted: release')
+    if ejection is not None:
+        for panel in (above, *below):
+            panel.axvline(1e3 * ejection.first.time.value, color='0.4', ls=':')
+    rows = [', '.join(summary[k:k + 3]) for k in range(0, len(summary), 3)]
+    figure.suptitle('\n'.join(rows).replace('+-', '±'), fontsize='medium')
+    with written_file(path) as unfinished:
+        figure.savefig(unfinished, format=path.suffix[1:], dpi=150)

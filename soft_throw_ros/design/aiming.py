@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+import functools
 import math
 
 import scipy  # its parts are imported where they are first used, which takes 0.3 s
@@ -13,7 +14,7 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.material import LARGEST_STRAIN
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throw import rig_with, simulate
+from soft_throw_ros.core.throw import rig_with, simulate, Throw
 from soft_throw_ros.design.prediction import predict, PredictedThrow
 from soft_throw_ros.design.score import Limits
 
@@ -69,9 +70,7 @@ def aim(
 
     """
     if (height is None) == (speed is None):
-        raise ValueError(
-            f'give either a height or a speed as target, got height {height}, speed {speed}'
-        )
+        raise ValueError(f'give either a height or a speed, got height {height}, speed {speed}')
     if rig.engine.motion:
         raise ValueError('aiming needs a plate without a motion file, whose amplitude can be set')
     if height is not None and rig.gravity == 0.0:
@@ -80,12 +79,16 @@ def aim(
     goal = f'{target:g} m/s' if height is None else f'{target:g} m high'
     needed = target if height is None else math.sqrt(2.0 * rig.gravity * target)
 
+    @functools.cache
+    def throw_with(logarithm: float) -> Throw:
+        """Simulate the throw with an amplitude."""
+        changed = rig_with(rig, {'amplitude': math.exp(logarithm)})
+        return simulate(changed, cancelled=cancelled)
+
     def excess(logarithm: float) -> float:
         """Compute the logarithm of reached over target."""
         try:
-            throw = simulate(
-                rig_with(rig, {'amplitude': math.exp(logarithm)}), cancelled=cancelled
-            )
+            throw = throw_with(logarithm)
         except ThrowUnresolvedError:
             return _UNRELEASED
         reached = throw.last_release.velocity if height is None else throw.flight_height
@@ -104,8 +107,8 @@ def aim(
     # at a jump the target is passed and not reached
     if amplitude > _MAX_AMPLITUDE or abs(excess(logarithm)) > 1e-5:
         raise ThrowUnresolvedError(f'no amplitude up to {_MAX_AMPLITUDE:g} m reaches {goal}')
-    aimed = rig_with(rig, {'amplitude': amplitude})
-    throw, last, limits = predict(aimed), simulate(aimed), limits or Limits()
+    last, limits = throw_with(logarithm), limits or Limits()
+    throw = predict(last.rig)
     for name, value, limit in (
         ('strain', throw.peak_strain, min(limits.max_strain, LARGEST_STRAIN)),
         ('acceleration', throw.peak_acceleration, limits.max_acceleration),
@@ -117,5 +120,5 @@ def aim(
             )
     return Aim(
         **vars(throw), amplitude=amplitude, height=last.flight_height,
-        speed=last.last_release.velocity, rig=aimed, present=rig,
+        speed=last.last_release.velocity, rig=last.rig, present=rig,
     )

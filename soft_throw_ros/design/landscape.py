@@ -25,10 +25,9 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass
 import functools
-import math
-from operator import attrgetter
 from pathlib import Path
 from typing import get_args, Literal, NamedTuple
 
@@ -41,7 +40,6 @@ from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import rig_with, simulate, throw_many
-from soft_throw_ros.storage.atomic_file import atomic_file
 
 Floats = NDArray[np.float64]
 
@@ -87,11 +85,11 @@ RESULTS: Mapping[str, QuantityLabel] = {
 }
 """Results at every point of a landscape, by the names of its arrays."""
 
-_RATIOS = ('x', 'C', 'mu', 'kappa')
-"""Axes without unit: two of the paper, and the mass and the speed ratio."""
-
-_WITH_RATIOS = ('engine.damping_ratio', 'engine.amplitude', 'gravity', 'layer.loss_tangent')
-"""Parameters that may be an axis beside a ratio."""
+_BESIDE_RATIOS = (
+    'x', 'C', 'mu', 'kappa', 'engine.damping_ratio', 'engine.amplitude', 'gravity',
+    'layer.loss_tangent',
+)
+"""Axes that may be combined with one of the first four, the ratios."""
 
 
 class HighestPoint(NamedTuple):
@@ -127,31 +125,26 @@ class Landscape:
         density_ratio = _density_ratio(self.rig)
         x = density_ratio / (density_ratio + rig.mass_ratio)
         ratios = {'x': x, 'C': x * rig.speed_ratio, 'mu': rig.mass_ratio, 'kappa': rig.speed_ratio}
-        first, second = (
-            ratios[name] if name in ratios else float(attrgetter(name)(rig)) for name in self.axes
-        )
+        values = rig_values(rig) | ratios
+        first, second = (float(values[name]) for name in self.axes)
         return first, second
 
     def save(self, path: Path) -> None:
-        """Write NetCDF 3, which xarray and MATLAB read; the file is complete or not there."""
-        with (
-            atomic_file(path) as unfinished,
-            netcdf_file(unfinished, 'w', mmap=False, version=2) as data,
-        ):
+        """Write NetCDF 3, which xarray and MATLAB read."""
+        axes = {name.replace('.', '_'): values for name, values in self.axes.items()}
+        labels = {**{name.replace('.', '_'): AXES[name] for name in self.axes}, **RESULTS}
+        with netcdf_file(path, 'w', mmap=False, version=2) as data:
             data.source = f'soft_throw_ros {soft_throw_ros.__version__}'
             data.release = self.release
             for name, value in rig_values(self.rig).items():
                 setattr(data, name.replace('.', '_'), value)
-            dimensions = [name.replace('.', '_') for name in self.axes]
-            for name, values in self.axes.items():
-                data.createDimension(name.replace('.', '_'), values.size)
-            for name, label in {**AXES, **RESULTS}.items():
-                if name in self.axes or name in RESULTS:
-                    axis = name.replace('.', '_')
-                    along = [axis] if name in self.axes else dimensions
-                    variable = data.createVariable(axis, 'f8', along)
-                    variable[:] = self.axes.get(name, getattr(self, name, None))
-                    variable.long_name, variable.units = label.meaning, label.unit or '1'
+            for name, values in axes.items():
+                data.createDimension(name, values.size)
+            for name, label in labels.items():
+                along = [name] if name in axes else [*axes]
+                variable = data.createVariable(name, 'f8', along)
+                variable[:] = axes[name] if name in axes else getattr(self, name)
+                variable.long_name, variable.units = label.meaning, label.unit or '1'
 
 
 def compute_landscape(
@@ -197,11 +190,7 @@ def compute_landscape(
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
     phase, transfer = np.hstack(list(run(compute, blocks))).reshape(len(RESULTS), *shape)
     return Landscape(
-        rig=rig,
-        axes=checked,
-        ejection_phase=phase,
-        energy_transfer=transfer,
-        release=release,
+        rig=rig, axes=checked, ejection_phase=phase, energy_transfer=transfer, release=release
     )
 
 
@@ -216,8 +205,8 @@ def _check(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> dict[st
             raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
     if {*axes} in ({'x', 'mu'}, {'C', 'kappa'}):
         raise ValueError(f'the axes {" and ".join(axes)} are not independent; choose others')
-    if {*axes} & {*_RATIOS} and not {*axes} <= {*_RATIOS, *_WITH_RATIOS}:
-        names = ', '.join([*_RATIOS, *_WITH_RATIOS])
+    if {*axes} & {*_BESIDE_RATIOS[:4]} and not {*axes} <= {*_BESIDE_RATIOS}:
+        names = ', '.join(_BESIDE_RATIOS)
         raise ValueError(f'a ratio can be combined with {names}, got {" and ".join(axes)}')
     if rig.engine.motion and 'engine.damping_ratio' in axes:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
@@ -270,14 +259,11 @@ def _compute(rig: Rig, release: Release, names: Sequence[str], cases: Floats) ->
         throws = throw_many(rig, changes)
         frequency = changes.get('frequency', rig.engine.frequency)
         return np.stack([throws.ejection_time * frequency, throws.energy_transfer])
-    rigs = (rig_with(rig, dict(zip(names, case, strict=True))) for case in cases.T.tolist())
-    return np.transpose([_last(item) for item in rigs])
-
-
-def _last(rig: Rig) -> tuple[float, float]:
-    """Follow one throw until the projectile is gone or falls back."""
-    try:
-        throw = simulate(rig)
-    except ThrowUnresolvedError:  # held, too light, or chattering for ever
-        return math.nan, math.nan
-    return throw.last_release.time * rig.engine.frequency, throw.last_energy_transfer
+    results = np.full((len(RESULTS), cases.shape[1]), np.nan)
+    for n, case in enumerate(cases.T.tolist()):
+        changed = rig_with(rig, dict(zip(names, case, strict=True)))
+        with contextlib.suppress(ThrowUnresolvedError):  # held, too light, or chattering for ever
+            throw = simulate(changed)
+            phase = throw.last_release.time * changed.engine.frequency
+            results[:, n] = phase, throw.last_energy_transfer
+    return results

@@ -16,7 +16,7 @@ import math
 from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from soft_throw_ros.configuration.layers import Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
@@ -205,22 +205,17 @@ def recommend(
 
 def _tolerance(score: Score, layer: Layer, name: str) -> float:
     """Return the change of a value of a layer, up or down, that costs `TOLERATED_LOSS` [SI]."""
-    value = float(getattr(layer, name))
-
-    def scores_of(changed: ArrayLike, needed: float = 0.0) -> Floats:
-        values = {'thickness': layer.thickness, 'wave_speed': layer.wave_speed, name: changed}
-        return score(values['thickness'], values['wave_speed'], needed)
-
-    least = (1.0 - TOLERATED_LOSS) * float(scores_of(value)[0])
+    values: dict[str, Any] = {'thickness': layer.thickness, 'wave_speed': layer.wave_speed}
+    value, least = values[name], (1.0 - TOLERATED_LOSS) * score(**values)[0]
     low, high = 0.0, _LARGEST_CHANGE
     for _ in range(3):  # each divides the interval by 16
         changes = np.linspace(low, high, 17)[1:]
-        ends = value * (1.0 + np.concatenate([-changes, changes]))
-        scores = scores_of(ends, least).reshape(2, -1).min(axis=0)
+        values[name] = value * (1.0 + np.concatenate([-changes, changes]))
+        scores = score(**values, needed=least).reshape(2, -1).min(axis=0)
         if (scores >= least).all():
-            return value * high
+            return float(value * high)
         low, high = np.append(low, changes)[(scores < least).argmax() + np.arange(2)].tolist()
-    return value * low
+    return float(value * low)
 
 
 class _Space(NamedTuple):
@@ -229,6 +224,11 @@ class _Space(NamedTuple):
     rig: Rig
     box: Box
     name: str = ''
+
+    def with_layer(self, thickness: float, wave_speed: float, _score: float = 0.0) -> Rig:
+        """Return the rig with a layer of the box."""
+        layer = replace(self.rig.layer, thickness=thickness, wave_speed=wave_speed)
+        return replace(self.rig, layer=layer)
 
 
 def _spaces(
@@ -335,11 +335,7 @@ class _Search(NamedTuple):
 
     def _finish(self, space: _Space, optimum: Optimum) -> _Candidate:
         """Score a layer with all cells, and search near it if its score is lower than it was."""
-        def with_layer(thickness: float, wave_speed: float, _score: float) -> Rig:
-            layer = replace(space.rig.layer, thickness=thickness, wave_speed=wave_speed)
-            return replace(space.rig, layer=layer)
-
-        exact = self.evaluate(with_layer(*optimum), space.name)
+        exact = self.evaluate(space.with_layer(*optimum), space.name)
         if exact.score >= (1.0 - _COARSE_ERROR) * optimum.score:
             return exact
         nearby = Box(*(
@@ -349,4 +345,6 @@ class _Search(NamedTuple):
         best = maximise(
             self._score(space.rig), nearby, step=_NEARBY, starts=[optimum[:2]], tolerance=1e-3
         )
-        return exact if best is None else _Candidate(with_layer(*best), best.score, space.name)
+        if best is None:
+            return exact
+        return _Candidate(space.with_layer(*best), best.score, space.name)

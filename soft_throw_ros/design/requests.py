@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import partial
 import math
 from typing import TypeAlias
 
@@ -15,7 +16,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim, aim
 from soft_throw_ros.design.motion import design_motion, MotionDesign, PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
-from soft_throw_ros.design.score import Limits, OBJECTIVES
+from soft_throw_ros.design.score import Limits, peak, robust, versatile
 from soft_throw_ros.design.uncertainty import Uncertainties
 
 RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
@@ -45,11 +46,17 @@ def solve_request(
         return design_motion(
             rig, plate, limits=limits, uncertainties=uncertainties, cancelled=cancelled
         )
+    masses, frequencies = request['masses'], request['frequencies']
+    objectives = {
+        'peak': peak,
+        'robust': partial(robust, uncertainties=uncertainties),
+        'versatile': partial(versatile, masses=masses, frequencies=frequencies),
+    }
     is_from_library = request['vary'] == 'library'
     return recommend(
         rig,
         vary=request['vary'],
-        objective=OBJECTIVES[request['objective']](settings),
+        objective=objectives[request['objective']],
         limits=limits,
         materials=library(settings['layer.library']).materials if is_from_library else None,
         uncertainties=uncertainties,

@@ -4,25 +4,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 import math
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import throw_many
-from soft_throw_ros.design.uncertainty import (
-    changes_of,
-    CORNERS,
-    Uncertainties,
-    variant_of,
-)
+from soft_throw_ros.design.uncertainty import changes_of, CORNERS, Uncertainties, variant_of
 
 Floats = NDArray[np.float64]
 
@@ -98,20 +91,6 @@ def versatile(rig: Rig, *, masses: Sequence[float], frequencies: Sequence[float]
     variants = np.repeat(variant_of(rig), grid[0].size, axis=0)
     variants[:, 2:4] = np.transpose([values.ravel() for values in grid])
     return variants
-
-
-OBJECTIVES: Mapping[str, Callable[[Settings], Objective]] = {
-    'peak': lambda _: peak,
-    'robust': lambda settings: partial(
-        robust, uncertainties=Uncertainties.from_settings(settings)
-    ),
-    'versatile': lambda settings: partial(
-        versatile,
-        masses=settings['recommendation.masses'],
-        frequencies=settings['recommendation.frequencies'],
-    ),
-}
-"""Objectives by the value of `recommendation.objective`, made from the settings of the twin."""
 
 
 class Score:

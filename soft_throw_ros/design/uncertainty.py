@@ -68,9 +68,10 @@ class Uncertainties:
 
     def variants(self, rig: Rig, offsets: Floats) -> Floats:
         """Return `variants` of a rig with errors: shares from -1 to 1, shape (n, 5)."""
-        for name in ('thickness', 'wave_speed', 'frequency'):
-            error = getattr(self, name)
-            value = getattr(rig.engine if name == 'frequency' else rig.layer, name)
+        for part, name in (
+            (rig.layer, 'thickness'), (rig.layer, 'wave_speed'), (rig.engine, 'frequency')
+        ):
+            value, error = getattr(part, name), getattr(self, name)
             if error >= value:
                 raise ValueError(
                     f'uncertainty.{name} must be below the {name.replace("_", " ")} itself, '

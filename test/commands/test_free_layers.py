@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `free_layers`."""
 
-from pathlib import Path
 import re
 
 import numpy as np
@@ -10,36 +9,32 @@ import pytest
 from soft_throw_ros.commands import free_layers
 from soft_throw_ros.configuration import files
 
-SAMPLE = Path(__file__).parents[1] / 'data' / 'synthetic_throw.csv'
 COMMAND = (free_layers.main,)
 
 
-def value(result, name):
-    (row,) = (row for row in result['rows'] if row['name'] == name)
-    return row['value'], row['error']
+@pytest.fixture
+def ringing(tmp_path):
+    """Return a function that writes the track of the ends of a free layer [mm]."""
+
+    def ringing(thickness, seed):
+        time, path = np.arange(0.0, 0.05, 2e-4), tmp_path / f'{thickness}.csv'
+        rings = 5e-4 * np.exp(-30.0 * time) * np.cos(np.pi * 7.8 / thickness * time)
+        ends = 1e-5 * np.random.default_rng(seed).normal(size=(2, time.size)) + 0.1
+        ends[1] += thickness + rings
+        rows = np.column_stack([time, *(1e3 * ends)])
+        np.savetxt(path, rows, '%.4f', ';', header='t;bottom;top', comments='')
+        return path
+
+    return ringing
 
 
-def ringing(thickness, seed):
-    """Return the track of a free layer's ends as text [mm]."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(0.0, 0.05, 2e-4)
-    rings = np.exp(-30.0 * time) * np.cos(np.pi * 7.8 / thickness * time)
-    noise = rng.normal(size=(2, time.size)) * 1e-5
-    bottom, top = 0.1 + noise[0], 0.1 + thickness + 5e-4 * rings + noise[1]
-    rows = zip(time, 1e3 * bottom, 1e3 * top, strict=True)
-    return '\n'.join(['t;bottom;top', *(f'{t:.4f};{a:.4f};{b:.4f}' for t, a, b in rows)])
-
-
-def test_free_layers_give_the_wave_speed(command, write, tmp_path):
+def test_free_layers_give_the_wave_speed(command, ringing, tmp_path):
     thicknesses = (5.6e-3, 16.8e-3, 29.1e-3)
-    args = ['--unit', 'mm', '--output', tmp_path / 'rig.yaml', '--thickness-error', 2e-5]
-    layers = []
-    for thickness in thicknesses:
-        path = write(ringing(thickness, seed=1), f'{thickness}.csv')
-        layers += [thickness, path]
-    args = [*layers, *args]
+    args = [word for size in thicknesses for word in (size, ringing(size, seed=1))]
+    args += ['--unit', 'mm', '--output', tmp_path / 'rig.yaml', '--thickness-error', 2e-5]
     result = command.json(*args)
-    speed, error = value(result, 'layer.wave_speed')
+    (row,) = (row for row in result['rows'] if row['name'] == 'layer.wave_speed')
+    speed, error = row['value'], row['error']
     assert speed == pytest.approx(7.8, abs=4.0 * error)
     assert error < 0.03
     periods = [layer['period']['value'] for layer in result['layers']]
@@ -52,9 +47,6 @@ def test_free_layers_give_the_wave_speed(command, write, tmp_path):
     assert [float(row[3]) for row in rows] == pytest.approx(1e3 * np.array(periods), rel=1e-3)
 
 
-def test_free_layers_of_two_materials_give_a_warning(command, write):
-    args = []
-    for thickness, truth in ((10e-3, 10e-3), (20e-3, 24e-3)):
-        args += [thickness, write(ringing(truth, seed=2), f'{thickness}.csv')]
-    command.run(*args, '--unit', 'mm')
+def test_free_layers_of_two_materials_give_a_warning(command, ringing):
+    command.run(10e-3, ringing(10e-3, 2), 20e-3, ringing(24e-3, 2), '--unit', 'mm')
     assert 'not proportional to the thicknesses' in command.err

@@ -46,9 +46,8 @@ def test_answer_comes_first_and_the_table_on_request(command):
     assert table.startswith(command.run().partition('\n')[0])
     assert 'ejection_time' not in command.run()
     for name, scale in (('energy_transfer', 1.0), ('ejection_time', 1e3)):
-        numbers = [float(text) for text in command.row(table, name)]
         expected = [scale * printed[column][name] for column in ('throw', 'spring')]
-        assert numbers == pytest.approx(expected, rel=5e-6)
+        assert list(map(float, command.row(table, name))) == pytest.approx(expected, rel=5e-6)
 
 
 def test_options_replace_values_of_the_file(command, write):
@@ -76,16 +75,6 @@ def test_strain_that_no_layer_can_bear_is_called_impossible(command, amplitude, 
     assert re.findall('linear range|impossible', printed) == texts
 
 
-def test_named_parameter_is_set_like_an_option():
-    parser = argparse.ArgumentParser()
-    add_rig_options(parser, ['layer.thickness'])
-    words = ['--thickness=0.01', '-p', 'layer.thickness:=0.012', '-p',
-             'recommendation.frequencies:=[50, 7e1]']
-    settings = read_settings(parser.parse_args(words))
-    assert settings['layer.thickness'] == 0.012
-    assert settings['recommendation.frequencies'] == (50.0, 70.0)
-
-
 LAYER = set(TWIN.names_in('layer'))
 
 
@@ -100,6 +89,7 @@ LAYER = set(TWIN.names_in('layer'))
         (('--layer', 'custom'), '', {'layer.name'}),
         ((), 'layer: {name: gelatin_16.8mm}', LAYER),
         (('-p', 'gravity:=0'), 'projectile: {mass: 0.002}', {'projectile.mass', 'gravity'}),
+        (('--mass=0.01', '-p', 'projectile.mass:=2e-3'), '', {'projectile.mass'}),
     ],
 )
 def test_options_and_file_state_parameters(write, words, text, stated):
@@ -107,4 +97,7 @@ def test_options_and_file_state_parameters(write, words, text, stated):
     add_rig_options(parser)
     if text:
         words += ('--config', str(write(f'twin: {{ros__parameters: {{{text}}}}}')))
-    assert stated_parameters(parser.parse_args(words)) == stated
+    arguments = parser.parse_args(words)
+    assert stated_parameters(arguments) == stated
+    mass = read_settings(arguments)['projectile.mass']
+    assert mass == (0.002 if 'projectile.mass' in stated else TWIN.defaults()['projectile.mass'])

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from rclpy.duration import Duration
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.interface import TWIN_TOPICS, VIEWER_TOPICS
+from soft_throw_ros.configuration.interface import TWIN_TOPICS, VIEWER_DIAGNOSTICS
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.viewer import Viewer
 from soft_throw_ros.recording.rerun_viewer import free_port, url_of
@@ -109,10 +109,10 @@ def test_file_beside_a_bag_has_every_message_that_came_before_the_end(
     ros.spin_until(lambda: states.get_subscription_count() == 2, 'recorder and viewer')
     twin.go(250)
     listener = ros.listen_to('/viewer')
-    listener.listen(VIEWER_TOPICS.diagnostics)
+    listener.listen(VIEWER_DIAGNOSTICS)
 
     def reports() -> list[Any]:
-        return listener.statuses(VIEWER_TOPICS.diagnostics, 'display')
+        return listener.statuses(VIEWER_DIAGNOSTICS, 'display')
 
     ros.spin_until(lambda: len(reports()) >= 2, 'two reports, between which all messages arrive')
     assert msg_to_values(reports()[-1]) == {'lost': 0, 'damaged': 0}

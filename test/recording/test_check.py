@@ -25,31 +25,27 @@ from soft_throw_ros.twin.results import State
 from twin_runs import measured_throw
 
 
-def entries(twin: DrivenTwin) -> list[dict[str, Any]]:
-    return [entry_of(message) for message in twin.of(TWIN_TOPICS.journal)]
+def entries(twin: DrivenTwin, *kinds: str) -> list[dict[str, Any]]:
+    """Return the lines of the journal, or those of some kinds."""
+    lines = [json.loads(decode(line).data) for line in twin.of(TWIN_TOPICS.journal)]
+    return [entry for entry in lines if not kinds or entry['kind'] in kinds]
 
 
 def edited(
     twin: DrivenTwin, edit: Callable[[dict[str, Any]], dict[str, Any] | None]
 ) -> list[Message]:
     """Return the messages with every line of the journal changed, or left out for None."""
-    messages = []
-    for message in twin.messages:
-        if not message.channel.topic.endswith('/journal'):
-            messages.append(message)
-        elif (entry := edit(entry_of(message))) is not None:
-            messages.append(message._replace(data=text(json.dumps(entry))))
-    return messages
+    edits = map(edit, entries(twin))
+    messages = [
+        message._replace(data=text(json.dumps(next(edits))))
+        if message.channel.topic.endswith('/journal') else message
+        for message in twin.messages
+    ]
+    return [message for message in messages if message.data != text('null')]
 
 
 def damaged(twin: DrivenTwin, message: Message, data: bytes) -> list[Message]:
     return [other._replace(data=data) if other is message else other for other in twin.messages]
-
-
-def entry_of(message: Message) -> dict[str, Any]:
-    entry = json.loads(decode(message).data)
-    assert isinstance(entry, dict)
-    return entry
 
 
 @pytest.fixture
@@ -116,23 +112,17 @@ def measured(module_ros: Ros) -> DrivenTwin:
     """Return a twin of three measured throws with changes and a stall in between."""
     twin = module_ros.start_twin(engine__motion='measured', measured__latency=2e-4).go(20)
     sensors = module_ros.sensors_of(twin)
-
-    def throw(seed: int, **kwargs: Any) -> None:
+    for seed, duration in enumerate((0.2, 0.25, 0.3)):
         sensors.throw(measured_throw(
-            Rig(), begin_ns=twin.clock.time, noise=5e-6, jitter=0.4, seed=seed, **kwargs
+            Rig(), begin_ns=twin.clock.time, noise=5e-6, jitter=0.4, seed=seed, duration=duration
         ))
-
-    throw(1, duration=0.2)
-    twin.clock.max_catch_up = MILLISECOND
-    twin.advance(13 * MILLISECOND)
-    twin.clock.max_catch_up = SECOND
-    twin.session.reset()
-    twin.change(layer__wave_speed=8.1, measured__smoothing_window=1.6e-3)
-    throw(2)
-    twin.session.reset()
-    twin.clock.time += SECOND // 2
-    twin.clock.epoch += 1
-    throw(3, duration=0.3)
+        twin.clock.max_catch_up = MILLISECOND
+        twin.advance(13 * MILLISECOND)  # a stall
+        twin.clock.max_catch_up = SECOND
+        twin.session.reset()
+        twin.change(layer__wave_speed=8.1, measured__smoothing_window=1.6e-3)
+        twin.clock.time += SECOND // 2
+        twin.clock.epoch += 1
     twin.finish()
     return twin
 
@@ -146,9 +136,8 @@ def test_bag_agrees_with_its_journal(request, check, name) -> None:
     result = check(twin.messages)
     assert (result.twin, result.differences) == ('/twin', [])
     assert result.exit_code == 0
-    kinds = [entry['kind'] for entry in entries(twin)]
-    assert kinds.count('result') >= 3
-    assert result.results == Count(same=kinds.count('checksum') + kinds.count('result'))
+    assert len(entries(twin, 'result')) >= 3
+    assert result.results == Count(same=len(entries(twin, 'checksum', 'result')))
     assert result.states == Count(same=len(twin.of(TWIN_TOPICS.joint_states)))
     assert 'to the last bit' in result.describe()
 
@@ -225,8 +214,7 @@ def test_bag_that_begins_late_is_checked_from_the_next_throw_on(plain, check) ->
     since = 450 * MILLISECOND + plain.messages[0].log_time
     result = check([message for message in plain.messages if message.log_time >= since])
     assert result.exit_code == 0
-    begins = [entry['step'] for entry in entries(plain) if entry['kind'] == 'throw']
-    assert result.states == Count(same=2200 - begins[1])
+    assert result.states == Count(same=2200 - entries(plain, 'throw')[1]['step'])
     assert result.results.missing == sum(entry['step'] < 450 for entry in entries(plain))
 
 
@@ -235,11 +223,10 @@ def test_missing_lines_are_counted_and_the_next_throw_is_checked(
     request, check, name, kind
 ) -> None:
     twin = request.getfixturevalue(name)
-    line = [entry['line'] for entry in entries(twin) if entry['kind'] == kind][1]
+    line = entries(twin, kind)[1]['line']
     result = check(edited(twin, lambda entry: None if entry['line'] == line else entry))
     assert (result.exit_code, result.results.missing) == (0, 1)
-    compared = [entry for entry in entries(twin) if entry['kind'] in ('result', 'checksum')]
-    assert 0 < result.results.same < len(compared)
+    assert 0 < result.results.same < len(entries(twin, 'result', 'checksum'))
 
 
 @pytest.mark.parametrize('values', [
