@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig that is measured, through DDS; as processes it is in `test_calibrator`."""
+"""A rig that is measured, through DDS, and the clock of its sensors."""
 
 from __future__ import annotations
 
