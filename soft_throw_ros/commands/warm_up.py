@@ -23,7 +23,7 @@ from soft_throw_ros.commands.output import CommandParser, print_lines, run_comma
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import cell_stepper, plate_kernels, wave_stepper
 from soft_throw_ros.design.requests import solve_request
-from soft_throw_ros.twin import outlier_filter, plate_observer, sample_buffer
+from soft_throw_ros.twin import plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 _SOURCES = (  # of kernels
@@ -40,7 +40,7 @@ def _step(stepper: ModuleType, loss_tangent: float) -> None:
 
 def _measure() -> None:
     """Run the kernels that process samples of a plate once."""
-    for module in (outlier_filter, sample_buffer, plate_observer):
+    for module in (sample_buffer, plate_observer):
         module.warm_up()
 
 

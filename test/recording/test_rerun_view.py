@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from bags import datas
@@ -43,14 +42,6 @@ def start_twin(ros: Ros, *words: str, **values: Any) -> DrivenTwin:
     return twin
 
 
-def start_measured_twin(ros: Ros, **kwargs: Any) -> DrivenTwin:
-    """Start a twin that has measured a throw 50 ms after its start."""
-    twin = start_twin(ros, engine__motion='measured')
-    samples = measured_throw(Rig(), begin_ns=twin.clock.time, duration=0.1, **kwargs)
-    ros.sensors_of(twin).throw(samples)
-    return twin
-
-
 @pytest.fixture(scope='module')
 def twin(module_ros) -> DrivenTwin:
     """Two throws in real time."""
@@ -58,15 +49,10 @@ def twin(module_ros) -> DrivenTwin:
 
 
 @pytest.fixture(scope='module')
-def path(twin, tmp_path_factory) -> Path:
+def recording(twin, tmp_path_factory) -> RrdFile:
     path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
-    record(path, twin.messages, throw=find_throws(twin.of(TWIN_TOPICS.journal))['/twin'][-1])
-    return path
-
-
-@pytest.fixture(scope='module')
-def recording(path) -> RrdFile:
-    return RrdFile(path)
+    throws = find_throws(twin.of(TWIN_TOPICS.journal))
+    return record(path, twin.messages, throw=throws['/twin'][-1])[0]
 
 
 def test_scene_has_every_state_in_its_units(twin, recording) -> None:
@@ -135,7 +121,7 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(ros, tmp_p
         assert len(recording.scalars(f'{name}/twin/position')[0]) == 150
     assert '/rig1/twin/side/plate/body' not in recording.entities
     assert '/rig2/twin/side/plate/body' in recording.entities
-    assert recording.views.count('Position z (mm)') == 2
+    assert recording.layout('ViewBlueprint:display_name').count('Position z (mm)') == 2
 
 
 @pytest.mark.parametrize('is_live', [False, True])
@@ -169,13 +155,30 @@ def test_live_view_keeps_the_rig_for_late_viewers(twin, tmp_path) -> None:
     assert recording.rows['/twin/throw_result'] >= 2
 
 
+@pytest.fixture(scope='module')
+def measured(module_ros, tmp_path_factory) -> tuple[DrivenTwin, RrdFile]:
+    """Return a measured throw with diagnostics of its track, and its recording."""
+    twin = start_twin(module_ros, engine__motion='measured')
+    samples = measured_throw(Rig(), begin_ns=twin.clock.time, duration=0.1, noise=2e-6)
+    module_ros.sensors_of(twin).throw(samples)
+    for node, task, values in (
+        ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
+        ('/twin', 'timing', {'ticks': 1000}),
+        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
+        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
+    ):
+        status = status_to_msg(node, task, f'{task} of 7.30 +- 0.02', values)
+        twin.outgoing.report(TWIN_TOPICS.diagnostics, [status])
+    outlier_ns = twin.session.due_ns(0) + 55 * MILLISECOND
+    twin.outgoing.send(TWIN_TOPICS.residual, outlier_ns, (0.0, 0.1))
+    path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
+    return twin, record(path, twin.messages, batch=100)[0]
+
+
 def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
-    ros, tmp_path
+    measured
 ) -> None:
-    twin = start_measured_twin(ros)
-    stamp_ns = twin.session.due_ns(0) + 55 * MILLISECOND
-    twin.outgoing.send(TWIN_TOPICS.residual, stamp_ns, (0.0, 0.1))  # an outlier
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages, batch=100)
+    twin, recording = measured
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
     stamps, values = recording.scalars('/twin/position/predicted')
     assert stamps.tolist() == [item.stamp_ns for item in predictions]
@@ -186,22 +189,13 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
         sorted([1e6 * residual[0] for residual in residuals] + [0.0])
     )
     assert values.max() == pytest.approx(1e5)
-    assert recording.ranges == [(-100.0, 100.0)]
-    _, measured = recording.scalars('/twin/position/measured')
-    assert measured[:, 1].max() > 1e3 * Rig().layer.thickness
+    assert recording.layout('ScalarAxis:range') == [[-100.0, 100.0]]
+    _, positions = recording.scalars('/twin/position/measured')
+    assert positions[:, 1].max() > 1e3 * Rig().layer.thickness
 
 
-def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(ros, tmp_path) -> None:
-    twin = start_measured_twin(ros, noise=2e-6)
-    for node, task, values in (
-        ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
-        ('/twin', 'timing', {'ticks': 1000}),
-        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
-        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
-    ):
-        status = status_to_msg(node, task, f'{task} of 7.30 +- 0.02', values)
-        twin.outgoing.report(TWIN_TOPICS.diagnostics, [status])
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
+def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(measured) -> None:
+    twin, recording = measured
     (accuracy,) = [item.accuracy for item in twin.results if item.stage == 'release']
     text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
     (cell,) = [row[1] for row in table_of(text) if row[0].startswith('energy transfer')]
@@ -218,14 +212,16 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(ros, tmp_pa
 @pytest.mark.slow
 @settings(max_examples=10, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
-def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> None:
+def test_damaged_messages_are_counted_and_others_are_shown(
+    twin, tmp_path_factory, data
+) -> None:
     messages = list(twin.messages[:60])
     index = data.draw(st.integers(0, len(messages) - 1))
     messages[index] = messages[index]._replace(
         data=data.draw(datas(messages[index].data)),
         publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
     )
-    recording, scene = record(path.with_name('damaged.rrd'), messages)
+    recording, scene = record(tmp_path_factory.mktemp('damaged') / 'scene.rrd', messages)
     states = sum(item.channel.topic == '/twin/joint_states' for item in messages)
     assert recording.rows['/twin/position'] >= states - 1
     assert scene.damaged <= 2
