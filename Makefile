@@ -30,7 +30,7 @@ ARGS ?=
 PARALLEL := -n auto --maxprocesses 32 --dist worksteal
 
 # Tests of processes, which do not depend on the version of numpy.
-PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py recorder_process.py replay.py)
+PROCESS_TESTS := $(addprefix --ignore=test/nodes/test_,process.py faults.py)
 
 # Tests that draw with Vulkan if it is available.
 VIEWER_TESTS := $(addprefix test/,recording/test_rerun_viewer.py commands/test_inspect_bag.py)

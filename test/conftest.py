@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of all tests, independent of ROS."""
+"""Settings of all tests; those of nodes need ROS."""
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 import json
 from pathlib import Path
 import re
@@ -12,6 +13,8 @@ import hypothesis
 from hypothesis.internal.conjecture import providers
 import numpy as np
 import pytest
+
+pytest_plugins = ['ros_nodes'] if find_spec('rclpy') else []
 
 # Hypothesis draws constants from the local modules that happen to be imported. Examples would then
 # depend on earlier tests and on threads that import. There is no public switch for this.

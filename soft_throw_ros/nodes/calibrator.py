@@ -12,7 +12,7 @@ command the best motion of the plate, and measures the gain in ejection speed.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -38,23 +38,28 @@ from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescr
 from soft_throw_ros.identification.flight import flight_speed, motion_delay
 from soft_throw_ros.identification.least_squares import Estimate, fit_warnings
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
-from soft_throw_ros.identification.tracks import ThrowTracks
+from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
 from soft_throw_ros.nodes.conversions import (
     msg_to_motion,
     msg_to_throw_result,
     msg_to_time,
 )
-from soft_throw_ros.nodes.measured_positions import MeasuredPositions, READ_PERIOD
+from soft_throw_ros.nodes.measured import HeightReader, MAX_DATA_RATE
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.service_calls import call, RemoteParameters
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+_READ_PERIOD = 0.02  # between two reads of measurements [s]
+_KEPT_READS = 500  # number of reads whose measurements are kept, ten seconds
+_SET_BACK = SECOND  # smallest step backwards of the stamps when their clock is set [ns]
 _STAMP_ERROR = 'measured.stamp_error'  # parameter of the twin
 _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
 _AFTER = 6.5  # length of the track from the start of the throw on [plate periods]
@@ -66,6 +71,58 @@ _KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'projectile.mass')  # o
 _DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 _OF_COMMAND = ('engine.motion', 'engine.motion_file', 'recommendation.vary')
+
+
+class MeasuredPositions:
+    """
+    The measured positions of plate and projectile in the last seconds, by the clock of a twin.
+
+    `joints` are their names. The attribute `clock_offset_ns` is added to the stamps [ns].
+    """
+
+    def __init__(self, node: RunnableNode, twin: str, joints: tuple[str, str]) -> None:
+        topic = TWIN_TOPICS.measured_joint_states.at(twin)
+        self._reader = HeightReader(node, topic, joints, Counter())
+        self.clock_offset_ns = 0
+        self._batches: deque[Samples] = deque(maxlen=_KEPT_READS)
+
+    @property
+    def newest_ns(self) -> float:
+        """Time of the newest measurement, minus infinity without one [ns]."""
+        return self._batches[-1].stamps[-1] + self.clock_offset_ns if self._batches else -math.inf
+
+    def read_messages(self) -> None:
+        """Read the messages that have arrived."""
+        for samples in self._reader.read(_READ_PERIOD * MAX_DATA_RATE):
+            if self._batches and samples.stamps[-1] < self._batches[-1].stamps[-1] - _SET_BACK:
+                self._batches.clear()
+            self._batches.append(samples)
+
+    def between(
+        self, start_ns: int, end_ns: int, name: str = '', *, max_gap: float = math.inf
+    ) -> ThrowTracks:
+        """
+        Return the tracks of a throw, over the time since `start_ns`.
+
+        Raise TrackError if they are too short, or have no samples for longer than `max_gap` [s].
+        """
+        start_ns, end_ns = start_ns - self.clock_offset_ns, end_ns - self.clock_offset_ns
+        if not self._batches or self._batches[0].stamps[0] > start_ns:
+            raise TrackError('measurements of its start were not received')
+        stamps, order = np.unique(
+            np.concatenate([samples.stamps for samples in self._batches]), return_index=True
+        )
+        inside = (stamps >= start_ns) & (stamps <= end_ns)
+        time = 1e-9 * (stamps[inside] - start_ns)
+        gap = np.diff(time, prepend=0.0, append=1e-9 * (end_ns - start_ns)).max()
+        if gap > max_gap:
+            raise TrackError(f'no samples for {1e3 * gap:.3g} ms')
+        heights = np.concatenate([samples.heights for samples in self._batches])[order][inside]
+        plate, projectile = (
+            Track(time=time[is_measured], position=column[is_measured])
+            for column, is_measured in zip(heights.T, np.isfinite(heights).T, strict=True)
+        )
+        return ThrowTracks(name=name, plate=plate, projectile=projectile)
 
 
 class MeasuredThrow(NamedTuple):
@@ -105,7 +162,7 @@ class Calibrator(RunnableNode):
         self._worker = LatestOnlyWorker(self._run_task)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self.add_cleanup(self._closing.set)
-        self.create_steady_timer(READ_PERIOD, self._read_measurements)
+        self.create_steady_timer(_READ_PERIOD, self._read_measurements)
         self.create_steady_timer(1.0, self._publish_status)
 
     def _publish_status(self) -> None:

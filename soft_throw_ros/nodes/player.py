@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_CLOCK, REPLAY_SERVICES
 from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg, UNKNOWN_DEPTH
 from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
-from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, wake_on_time
+from soft_throw_ros.nodes.realtime import PRIORITY, set_priority
 from soft_throw_ros.nodes.topics import create_service, load_type, qos_profile
 from soft_throw_ros.recording.playback import PlaybackSchedule
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
@@ -124,7 +124,6 @@ class Player(RunnableNode):
             self._is_damaged = True
 
     def _run(self) -> None:
-        wake_on_time()
         set_priority(PRIORITY)
         while not (self._is_stopping or self._schedule.is_over):
             with self._lock:

@@ -43,7 +43,6 @@ _FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [
 _SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
 _SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
 _STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
-_COUNTED = ('ticks', 'ticks_late', 'ticks_skipped', 'clock_jumps')
 
 
 class SystemClock:
@@ -148,7 +147,7 @@ class Ticker:
     def __init__(
         self, session: Session, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
-        self.counts = Counter(dict.fromkeys(_COUNTED, 0))
+        self.counts = Counter(ticks=0, ticks_late=0, ticks_skipped=0, clock_jumps=0)
         self._times: list[tuple[int, int]] = []
         self.scheduler = ''
         self._session = session
@@ -215,7 +214,6 @@ class Ticker:
         return self._schedule
 
     def _run(self) -> None:
-        wake_on_time()
         self.scheduler = best = set_priority(PRIORITY)
         while not self._is_stopping.is_set():
             due = self.run_due()
@@ -226,14 +224,10 @@ class Ticker:
             self._clock().wait_until(due)
 
 
-def wake_on_time() -> None:
-    """Reduce the timer slack of this thread from 50 us to 1 ns, so that sleeps end on time."""
-    pr_set_timerslack = 29
-    ctypes.CDLL(None).prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
-
-
 def set_priority(priority: int) -> str:
     """Set the real-time priority of this thread, 0 for none; return its policy, see `Ticker`."""
+    pr_set_timerslack = 29  # from 50 us to 1 ns, so that sleeps end on time
+    ctypes.CDLL(None).prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
     try:
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
         os.sched_setscheduler(0, policy, os.sched_param(priority))
@@ -262,18 +256,16 @@ class RealTimeNode(RunnableNode):
     def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
         """Return the rig of complete settings of a twin, after kernels are compiled at first."""
         if before is None and missing_parts():
-            self._compile_kernels()
+            self.get_logger().info('compiling the kernels, once for this installation')
+            # In a child process, because numba suppresses exceptions of signal handlers. A signal
+            # kills it: files are complete at any time.
+            subprocess.run(
+                bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C reaches only the node
+                check=False,
+            )
         return prepare(settings, before)
-
-    def _compile_kernels(self) -> None:
-        """Compile in a child process, because numba suppresses exceptions of signal handlers."""
-        self.get_logger().info('compiling the kernels, once for this installation')
-        subprocess.run(  # kills the process when a signal comes: files are complete at any time
-            bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C reaches only the node
-            check=False,
-        )
 
     def attach_session(self, session: Session) -> None:
         """Attach the session that the node advances after its start."""

@@ -24,9 +24,6 @@ from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.atomic_file import atomic_file
 from soft_throw_ros.twin.session import RequestRejected
 
-_RESULTS = tuple(entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
-"""Attributes of an answer that `recommended.*` shows."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class RecommendationState:
@@ -62,7 +59,8 @@ class RecommendationState:
 
     def results(self) -> dict[str, float | str]:
         """Return the parameters `recommended.*` by their last names; empty without an answer."""
-        return {name: getattr(self.best, name) for name in _RESULTS if hasattr(self.best, name)}
+        names = (entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
+        return {name: getattr(self.best, name) for name in names if hasattr(self.best, name)}
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""

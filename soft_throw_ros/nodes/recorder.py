@@ -29,7 +29,7 @@ from soft_throw_ros.configuration import ParameterError, RECORDER, Settings
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode
-from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscription, RawSubscriptions
+from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
 from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
@@ -58,7 +58,7 @@ class Recording:
         self._settings = settings
         self._wanted = [full_name(recorder, name) for name in settings['topics']]
         self._began = time.monotonic()
-        self._silences: dict[bytes, tuple[int, int]] = {}  # received messages and silent seconds
+        self._received: list[Counter[bytes]] = []  # by process, of the last seconds
         self._reported: set[str] = set()  # problems
         self.silent_topics: list[str] = []  # of processes that are present
         self.subscriptions = RawSubscriptions(recorder, self._wanted)
@@ -97,21 +97,20 @@ class Recording:
         since they may be published only once, nor do topics of several processes, since ROS 2
         Jazzy does not tell whose messages come.
         """
-        items_by_process: dict[bytes, list[RawSubscription]] = defaultdict(list)
+        topics: dict[bytes, list[str]] = defaultdict(list)
+        received: Counter[bytes] = Counter()
         for item in self.subscriptions:
             processes = {publisher[_PARTICIPANT] for publisher in item.publishers}
-            is_latched = item.profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-            if len(processes) == 1 and not is_latched:
-                items_by_process[processes.pop()].append(item)
-        silent = []
-        for process, items in items_by_process.items():
-            received = sum(item.received for item in items)
-            before, seconds = self._silences.get(process, (received, 0))
-            seconds = seconds + 1 if received == before else 0
-            self._silences[process] = received, seconds
-            if seconds >= SILENCE_LIMIT:
-                silent += [item.channel.topic for item in items]
-        return silent
+            if len(processes) == 1 and item.profile.durability is DurabilityPolicy.VOLATILE:
+                (process,) = processes
+                topics[process].append(item.channel.topic)
+                received[process] += item.received
+        self._received = [*self._received[-SILENCE_LIMIT:], received]
+        if len(self._received) <= SILENCE_LIMIT:
+            return []
+        earlier = self._received[0]
+        silent = [process for process in topics if received[process] == earlier.get(process)]
+        return [name for process in silent for name in topics[process]]
 
     def losses(self) -> Counter[str]:
         """Return the number of lost messages by topic: published, but not in the bag."""

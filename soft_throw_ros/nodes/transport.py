@@ -8,20 +8,18 @@ from importlib import metadata, resources
 import os
 
 _KILTED = 9  # version of rclpy
-
 _DISTRIBUTIONS = {7: 'jazzy', _KILTED: 'kilted'}
 
+_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+
+_LOCAL = ('LOCALHOST', 'OFF')  # discovery ranges that are limited to this machine
+
+# Variables that select a transport; if one is set, the package changes nothing
 _CHOICES = (
     'FASTDDS_BUILTIN_TRANSPORTS',
     'FASTDDS_DEFAULT_PROFILES_FILE',
     'FASTRTPS_DEFAULT_PROFILES_FILE',
 )
-"""Environment variables that select a transport; if one is set, the package changes nothing."""
-
-_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
-
-_LOCAL = ('LOCALHOST', 'OFF')
-"""Discovery ranges that are limited to this machine."""
 
 
 def distribution() -> str:

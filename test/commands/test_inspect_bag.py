@@ -13,7 +13,6 @@ import pytest
 from soft_throw_ros.commands import inspect_bag
 from soft_throw_ros.recording.rerun_viewer import find_viewer, free_port
 from soft_throw_ros.storage.message import Channel, Message
-from twin_messages import TwinMessages
 
 pytest.importorskip('rerun')
 
@@ -25,15 +24,14 @@ COMMAND = (inspect_bag.main,)
 
 
 @pytest.fixture(scope='module')
-def twin() -> Any:
-    """Messages of a complete throw, one in flight."""
-    return TwinMessages(throw__period=0.2).go(500)
+def twin(module_ros: Any) -> Any:
+    """Return a twin with a complete throw, and one in flight."""
+    return module_ros.start_twin(throw__period=0.2).go(499)
 
 
 @pytest.fixture(scope='module')
 def bag(twin, tmp_path_factory) -> Path:
-    messages = sorted(twin.messages, key=lambda each: each.log_time)
-    return write(tmp_path_factory.mktemp('bags') / 'bag', messages, chunk=100)
+    return write(tmp_path_factory.mktemp('bags') / 'bag', twin.messages, chunk=100)
 
 
 def test_picture_has_the_requested_size_and_shows_the_rig(capsys, bag, tmp_path) -> None:
@@ -64,7 +62,7 @@ def test_throw_and_time_to_show_can_be_chosen(command, twin, bag, tmp_path) -> N
         (stamps, _), (times, _) = (
             RrdFile(path).series(*entity, name) for name in (STAMP, THROW_TIME)
         )
-        assert abs(stamps - times - twin.schedule.deadline(start)).max() <= 1
+        assert abs(stamps - times - twin.session.due_ns(start)).max() <= 1
 
 
 def test_bag_without_screen_and_viewer_names_a_remedy(command, bag, monkeypatch) -> None:

@@ -19,9 +19,13 @@ from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
-from soft_throw_ros.nodes.calibrator import Calibrator, describe_gain, MeasuredThrow
+from soft_throw_ros.nodes.calibrator import (
+    Calibrator,
+    describe_gain,
+    MeasuredPositions,
+    MeasuredThrow,
+)
 from soft_throw_ros.nodes.conversions import msg_to_values
-from soft_throw_ros.nodes.measured_positions import MeasuredPositions
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -31,7 +35,7 @@ MILLISECOND = SECOND // 1000
 
 
 def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) -> None:
-    twin = ros.start_twin('-p', 'engine.motion:=measured', '-p', 'time_scale:=0.5')
+    twin = ros.start_twin(engine__motion='measured', time_scale=0.5)
     before = twin.parameters.settings
     states = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.0, 0.0, 0.0]]
     motion = SampledMotion(np.array([0.0, 0.01, 0.03]), np.array(states))
@@ -76,12 +80,10 @@ def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> N
     ('behind', 'stamp_error'), [(0.3, 3e-4), (-1e5, 0.0)]  # the twin cannot follow the first throw
 )
 def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
-    ros, sensors_of, capfd, behind, stamp_error
+    ros, capfd, behind, stamp_error
 ) -> None:
-    twin = ros.start_twin(
-        '-p', 'engine.motion:=measured', '-p', f'measured.stamp_error:={stamp_error}'
-    )
-    sensors = sensors_of(twin)
+    twin = ros.start_twin(engine__motion='measured', measured__stamp_error=stamp_error)
+    sensors = ros.sensors_of(twin)
     listener = ros.listen_to(ros.node(Calibrator, ros_args=('-p', 'throws:=1')))
     listener.listen(CALIBRATOR_TOPICS.diagnostics)
     ros.spin_until(lambda: sensors.publisher.get_subscription_count() == 2, 'the calibrator')
@@ -129,13 +131,11 @@ def test_only_wrong_predictions_in_a_row_make_the_rig_identified(ros, monkeypatc
     assert counts == [0, 0, 0, 1]
 
 
-def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_still(
-    ros, sensors_of
-) -> None:
+def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_still(ros) -> None:
     node = ros.node(RunnableNode, 'calibrator')
     positions = MeasuredPositions(node, '/twin', ('plate', 'projectile'))
     positions._batches = deque(maxlen=9)
-    sensors = sensors_of()
+    sensors = ros.sensors_of()
 
     def heights(first_ns: int, height: float) -> list[float]:
         """Measure a tenth of a second, and return the last heights of that time."""

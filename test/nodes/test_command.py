@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
 from rclpy.duration import Duration
+from scipy.interpolate import BPoly
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.plate import SampledMotion
@@ -37,23 +37,11 @@ def play(message: Any, arrival_ns: int, held: tuple[float, ...]) -> tuple[Any, A
     assert message.joint_names == ['plate']
     assert (np.diff(stamps) > 0).all()
     assert abs(states[-1][1]) <= np.finfo(np.float32).eps
-    share = np.linspace(0.0, 1.0, 201)[:, None]
-    powers = np.arange(6)
-
-    def terms(s: Any, order: int) -> Any:
-        """Return the derivatives of the powers of s."""
-        factors = [math.perm(power, order) for power in range(6)]
-        return factors * s ** np.maximum(powers - order, 0)
-
-    ends = np.concatenate([terms(s, order) for s in (0.0, 1.0) for order in range(3)])
-    times, path = [], []
-    for n, length in enumerate(1e-9 * np.diff(stamps)):
-        scale = length ** np.arange(3.0)
-        both = np.concatenate([states[n] * scale, states[n + 1] * scale])
-        coefficients = np.linalg.solve(ends.reshape(6, 6), both)
-        path.append([terms(share, order) @ coefficients / scale[order] for order in range(3)])
-        times.append(stamps[n] + np.rint(1e9 * length * share[:, 0]))
-    return np.concatenate(times), np.concatenate(path, axis=1)
+    knots = 1e-9 * (np.array(stamps) - arrival_ns)
+    height = BPoly.from_derivatives(knots, states)
+    times = np.interp(np.linspace(0, knots.size - 1, 200 * knots.size), range(knots.size), knots)
+    path = [height.derivative(order)(times) for order in range(3)]
+    return arrival_ns + np.rint(1e9 * times), np.array(path)
 
 
 def stroke() -> SampledMotion:
@@ -78,8 +66,8 @@ def test_commands_are_played_as_in_the_twin_and_within_the_limits(
 ) -> None:
     path = write(motions.to_csv(motion_of()), 'plate.csv')
     twin = ros.start_twin(
-        *('-p', f'engine.motion_file:={path}', '-p', 'engine.command:=true'),
-        *('-p', 'throw.period:=0.5', '-p', 'engine.command_lead:=0.05'),
+        engine__motion_file=path, engine__command='true', engine__command_lead=0.05,
+        throw__period=0.5,
     )
     listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.plate_trajectory)

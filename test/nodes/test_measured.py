@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig that is measured, through DDS; as processes it is in `test_calibrator`."""
+"""A rig that is measured, through DDS, and the clock of its sensors."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from bags import accepted, datas, few
 from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given
 from hypothesis import strategies as st
+import numpy as np
 import pytest
+from sensor_msgs.msg import JointState
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.nodes.conversions import msg_to_time, msg_to_values
-from soft_throw_ros.nodes.measured import to_samples
+from soft_throw_ros.nodes.conversions import msg_to_values
+from soft_throw_ros.nodes.measured import SensorClock, to_samples, TOLERATED
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
@@ -29,21 +31,20 @@ BATCH_NS = 10 * MILLISECOND
 
 @pytest.fixture
 def twin(ros: Any) -> Any:
-    return ros.start_twin('-p', 'engine.motion:=measured')
+    return ros.start_twin(engine__motion='measured')
 
 
 @pytest.fixture
-def sensors(sensors_of: Any, twin: Any) -> Any:
-    return sensors_of(twin)
+def sensors(ros: Any, twin: Any) -> Any:
+    return ros.sensors_of(twin)
 
 
-def test_joints_have_the_names_of_the_parameters(ros, sensors_of, capfd) -> None:
+def test_joints_have_the_names_of_the_parameters(ros, capfd) -> None:
     names = 'carriage', 'ball'
     twin = ros.start_twin(
-        '-p', 'engine.motion:=measured',
-        '-p', 'joint_names.plate:=carriage', '-p', 'joint_names.projectile:=ball',
+        engine__motion='measured', joint_names__plate=names[0], joint_names__projectile=names[1]
     )
-    sensors = sensors_of(twin)
+    sensors = ros.sensors_of(twin)
     sensors.send(Sample(twin.clock.time, 0.0, 0.0))
     sensors.wait()
     assert "['plate', 'projectile']" in capfd.readouterr().err
@@ -54,28 +55,6 @@ def test_joints_have_the_names_of_the_parameters(ros, sensors_of, capfd) -> None
     listener.listen(TWIN_TOPICS.joint_states)
     twin.go(1)
     assert tuple(listener.hear(TWIN_TOPICS.joint_states)[0].name) == names
-
-
-def test_throw_is_predicted_and_compared(twin, sensors, listener) -> None:
-    listener.listen(TWIN_TOPICS.predicted_joint_states, TWIN_TOPICS.residual)
-    sensors.throw(measured_throw(Rig(), begin_ns=twin.clock.time, noise=5e-6))
-    predicted = next(result for result in twin.results if result.stage == 'predicted')
-    assert predicted.first.ejection_speed == pytest.approx(
-        simulate(Rig()).ejection_speed, rel=0.01
-    )
-    assert predicted.lead > 0.0
-
-    predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
-    residuals = [outputs.residual for outputs in twin.outputs if outputs.residual]
-    for topic, names, expected in (
-        (TWIN_TOPICS.predicted_joint_states, ['projectile'], predictions),
-        (TWIN_TOPICS.residual, ['plate', 'projectile'], residuals),
-    ):
-        heard = listener.hear(topic, len(expected))
-        for message, (stamp_ns, *values) in zip(heard, expected, strict=True):
-            assert message.name == names
-            assert msg_to_time(message.header.stamp) == stamp_ns
-            assert [*message.position, *message.velocity, *message.effort] == values
 
 
 def test_clock_that_is_behind_is_corrected_and_reported(twin, sensors, listener) -> None:
@@ -110,12 +89,12 @@ def test_clock_topic_that_moves_in_steps_is_no_offset_of_the_sensors(twin, senso
     assert release.lead > 0.0
 
 
-def test_other_messages_are_refused_with_a_reason(twin, sensors, listener, capfd) -> None:
+def test_other_messages_are_refused_with_a_reason(ros, twin, sensors, listener, capfd) -> None:
     listener.listen(TWIN_TOPICS.diagnostics)
     now = twin.clock.time
     sensors.send(Sample(now, 0.0, 0.0), ('plank', 'projectile'))
-    sensors.send(Sample(now, 0.0, 0.0), ('plate',))
-    sensors.send(Sample(now, 0.0, 0.0), ('plate', *map(str, range(2000))))
+    sensors.publish(JointState(name=['plate'], position=[0.0, 0.0]))
+    sensors.publish(JointState(name=[*map(str, range(2000))]))
     for since_ns, plate in (
         (0, math.nan), (0, 300.0), (SECOND, 0.0), (0, 0.0), (0, 0.0), (-MILLISECOND, 0.0)
     ):
@@ -124,27 +103,67 @@ def test_other_messages_are_refused_with_a_reason(twin, sensors, listener, capfd
     assert twin.session.sample_counts.refused == {
         'names': 2, 'too large': 1, 'not finite': 1, 'out of range': 1, 'future': 1, 'doubled': 1,
     }
-    status = listener.status(
-        TWIN_TOPICS.diagnostics, 'measurement', lambda s: msg_to_values(s)['samples_refused']
-    )
-    values = msg_to_values(status)
-    assert status.level == DiagnosticStatus.WARN
-    assert (values['samples'], values['samples_refused'], values['refused.names']) == (2, 7, 2)
-    assert values['samples_out_of_order'] == 1
+
+    def reported(name: str) -> int:
+        statuses = listener.statuses(TWIN_TOPICS.diagnostics, 'measurement')
+        return sum(msg_to_values(status).get(name, 0) for status in statuses)
+
+    ros.spin_until(lambda: reported('samples_refused') == 7, 'the counts')
+    names = ('samples', 'refused.names', 'samples_out_of_order')
+    assert [reported(name) for name in names] == [2, 2, 1]
     assert 'millimetres' in capfd.readouterr().err
 
 
-def test_without_measurement_messages_are_dropped_and_not_reported(ros, sensors_of) -> None:
+def test_without_measurement_messages_are_dropped_and_not_reported(ros) -> None:
     twin = ros.start_twin()
     listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.diagnostics)
-    sensors_of().send(Sample(twin.clock.time, 0.0, 0.0))
+    ros.sensors_of().send(Sample(twin.clock.time, 0.0, 0.0))
     ros.spin_until(
         lambda: twin.go(10) or twin.measurement.count()['messages'] == 1, 'the sample'
     )
     (message, *_) = listener.hear(TWIN_TOPICS.diagnostics)
     assert [status.name for status in message.status] == ['/twin: timing', '/twin: parameters']
     assert twin.session.sample_counts.taken == 0
+
+
+def observe(clock: SensorClock, offset_ns: int, begin_ns: int = BEGIN) -> int:
+    """Feed five seconds of stamps with an offset to a clock and count its warnings."""
+    random = np.random.default_rng(0)
+    warnings = 0
+    for now_ns in range(begin_ns, begin_ns + 5 * SECOND, MILLISECOND):
+        delays = random.exponential(3e-4 * SECOND, 5).astype(int) + MILLISECOND // 10
+        stamps = [now_ns - offset_ns - delay for delay in delays.tolist()]
+        warnings += clock.observe(stamps, now_ns)
+    return warnings
+
+
+@pytest.mark.parametrize(
+    ('offset_ns', 'is_corrected'),
+    [
+        (20 * MILLISECOND, True), (-300 * MILLISECOND, True), (5 * SECOND, True),
+        (BEGIN - 3600 * SECOND, True),  # since boot
+        (TOLERATED - MILLISECOND, False),  # the time of transport
+    ],
+)
+def test_constant_offset_is_found_and_reported_once_until_it_ends(offset_ns, is_corrected) -> None:
+    clock = SensorClock()
+    assert observe(clock, offset_ns) == is_corrected
+    fastest = offset_ns + MILLISECOND // 10
+    assert clock.offset_ns == pytest.approx(is_corrected * fastest, abs=MILLISECOND // 50)
+    assert (f'{abs(clock.offset_ns) / MILLISECOND:.1f} ms' in clock.problem) == is_corrected
+    assert observe(clock, 0, BEGIN + 5 * SECOND) == is_corrected
+    assert (clock.offset_ns, clock.problem) == (0, '')
+
+
+@pytest.mark.parametrize(('step', 'words'), [(0, 'is 0'), (SECOND, 'is of whole seconds')])
+def test_stamps_without_the_time_of_the_sample_are_named(step, words) -> None:
+    clock = SensorClock()
+    for tick in range(1000):
+        now_ns = BEGIN + tick * MILLISECOND
+        clock.observe([now_ns // step * step if step else 0], now_ns)
+    assert f'header.stamp of the samples {words}' in clock.problem
+    assert clock.offset_ns == 0
 
 
 THROW = [

@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 from rcl_interfaces.msg import ParameterType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from soft_throw_ros.configuration import ParameterError, RECORDER, Table, TWIN
 from soft_throw_ros.configuration.layers import default_file
 from soft_throw_ros.nodes.parameters import NodeParameters
@@ -32,7 +35,7 @@ class Watched(RunnableNode):
 
 @pytest.fixture
 def start(ros: Any) -> Any:
-    """Start a twin with ROS arguments."""
+    """Return a function that starts a node with ROS arguments."""
     return lambda *ros_args, **kwargs: ros.node(Watched, ros_args=ros_args, **kwargs)
 
 
@@ -41,28 +44,54 @@ def twin(start: Any) -> Watched:
     return start()
 
 
+class Client:
+    """Requests to the parameter services of a node from another node, `a__b` for a.b."""
+
+    def __init__(self, ros: Any, node: Node) -> None:
+        self._ros = ros
+        client_node = ros.node(Node, 'parameter_client')
+        self._client = AsyncParameterClient(client_node, node.get_fully_qualified_name())
+        ros.spin_until(self._client.services_are_ready, 'parameter services')
+
+    def set(self, **values: Any) -> list[str]:  # noqa: A003
+        """Set parameters one by one, and return the reasons, '' for accepted ones."""
+        return self._request(self._client.set_parameters, values)
+
+    def set_atomically(self, **values: Any) -> str:
+        """Set parameters atomically, and return the reason, '' if accepted."""
+        return self._request(self._client.set_parameters_atomically, values)[0]
+
+    def _request(self, request: Any, values: dict[str, Any]) -> list[str]:
+        items = [(name.replace('__', '.'), value) for name, value in values.items()]
+        future = request([Parameter(name, value=value) for name, value in items])
+        response = self._ros.result(future)
+        results = getattr(response, 'results', None) or [response.result]
+        assert all(result.successful == (not result.reason) for result in results)
+        return [result.reason for result in results]
+
+
 @pytest.fixture
-def client(ros: Any, twin: Watched) -> Any:
-    return ros.parameters(twin)
+def client(ros: Any, twin: Watched) -> Client:
+    return Client(ros, twin)
 
 
-def test_start_declares_the_whole_table_with_types_ranges_and_units(twin, client) -> None:
+def test_start_declares_the_whole_table_with_types_ranges_and_units(twin) -> None:
     for entry in TWIN.entries:
         value = twin.get_parameter(entry.name).value
         value = value if isinstance(value, (str, float, int)) else tuple(value)
         assert type(value) is type(entry.default)
         assert value == entry.default or (entry.is_result and math.isnan(value))
-    thickness = client.describe('layer.thickness')
+    thickness = twin.describe_parameter('layer.thickness')
     assert thickness.type == ParameterType.PARAMETER_DOUBLE
     assert '[m]' in thickness.description
     (limits,) = thickness.floating_point_range
     assert (limits.from_value, limits.to_value) == (0.5e-3, 0.1)
-    (limits,) = client.describe('throw.max_events').integer_range
+    (limits,) = twin.describe_parameter('throw.max_events').integer_range
     assert (limits.from_value, limits.to_value) == (1, 1000)
-    (limits,) = client.describe('throw.period').floating_point_range
+    (limits,) = twin.describe_parameter('throw.period').floating_point_range
     assert limits.from_value == 0.0  # it may be 0
-    assert "'harmonic'" in client.describe('engine.motion').additional_constraints
-    assert 'gelatin_2.0mm' in client.describe('layer.name').additional_constraints
+    assert "'harmonic'" in twin.describe_parameter('engine.motion').additional_constraints
+    assert 'gelatin_2.0mm' in twin.describe_parameter('layer.name').additional_constraints
 
 
 def test_value_is_accepted_as_every_parameter_type(twin, client) -> None:
@@ -81,7 +110,7 @@ def test_value_is_accepted_as_every_parameter_type(twin, client) -> None:
         assert before == expected
         expected |= changes
         assert twin.parameters.settings == expected
-        received = client.get(name)
+        received = twin.get_parameter(name).value
         assert (tuple(received) if isinstance(value, tuple) else received) == value
 
 
@@ -91,8 +120,8 @@ def test_bad_value_is_refused_in_short_with_its_name_and_value(twin, client) -> 
         assert reason.startswith('layer.thickness must be ')
         assert repr(value) in reason or str(value[0]) in reason
         assert client.set_atomically(layer__thickness=value) == reason
-    assert client.get('layer.thickness') == 0.0168
-    assert client.describe('layer.thickness').type == ParameterType.PARAMETER_DOUBLE
+    assert twin.get_parameter('layer.thickness').value == 0.0168
+    assert twin.describe_parameter('layer.thickness').type == ParameterType.PARAMETER_DOUBLE
     for request, reason in (
         ({'layer__thicknes': 0.01}, "no parameter of the twin is named 'layer.thicknes'"),
         ({'gravity': 1.0, 'layer__thickness': -1.0}, '-1.0'),
@@ -105,8 +134,8 @@ def test_bad_value_is_refused_in_short_with_its_name_and_value(twin, client) -> 
         given = client.set_atomically(**request)
         assert reason in given
         assert len(given) < 300
-    assert client.get('gravity') == 9.81
-    assert client.get('use_sim_time') is False
+    assert twin.get_parameter('gravity').value == 9.81
+    assert twin.get_parameter('use_sim_time').value is False
     assert not twin.changes
     assert dict(twin.parameters.settings) == TWIN.defaults()
 
@@ -118,7 +147,7 @@ def test_check_of_the_node_can_refuse(ros) -> None:
         return (former or 0) + 1
 
     twin = ros.node(partial(Watched, check=check))
-    assert ros.parameters(twin).set(gravity=0, time_scale=2) == ['no gravity, got 0.0', '']
+    assert Client(ros, twin).set(gravity=0, time_scale=2) == ['no gravity, got 0.0', '']
     assert twin.changes == [{'time_scale': 2.0}]
     assert twin.parameters.checked == 2  # at the start, and for the accepted change
     with pytest.raises(ParameterError, match=r'^no gravity, got 0\.0$'):
@@ -127,8 +156,8 @@ def test_check_of_the_node_can_refuse(ros) -> None:
 
 def test_texts_lists_and_switches_are_parameters_too(ros, start) -> None:
     recorder = start('-p', 'topics:=[/rig1, rosout]', '-p', 'start:=false', table=RECORDER)
-    client = ros.parameters(recorder)
-    assert list(client.get('topics')) == ['/rig1', 'rosout']
+    client = Client(ros, recorder)
+    assert list(recorder.get_parameter('topics').value) == ['/rig1', 'rosout']
     assert client.set(topics=['/a', 'b'], name='bag', start=True, split__size=0) == [''] * 4
     assert recorder.parameters.settings == {
         **RECORDER.defaults(), 'topics': ('/a', 'b'), 'name': 'bag', 'start': True,
@@ -169,7 +198,7 @@ def test_dump_with_results_starts_another_twin_and_is_loaded(ros, start, tmp_pat
     text = path.read_text().replace('6.0e-06', '6e-06')
     loaded = yaml.safe_load(text)['/twin']['ros__parameters']
     assert loaded['measured.position_noise'] == '6e-06'
-    reasons = dict(zip(loaded, ros.parameters(third).set(**loaded), strict=True))
+    reasons = dict(zip(loaded, Client(ros, third).set(**loaded), strict=True))
     refused = {name: reason for name, reason in reasons.items() if reason}
     assert refused.keys() == {'recommended.thickness', 'recommended.density'}
     assert 'read-only, set by the twin; got 0.04' in refused['recommended.thickness']

@@ -15,7 +15,6 @@ from soft_throw_ros.nodes import calibrator, recorder, rig, twin, viewer
 
 pytestmark = pytest.mark.timeout(300)
 
-SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
@@ -25,8 +24,8 @@ def test_twin_that_throws_ends_well_by_a_signal(start_node) -> None:
     twin.end_well(INT)
 
 
-def test_twin_that_is_still_compiling_ends_well_by_a_signal(start, tmp_path) -> None:
-    node = start(*SOFT_THROW, 'twin', env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path)})
+def test_twin_that_is_still_compiling_ends_well_by_a_signal(start_node, tmp_path) -> None:
+    node = start_node('twin', env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path)})
     node.wait_for('compiling')
     node.end_well(INT)
 

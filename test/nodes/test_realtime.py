@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 import pytest
+from ros_nodes import GivenClock
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, SystemClock, Ticker
 from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
@@ -18,30 +19,23 @@ from soft_throw_ros.twin.tick_schedule import TickSchedule
 MILLISECOND = SECOND // 1000
 
 
-class CountingSession:
-    """A session that only counts steps."""
+class Bench:
+    """A ticker, its clock, and a session that only counts its steps."""
 
-    def __init__(self, rate: float) -> None:
-        self.step = 0
+    def __init__(self, clock: Any, rate: float = 1000.0) -> None:
+        self.clock = clock
         self.rate = rate
+        self.step = 0
         self.schedules: list[tuple[int, int, float, int]] = []
+        self.done: list[tuple[int, int]] = []
+        self.ticker = Ticker(self, self.on_tick, lambda: self.clock)
 
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         self.schedules.append((self.step, schedule.time_ns, schedule.rate, schedule.step))
 
-
-class Bench:
-    """A ticker with its clock and the list of its steps."""
-
-    def __init__(self, clock: Any, rate: float = 1000.0) -> None:
-        self.clock = clock
-        self.session = CountingSession(rate)
-        self.done: list[tuple[int, int]] = []
-        self.ticker = Ticker(self.session, self._go_on, lambda: self.clock)
-
-    def _go_on(self, due: int) -> None:
-        self.done.append((self.session.step, due))
-        self.session.step += 1
+    def on_tick(self, due: int) -> None:
+        self.done.append((self.step, due))
+        self.step += 1
 
     def at(self, time: float) -> list[tuple[int, float]]:
         """Set the clock; return the steps that run and their due times [ms]."""
@@ -52,8 +46,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(given_clock: Any) -> Bench:
-    return Bench(given_clock(now=0, max_catch_up=SECOND // 10))
+def bench() -> Bench:
+    return Bench(GivenClock(now=0, max_catch_up=SECOND // 10))
 
 
 def test_late_tick_does_not_delay_others(bench) -> None:
@@ -81,15 +75,15 @@ def test_session_receives_every_change_of_the_deadlines(bench) -> None:
     bench.at(100)
     bench.at(150)
     bench.at(5000)  # a stall
-    bench.session.rate = 300.0
+    bench.rate = 300.0
     bench.at(5070)
     bench.clock.epoch += 1
     bench.at(90)
     for step, due in bench.done:
-        past = [item for item in bench.session.schedules if item[0] <= step]
+        past = [item for item in bench.schedules if item[0] <= step]
         since, time_ns, rate, first = past[-1]
         assert due == time_ns + round((step - first) * SECOND / rate), since
-    assert len(bench.session.schedules) == 4
+    assert len(bench.schedules) == 4
 
 
 def test_thread_that_cannot_keep_up_loses_its_priority_for_a_while() -> None:
@@ -99,14 +93,15 @@ def test_thread_that_cannot_keep_up_loses_its_priority_for_a_while() -> None:
         pytest.skip('threads of this user may not have real-time priority')
     seen: list[str] = []
 
-    def on_tick(_due: int) -> None:
-        seen.append(ticker.scheduler)
-        session.step += 1
-        if session.step == 3:
-            time.sleep(0.09)  # a stall
+    class Stalling(Bench):
 
-    session, clock = CountingSession(100.0), SystemClock()
-    ticker = Ticker(session, on_tick, lambda: clock)
+        def on_tick(self, due: int) -> None:
+            super().on_tick(due)
+            seen.append(self.ticker.scheduler)
+            if self.step == 3:
+                time.sleep(0.09)
+
+    ticker = Stalling(SystemClock(), 100.0).ticker
     ticker.start()
     deadline = time.monotonic() + 60.0
     changes: list[str] = []

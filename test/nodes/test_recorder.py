@@ -17,6 +17,7 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros_nodes import rules
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
@@ -31,18 +32,14 @@ LATCHED = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATER = '/talk of a later publisher'
 
 
-def read(path: Path) -> list[tuple[str, str]]:
-    """Return topics and texts of the messages of a bag, read by an independent program."""
+def texts(path: Path) -> list[str]:
+    """Return the texts of the messages of a bag, read by an independent program."""
     with Reader(path) as reader:
         assert reader.ros_distro in ('jazzy', 'kilted')
         return [
-            (connection.topic, TYPES.deserialize_cdr(data, connection.msgtype).data)
+            TYPES.deserialize_cdr(data, connection.msgtype).data
             for connection, _time, data in reader.messages()
         ]
-
-
-def texts(path: Path) -> list[str]:
-    return [text for _, text in read(path)]
 
 
 @pytest.fixture
@@ -51,9 +48,7 @@ def recorder(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
 
     def start(*words: str, **parameters: Any) -> Recorder:
         values = {'folder': tmp_path, 'topics': ['/talk'], **parameters}
-        rules = [f'{name.replace("__", ".")}:={value}' for name, value in values.items()]
-        ros_args = (*words, *(word for rule in rules for word in ('-p', rule)))
-        node = ros.node(Recorder, ros_args=ros_args, arguments=('--ros-args', *ros_args))
+        node = ros.node(Recorder, ros_args=(*words, *rules(**values)))
         node.start()
         return node
 
@@ -70,40 +65,39 @@ def say(ros: Any, recorder: Recorder, publisher: Any, contents: list[str]) -> No
     ros.spin_until(lambda: subscriptions.received >= before + len(contents), 'the messages')
 
 
-def test_bag_is_named_by_the_time_and_never_overwritten(
+def test_services_start_and_stop_bags_of_the_present_parameters_and_overwrite_none(
     ros, recorder, talker, tmp_path
 ) -> None:
-    node = recorder()
-    listener = ros.listen_to(node)
-    publisher = talker.create_publisher(String, '/talk', 100)
-    for number in range(3):
-        say(ros, node, publisher, [str(number)])
-        assert listener.trigger(RECORDER_SERVICES.stop).success
-        assert listener.trigger(RECORDER_SERVICES.start).success
-    node.close()
-    bags = sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)
-    assert all(path.name.startswith('soft_throw_20') for path in bags)
-    assert [texts(path) for path in bags] == [['0'], ['1'], ['2'], []]
-
-
-def test_recorder_waits_for_its_start_and_reports_it(ros, recorder, tmp_path) -> None:
-    node = recorder(start='false', name='bag')
+    node = recorder('-r', '__ns:=/rig1', start='false', name='first', topics=['twin'])
     listener = ros.listen_to(node)
     listener.listen(RECORDER_TOPICS.status)  # latched
-    assert node.recording is None
     assert not list(tmp_path.iterdir())
+    publisher = talker.create_publisher(String, '/rig1/twin/phase', 100)
+    talker.create_publisher(String, '/rig2/twin/phase', 100).publish(String())
     start, stop = RECORDER_SERVICES.start, RECORDER_SERVICES.stop
-    for service, is_accepted, words in (
-        (stop, False, 'nothing has been recorded'),
-        (start, True, str(tmp_path / 'bag')),
-        (start, False, 'already'),
-        (stop, True, '0 messages'),
-        (start, False, 'never overwritten'),
+    for service, is_accepted, words, name in (
+        (stop, False, 'nothing has been recorded', 'first'),
+        (start, True, str(tmp_path / 'first'), 'second'),
+        (start, False, 'already', 'second'),
+        (stop, True, '1 messages', 'second'),
+        (start, True, str(tmp_path / 'second'), ''),
+        (stop, True, '1 messages', ''),
+        (start, True, str(tmp_path / 'soft_throw_20'), 'first'),
+        (stop, True, '1 messages', 'first'),
+        (start, False, 'never overwritten', 'first'),
     ):
         response = listener.trigger(service)
         assert (response.success, words in response.message) == (is_accepted, True), response
-    statuses = [message.status[0] for message in listener.hear(RECORDER_TOPICS.status, 3)]
-    assert [msg_to_values(status)['is_recording'] for status in statuses] == [False, True, False]
+        node.parameters.apply({'name': name})
+        if service is start and is_accepted:
+            say(ros, node, publisher, [words])
+    assert [texts(path) for path in sorted(tmp_path.iterdir())] == [
+        [str(tmp_path / name)] for name in ('first', 'second', 'soft_throw_20')
+    ]
+    statuses = [message.status[0] for message in listener.hear(RECORDER_TOPICS.status, 7)]
+    assert [msg_to_values(status)['is_recording'] for status in statuses] == [
+        False, True, False, True, False, True, False
+    ]
 
 
 def test_losses_are_in_diagnostics_and_bag(
@@ -152,21 +146,6 @@ def test_process_that_is_present_and_sends_nothing_is_reported_once(
     assert sum('nothing is published yet on /silence' in line for line in log) == 1
     others.close()
     ros.spin_until(lambda: not node.recording.silent_topics, 'the end of the participant')
-
-
-def test_next_recording_has_the_changed_parameters_in_the_namespace(
-    ros, recorder, talker, tmp_path
-) -> None:
-    node = recorder('-r', '__ns:=/rig1', name='first')
-    client = ros.parameters(node)
-    assert client.set(name='second', compression='none', topics=['twin']) == [''] * 3
-    assert node.recording.bag == tmp_path / 'first'
-    node.end()
-    node.begin()
-    talker.create_publisher(String, '/rig2/twin/phase', 100)
-    say(ros, node, talker.create_publisher(String, '/rig1/twin/phase', 100), ['a'])
-    node.close()
-    assert read(tmp_path / 'second') == [('/rig1/twin/phase', 'a')]
 
 
 def test_deleted_bag_is_a_failure(ros, recorder, talker, tmp_path) -> None:
@@ -218,34 +197,21 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     ros, recorder, talker, tmp_path, monkeypatch
 ) -> None:
     node = recorder(name='bag')
-    say(ros, node, talker.create_publisher(String, '/talk', 100), ['a', 'b', 'c'])
-    subscriptions = node.recording.subscriptions
-    close = subscriptions.close
-
-    def close_late() -> None:
-        ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 3, 'the messages in the bag')
-        close()
-
-    monkeypatch.setattr(subscriptions, 'close', close_late)
-    node.close()
-    assert texts(tmp_path / 'bag') == ['a', 'b', 'c']
-
-
-def test_messages_that_came_since_the_last_drain_are_saved_at_the_end(
-    ros, recorder, talker, tmp_path, monkeypatch
-) -> None:
-    node = recorder(name='bag')
     publisher = talker.create_publisher(String, '/talk', 100)
     say(ros, node, publisher, ['a'])
-    drains = threading.Semaphore(0)
-    drain = node.recording.subscriptions.drain
-    monkeypatch.setattr(recorder_module, '_DRAIN_TIME', 10.0)
-    monkeypatch.setattr(
-        node.recording.subscriptions, 'drain', lambda: (drain(), drains.release())[0]
-    )
+    subscriptions, drains = node.recording.subscriptions, threading.Semaphore(0)
+    drain, close = subscriptions.drain, subscriptions.close
+
+    def close_late() -> None:
+        ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 2, 'the messages in the bag')
+        close()
+
+    monkeypatch.setattr(recorder_module, '_DRAIN_TIME', 60.0)
+    monkeypatch.setattr(subscriptions, 'drain', lambda: (drain(), drains.release())[0])
+    monkeypatch.setattr(subscriptions, 'close', close_late)
     for _ in range(2):  # the second one is followed by the long wait
-        drains.acquire(timeout=5.0)
+        drains.acquire(timeout=60.0)
     publisher.publish(String(data='b'))
-    assert publisher.wait_for_all_acked(Duration(seconds=5))
+    assert publisher.wait_for_all_acked(Duration(seconds=60.0))
     node.close()
     assert texts(tmp_path / 'bag') == ['a', 'b']

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros_nodes import GivenClock, rules
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.rig import to_twin
 from soft_throw_ros.core.plate import SampledMotion
@@ -19,23 +20,23 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.session import Session
 
 RATE = 5000
-QUIET = ('-p', 'noise:=0.0', '-p', 'jitter:=0.0')
 
 
 class Driven(SimulatedRig):
     """A simulated rig on a clock set by the test, which keeps the samples of its sensors."""
 
-    def __init__(self, clock: Any, **kwargs: Any) -> None:
-        self.clock = clock
-        super().__init__(system_clock=clock, **kwargs)
+    def __init__(self, **kwargs: Any) -> None:
+        self.clock = GivenClock()
+        super().__init__(system_clock=self.clock, **kwargs)
         self.stamps: list[int] = []
         self.positions: list[tuple[float, float]] = []
-        self.send = lambda stamp, values: (
-            self.stamps.append(stamp),
-            self.positions.append(values),
-        )
+        self.send = self._keep
         self.received = 0
         self.ticker.run_due()  # the first step
+
+    def _keep(self, stamp_ns: int, positions: tuple[float, float]) -> None:
+        self.stamps.append(stamp_ns)
+        self.positions.append(positions)
 
     def _on_trajectory(self, message: Any) -> None:
         super()._on_trajectory(message)
@@ -47,13 +48,14 @@ class Driven(SimulatedRig):
 
 
 @pytest.fixture
-def start(ros: Any, given_clock: Any) -> Any:
-    """Start a rig with ROS arguments."""
-    return lambda *ros_args: ros.node(Driven, given_clock(), ros_args=ros_args)
+def start(ros: Any) -> Any:
+    """Start a rig with parameters and, unless they say more, perfect sensors."""
+    quiet = {'noise': 0.0, 'jitter': 0.0}
+    return lambda **values: ros.node(Driven, ros_args=rules(**{**quiet, **values}))
 
 
 def test_perfect_sensors_measure_the_true_positions(start) -> None:
-    rig = start(*QUIET)
+    rig = start()
     rig.go(1.5)
     assert set(np.diff(rig.stamps)) == {SECOND // RATE}
     assert np.ptp(rig.positions, axis=0)[1] > 0.08  # it has thrown
@@ -62,9 +64,8 @@ def test_perfect_sensors_measure_the_true_positions(start) -> None:
 
 
 def test_sensors_and_rig_have_the_faults_of_the_parameters(start) -> None:
-    faults = [f'faults.{fault}' for fault in ('missing_rate:=0.1', 'ringing:=0.02')]
-    rules = ('noise:=0.0', 'jitter:=5e-5', 'throw.period:=0.8', *faults)
-    rig = start(*(word for rule in rules for word in ('-p', rule)))
+    faults = {'faults__missing_rate': 0.1, 'faults__ringing': 0.02}
+    rig = start(jitter=5e-5, throw__period=0.8, **faults)
     rig.go(1.5)
     assert len(rig.stamps) == pytest.approx(0.9 * 1.5 * RATE, rel=0.05)
     intervals = 1e-9 * RATE * (np.array(rig.stamps) - rig.stamps[0])
@@ -78,9 +79,7 @@ def test_sensors_and_rig_have_the_faults_of_the_parameters(start) -> None:
 
 
 def test_layer_ages_once_after_its_throws(start, ros) -> None:
-    rig = start(
-        *QUIET, '-p', 'wear.throws:=2', '-p', 'wear.wave_speed:=0.5', '-p', 'throw.period:=0.6'
-    )
+    rig = start(wear__throws=2, wear__wave_speed=0.5, throw__period=0.6)
     rig.go(0.9)
     speed = rig.parameters.settings['layer.wave_speed']
     rig.go(1.0)
@@ -108,7 +107,7 @@ def command(ros: Any) -> Any:
 
 
 def test_commanded_motion_is_played_from_its_stamp_on(start, command) -> None:
-    rig = start(*QUIET, '-p', 'throw.period:=0.7')
+    rig = start(throw__period=0.7)
     times = np.linspace(0.0, 0.06, 301)
     heights = 1e-3 * (1.0 - np.cos(2.0 * np.pi * times / 0.06)) * np.sin(40.0 * times)
     motion = SampledMotion.from_positions(times, heights)
@@ -125,7 +124,7 @@ def test_commanded_motion_is_played_from_its_stamp_on(start, command) -> None:
 
 
 def test_impossible_trajectories_are_refused(start, command, capfd) -> None:
-    rig = start(*QUIET, '-p', 'throw.period:=0.0')
+    rig = start(throw__period=0.0)
     motion = SampledMotion.from_positions(np.linspace(0.0, 0.1, 101), np.zeros(101))
     command(rig, rig.clock.time - SECOND, motion)
     rig.go(0.5)

@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Transport profiles of Fast DDS; `test_recorder_process` tests their effect on recordings."""
+"""Transport profiles of Fast DDS; `test_faults` tests their effect on recordings."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-import subprocess
 import sys
 
 import pytest
@@ -54,23 +53,15 @@ def test_profile_is_ours_unless_another_is_chosen(monkeypatch, chosen) -> None:
             assert present == {chosen: 'theirs'}
 
 
-def test_ports_are_local_unless_other_machines_are_allowed(domain_id) -> None:
+def test_ports_are_local_unless_other_machines_are_allowed(start, domain_id) -> None:
     environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
-    expected = {'LOCALHOST': '0100007F', 'OFF': '0100007F', 'SUBNET': '00000000'}
-    listening = {
-        reach: subprocess.Popen(
-            [sys.executable, '-c', LISTEN],
-            env=environment | {'ROS_AUTOMATIC_DISCOVERY_RANGE': reach},
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for reach in expected
-    }
     first = 7400 + 250 * domain_id  # DDS listens here; senders use other ports
-    for reach, process in listening.items():
-        printed, _ = process.communicate(timeout=100)
-        sockets = [line.split(':') for line in printed.splitlines()]
+    expected = {'LOCALHOST': '0100007F', 'OFF': '0100007F', 'SUBNET': '00000000'}
+    for reach, host in expected.items():
+        limited = environment | {'ROS_AUTOMATIC_DISCOVERY_RANGE': reach}
+        process = start(sys.executable, '-c', LISTEN, env=limited)
+        assert process.wait() == 0
+        sockets = [line.split(':') for line in process.lines]
         present = {host for host, port in sockets if first <= int(port, 16) < first + 250}
-        assert expected[reach] in present, reach
         # 239.255.0.1 is the group for discovery
-        assert present <= {expected[reach], '0100FFEF'}, (reach, printed)
+        assert {host} <= present <= {host, '0100FFEF'}, (reach, process.lines)

@@ -35,7 +35,7 @@ DRAWN = [topic for topic in TWIN_TOPICS if is_drawn(topic.at('/twin').name, topi
 @pytest.fixture
 def throw(ros: Any) -> Callable[[], None]:
     """Return a function that throws for a quarter of a second, for a viewer that has all of it."""
-    twin = ros.start_twin('-p', 'throw.period:=0.2')
+    twin = ros.start_twin(throw__period=0.2)
     names = {topic.at('/twin').name for topic in DRAWN if not topic.is_input}
     publishers = [item for item in twin.publishers if item.topic_name in names]
 
@@ -44,23 +44,19 @@ def throw(ros: Any) -> Callable[[], None]:
             lambda: all(item.get_subscription_count() > 0 for item in publishers), 'the viewer'
         )
         twin.go(250)
-        ros.spin_until(lambda: not twin._jobs, 'the messages of the executor')
-        duration = Duration(seconds=60.0)
-        assert all(item.wait_for_all_acked(duration) for item in publishers)
+        assert all(item.wait_for_all_acked(Duration(seconds=60.0)) for item in publishers)
 
     return throw
 
 
 @pytest.fixture
-def show(start: Any) -> Callable[..., Any]:
+def show(start_node: Any) -> Callable[..., Any]:
     """Start the node without a screen, and wait until it is ready."""
 
-    def show(**parameters: object) -> Any:
-        rules = [f'{name}:={value}' for name, value in parameters.items()]
-        command = [sys.executable, '-m', 'soft_throw_ros', 'viewer', '--ros-args']
+    def show(*rules: str) -> Any:
         hidden = ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET')
         environment = {name: value for name, value in os.environ.items() if name not in hidden}
-        process = start(*command, *(w for rule in rules for w in ('-p', rule)), env=environment)
+        process = start_node('viewer', *rules, env=environment)
         process.wait_for('ready')
         return process
 
@@ -74,25 +70,12 @@ def entities(viewer: Any) -> set[str]:
     return {entity.entity_path for entity in client.get_recording_schema().entities}
 
 
-def reports_of_viewer(ros: Any) -> Any:
-    """Return a function that waits for two reports, between which all messages arrive."""
-    listener = ros.listen_to('/viewer')
-    listener.listen(VIEWER_DIAGNOSTICS)
-
-    def report() -> Any:
-        listener.heard['/diagnostics'].clear()
-        listener.hear(VIEWER_DIAGNOSTICS, 2)
-        return msg_to_values(listener.status(VIEWER_DIAGNOSTICS, 'display'))
-
-    return report
-
-
 @pytest.mark.slow
 def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
     ros, show, throw
 ) -> None:
     port = free_port()
-    node = show(port=port)  # without a screen it serves
+    node = show(f'port:={port}')  # without a screen it serves
     node.wait_for(url_of(port))
     listening = Path('/proc/net/tcp').read_text(encoding='ascii')
     assert f' 0100007F:{port:04X} ' in listening
@@ -111,31 +94,28 @@ def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
 
 def test_node_without_a_viewer_ends_well(show) -> None:
     with socket.create_server(('127.0.0.1', 0)) as other:  # a viewer of something else
-        node = show(port=other.getsockname()[1])
+        node = show(f'port:={other.getsockname()[1]}')
         node.end_well()
     assert node.lines[-1].endswith('messages, 0 not shown')
 
 
 @pytest.mark.slow
-def test_file_has_every_message_that_came_before_the_end(ros, show, throw, tmp_path) -> None:
-    path = tmp_path / 'live.rrd'
-    node = show(sink='file', file=path)
-    report = reports_of_viewer(ros)
-    throw()
-    assert report() == {'lost': 0, 'damaged': 0}
-    assert node.end(signal.SIGINT) == 0
-    assert RrdFile(path).rows['/twin/position'] == 250
-
-
-@pytest.mark.slow
-def test_recorder_shows_what_it_records(ros, record, tmp_path) -> None:
+def test_file_beside_a_bag_has_every_message_that_came_before_the_end(
+    ros, record, tmp_path
+) -> None:
     recorder = record('bag', 'topics:=[twin]', 'rerun.sink:=file')
-    twin = ros.start_twin('-p', 'throw.period:=0.2')
+    twin = ros.start_twin(throw__period=0.2)
     states = next(p for p in twin.publishers if p.topic_name == '/twin/joint_states')
     ros.spin_until(lambda: states.get_subscription_count() == 2, 'recorder and viewer')
-    report = reports_of_viewer(ros)
     twin.go(250)
-    assert report() == {'lost': 0, 'damaged': 0}
+    listener = ros.listen_to('/viewer')
+    listener.listen(VIEWER_DIAGNOSTICS)
+
+    def reports() -> list[Any]:
+        return listener.statuses(VIEWER_DIAGNOSTICS, 'display')
+
+    ros.spin_until(lambda: len(reports()) >= 2, 'two reports, between which all messages arrive')
+    assert msg_to_values(reports()[-1]) == {'lost': 0, 'damaged': 0}
     recorder.end_well()
     assert RrdFile(tmp_path / 'bag.rrd').rows['/twin/position'] == 250
 

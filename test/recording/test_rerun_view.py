@@ -12,13 +12,15 @@ from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from ros_nodes import DrivenTwin, MILLISECOND, Ros
 from soft_throw_ros.configuration.interface import TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.recording.twin_journal import find_throws
 from soft_throw_ros.storage.cdr import JointStateEncoder
-from soft_throw_ros.storage.message import Message
-from twin_messages import TwinMessages
+from soft_throw_ros.storage.message import Channel, Message
+from twin_runs import measured_throw
 
 rr = pytest.importorskip('rerun')
 
@@ -33,22 +35,29 @@ def mistakes_raise() -> Iterator[None]:
     rr.set_strict_mode(False)
 
 
+def start_twin(ros: Ros, *words: str, **values: Any) -> DrivenTwin:
+    """Start a twin that has a recommendation."""
+    twin = ros.start_twin(*words, **values)
+    twin.settle()
+    return twin
+
+
 @pytest.fixture(scope='module')
-def twin() -> Any:
+def twin(module_ros) -> DrivenTwin:
     """Two throws in real time."""
-    return TwinMessages(throw__period=0.5).go(1200)
+    return start_twin(module_ros, throw__period=0.5).go(1199)
 
 
 @pytest.fixture(scope='module')
 def recording(twin, tmp_path_factory) -> RrdFile:
-    journal = [item for item in twin.messages if item.channel.topic == '/twin/journal']
     path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
-    return record(path, twin.messages, throw=find_throws(journal)['/twin'][-1])[0]
+    throws = find_throws(twin.of(TWIN_TOPICS.journal))
+    return record(path, twin.messages, throw=throws['/twin'][-1])[0]
 
 
 def test_scene_has_every_state_in_its_units(twin, recording) -> None:
     states = np.array([outputs.state for outputs in twin.outputs])
-    due = np.array([twin.schedule.deadline(step) for step in range(1200)])
+    due = np.array([twin.session.due_ns(step) for step in range(1200)])
     for name, expected in (
         ('position', 1e3 * states[:, 0:2]),
         ('velocity', states[:, 2:4]),
@@ -58,7 +67,7 @@ def test_scene_has_every_state_in_its_units(twin, recording) -> None:
         assert times.tolist() == due.tolist()
         np.testing.assert_array_equal(values, expected)
         since, values = recording.scalars(f'/twin/{name}', 'time since throw')
-        np.testing.assert_allclose(since, due - twin.schedule.deadline(1000), atol=1)
+        np.testing.assert_allclose(since, due - twin.session.due_ns(1000), atol=1)
         np.testing.assert_array_equal(values, expected)
 
 
@@ -73,7 +82,7 @@ def test_side_view_is_to_scale(twin, recording) -> None:
     top = length + np.interp(times_of_layer, *height_of('/twin/side/plate'))
     _, scales = recording.series('/twin/side/plate/layer', 'Transform3D:scale')
     width, height = np.array(scales)[:, 0, 0], 64 * np.array(scales)[:, 0, 1]
-    begin = twin.schedule.deadline(500)
+    begin = twin.session.due_ns(500)
     in_contact = (times_of_layer >= begin) & (times_of_layer < begin + 7_600_000)
     at_layer = np.interp(times_of_layer[in_contact], times, z_of_projectile)
     assert in_contact.sum() > 100
@@ -90,9 +99,10 @@ def table_of(text: str) -> list[list[str]]:
     return [[cell.strip(' *') for cell in row] for row in rows if '--' not in row[0]]
 
 
-def test_map_and_table_are_of_the_recommended_rig(tmp_path) -> None:
-    twin = TwinMessages(throw__period=0.2).go(300)
+def test_map_and_table_are_of_the_recommended_rig(ros, tmp_path) -> None:
+    twin = start_twin(ros, throw__period=0.2).go(300)
     twin.change(engine__frequency=70.0, layer__thickness=0.012)
+    twin.settle()
     twin.go(200)
     recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
     table = table_of(recording.last('/twin/recommendation', 'TextDocument:text')[0])
@@ -100,28 +110,31 @@ def test_map_and_table_are_of_the_recommended_rig(tmp_path) -> None:
     assert bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])[1:4] == b'PNG'
 
 
-def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(tmp_path) -> None:
-    twins = [TwinMessages(node, throw__period=0.1) for node in ('/rig1/twin', '/rig 2/twin')]
-    messages = [message for twin in twins for message in twin.go(150).messages]
+def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(ros, tmp_path) -> None:
+    names = ('/rig1', '/rig2')
+    twins = [start_twin(ros, '-r', f'__ns:={name}', throw__period=0.1) for name in names]
+    messages = [message for twin in twins for message in twin.go(149).messages]
     kept = [item for item in messages if item.channel.topic != '/rig1/twin/journal']
     kept.sort(key=lambda message: message.log_time)
     recording, _ = record(tmp_path / 'scene.rrd', kept)
-    for root in ('/rig1/twin', r'/rig\ 2/twin'):
-        assert len(recording.scalars(f'{root}/position')[0]) == 150
+    for name in names:
+        assert len(recording.scalars(f'{name}/twin/position')[0]) == 150
     assert '/rig1/twin/side/plate/body' not in recording.entities
-    assert r'/rig\ 2/twin/side/plate/body' in recording.entities
+    assert '/rig2/twin/side/plate/body' in recording.entities
     assert recording.layout('ViewBlueprint:display_name').count('Position z (mm)') == 2
 
 
 @pytest.mark.parametrize('is_live', [False, True])
 def test_repeated_replay_is_drawn_after_the_last_throw_with_its_own_table(
-    tmp_path, is_live
+    ros, tmp_path, is_live
 ) -> None:
-    twin = TwinMessages(throw__period=1.0).go(1700)
+    twin = start_twin(ros, throw__period=1.0).go(1699)
     twin.change(layer__thickness=0.012)
+    twin.settle()
     twin.go(1000)
-    recording, _ = record(tmp_path / 'a.rrd', twin.messages + twin.messages[:300],
-                          is_live=is_live)
+    latched = twin.of(TWIN_TOPICS.recommendation)[:1]  # comes first
+    again = latched + [message for message in twin.messages[:300] if message not in latched]
+    recording, _ = record(tmp_path / 'a.rrd', twin.messages + again, is_live=is_live)
     times, values = recording.scalars('/twin/position')
     count = times.size - 2700
     assert 200 < count < 300
@@ -131,7 +144,7 @@ def test_repeated_replay_is_drawn_after_the_last_throw_with_its_own_table(
         times, texts = recording.series('/twin/recommendation', 'TextDocument:text')
         tables = [table_of(text) for (text,) in texts]
         assert [table[1][1] for table in tables if table][-2:] == ['12', '16.8']
-        assert times[-1] == twin.schedule.deadline(2699)
+        assert times[-1] == twin.session.due_ns(2699)
 
 
 def test_live_view_keeps_the_rig_for_late_viewers(twin, tmp_path) -> None:
@@ -143,20 +156,23 @@ def test_live_view_keeps_the_rig_for_late_viewers(twin, tmp_path) -> None:
 
 
 @pytest.fixture(scope='module')
-def measured(tmp_path_factory) -> tuple[TwinMessages, RrdFile]:
+def measured(module_ros, tmp_path_factory) -> tuple[DrivenTwin, RrdFile]:
     """Return a measured throw with diagnostics of its track, and its recording."""
-    twin = TwinMessages(engine__motion='measured')
-    twin.measure(duration=0.1, noise=2e-6)
+    twin = start_twin(module_ros, engine__motion='measured')
+    samples = measured_throw(Rig(), begin_ns=twin.clock.time, duration=0.1, noise=2e-6)
+    module_ros.sensors_of(twin).throw(samples)
     for node, task, values in (
         ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
         ('/twin', 'timing', {'ticks': 1000}),
         ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
         ('/other/calibrator', 'identification', {'warning 1': 'another'}),
     ):
-        twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
-    outlier = twin.schedule.time_ns + 55_000_000
-    twin.outgoing.send(TWIN_TOPICS.residual, outlier, (0.0, 0.1))
-    return twin, record(tmp_path_factory.mktemp('scene') / 'scene.rrd', twin.messages)[0]
+        status = status_to_msg(node, task, f'{task} of 7.30 +- 0.02', values)
+        twin.outgoing.report(TWIN_TOPICS.diagnostics, [status])
+    outlier_ns = twin.session.due_ns(0) + 55 * MILLISECOND
+    twin.outgoing.send(TWIN_TOPICS.residual, outlier_ns, (0.0, 0.1))
+    path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
+    return twin, record(path, twin.messages, batch=100)[0]
 
 
 def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
@@ -180,7 +196,7 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
 
 def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(measured) -> None:
     twin, recording = measured
-    (accuracy,) = [result.accuracy for result in twin.results('release')]
+    (accuracy,) = [item.accuracy for item in twin.results if item.stage == 'release']
     text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
     (cell,) = [row[1] for row in table_of(text) if row[0].startswith('energy transfer')]
     alpha, error = map(float, cell.split(' ± '))
@@ -213,7 +229,8 @@ def test_damaged_messages_are_counted_and_others_are_shown(
 
 
 @pytest.mark.parametrize('name', ['joint_states', 'measured_joint_states', 'residual'])
-def test_joint_states_of_other_machines_are_ignored(twin, tmp_path, name) -> None:
+def test_joint_states_of_other_machines_are_ignored(tmp_path, name) -> None:
+    channel = Channel(topic=f'/twin/{name}', type='sensor_msgs/msg/JointState', schema='')
     arm = JointStateEncoder('base', ('shoulder', 'elbow')).encode(1, [0.0] * 6)
-    _, scene = record(tmp_path / 'a.rrd', [Message(twin.channels[name], arm, 1, 1)])
+    _, scene = record(tmp_path / 'a.rrd', [Message(channel, arm, 1, 1)])
     assert (scene.damaged, scene.is_empty) == (0, True)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 import contextlib
 from dataclasses import replace
 import fcntl
+import itertools
 import os
 from pathlib import Path
 import re
@@ -26,26 +27,36 @@ import traceback
 from typing import Any, TypeVar
 import warnings
 
+from bags import channel, wait_until
 import pytest
 from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from soft_throw_ros.commands.warm_up import load_kernels
-from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Topic, TWIN_TOPICS
-from soft_throw_ros.nodes.conversions import time_to_msg
+from soft_throw_ros.configuration.interface import (
+    FRAME,
+    JOINTS,
+    resolve,
+    Service,
+    Topic,
+    TWIN_TOPICS,
+)
+from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.nodes.realtime import SystemClock
+from soft_throw_ros.nodes.recommendations import RecommendationState
 from soft_throw_ros.nodes.topics import create_subscription
 from soft_throw_ros.nodes.transport import use_transport_profile
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
-from soft_throw_ros.storage.message import SECOND
+from soft_throw_ros.storage.cdr import JointStateEncoder
+from soft_throw_ros.storage.message import Message, SECOND
 from soft_throw_ros.twin.results import Outputs, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample
 from std_srvs.srv import Trigger
@@ -54,8 +65,7 @@ with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
     import lark  # noqa: F401  rclpy imports lark with the first node, and lark obsolete modules
 
-_KEPT = 100
-"""Messages that a listener keeps at least, since it does not spin while a twin runs."""
+_KEPT = 100  # messages that a listener keeps at least, since it does not spin while a twin runs
 
 TIMEOUT = 60.0
 """Longest wait for anything; a busy machine must not reach it. [s]"""
@@ -63,13 +73,11 @@ TIMEOUT = 60.0
 PROCESS_TIMEOUT = 110.0
 """Longest wait for another process, including compilation. [s]"""
 
-OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
-"""Prefix of messages such as of a port in use, which Fast DDS prints at every log level."""
+# Prefix of messages such as of a port in use, which Fast DDS prints at every log level
+_OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
 
 _FUTEX = '202'  # number of the system call on x86-64
 _WAITING = {0, 9}  # its operations that wait, FUTEX_WAIT and FUTEX_WAIT_BITSET
-
-COLOURS = re.compile(r'\x1b\[[0-9;]*m')
 
 MILLISECOND = SECOND // 1000
 
@@ -90,7 +98,7 @@ class Ros:
         self,
         make: Callable[..., AnyNode],
         *args: Any,
-        ros_args: tuple[str, ...] = (),
+        ros_args: Iterable[str] = (),
         **kwargs: Any,
     ) -> AnyNode:
         """Make a node with `make(*args, context=..., ...)`; `ros_args` follow `--ros-args`."""
@@ -122,24 +130,18 @@ class Ros:
         self.spin_until(client.service_is_ready, client.srv_name)
         return self.result(client.call_async(request))
 
-    def parameters(self, node: Node) -> Parameters:
-        """Make a client for the parameter services of `node`."""
-        return Parameters(self, node)
+    def start_twin(self, *ros_args: str, **values: Any) -> DrivenTwin:
+        """Start a twin on a clock set by the test with parameters, `a__b` for a.b."""
+        return self.node(DrivenTwin, ros_args=(*ros_args, *rules(**values)))
 
-    def start_twin(self, *ros_args: str) -> DrivenTwin:
-        """Start a twin on a clock set by the test."""
-        return self.node(DrivenTwin, ros_args=ros_args)
+    def sensors_of(self, twin: DrivenTwin | None = None) -> Sensors:
+        """Make the sensors of a twin, or of none that takes the samples."""
+        return self.node(Sensors, self, twin)
 
     def listen_to(self, node: Node | str) -> Listener:
         """Make a listener of a node, which is named if it is in another process."""
         name = node if isinstance(node, str) else node.get_fully_qualified_name()
         return self.node(Listener, self, name)
-
-    def remove(self, node: Node) -> None:
-        """Destroy a node."""
-        self.nodes.remove(node)
-        self._executor.remove_node(node)
-        node.destroy_node()
 
     def close(self) -> None:
         """Destroy the nodes in reverse order of their creation, and the context."""
@@ -148,6 +150,12 @@ class Ros:
             node.destroy_node()
         self._executor.shutdown(timeout_sec=TIMEOUT)
         rclpy.try_shutdown(context=self.context)
+
+
+def rules(**values: Any) -> list[str]:
+    """Return ROS arguments that set parameters, `a__b` for a.b."""
+    each = (f'{name.replace("__", ".")}:={value}' for name, value in values.items())
+    return [word for rule in each for word in ('-p', rule)]
 
 
 def _destroy_unfinished(error: BaseException) -> None:
@@ -169,42 +177,6 @@ def _destroy_unfinished(error: BaseException) -> None:
             return
 
 
-class Parameters:
-    """The parameters of a node, set and read through its services from another node."""
-
-    def __init__(self, ros: Ros, node: Node) -> None:
-        self._ros = ros
-        client_node = ros.node(Node, 'parameter_client')
-        self._client = AsyncParameterClient(client_node, node.get_fully_qualified_name())
-        ros.spin_until(self._client.services_are_ready, 'parameter services')
-
-    def get(self, name: str) -> Any:
-        """Return the value of one parameter."""
-        (value,) = self._ros.result(self._client.get_parameters([name])).values
-        return rclpy.parameter.parameter_value_to_python(value)
-
-    def describe(self, name: str) -> Any:
-        """Return the descriptor of one parameter."""
-        (descriptor,) = self._ros.result(self._client.describe_parameters([name])).descriptors
-        return descriptor
-
-    def set(self, **values: Any) -> list[str]:  # noqa: A003
-        """Set parameters one by one (`a__b` is a.b); return the reasons, '' for accepted ones."""
-        return self._request(self._client.set_parameters, values)
-
-    def set_atomically(self, **values: Any) -> str:
-        """Set parameters atomically; return the reason, '' if accepted."""
-        return self._request(self._client.set_parameters_atomically, values)[0]
-
-    def _request(self, request: Any, values: dict[str, Any]) -> list[str]:
-        items = [(name.replace('__', '.'), value) for name, value in values.items()]
-        future = request([Parameter(name, value=value) for name, value in items])
-        response = self._ros.result(future)
-        results = getattr(response, 'results', None) or [response.result]
-        assert all(result.successful == (not result.reason) for result in results)
-        return [result.reason for result in results]
-
-
 class GivenClock(SystemClock):
     """A clock whose time the test sets."""
 
@@ -221,29 +193,86 @@ class GivenClock(SystemClock):
 
 
 class DrivenTwin(Twin):
-    """A twin on a clock set by the test, which keeps its outputs and journal lines."""
+    """
+    A twin on a clock set by the test.
 
-    def __init__(self, **kwargs: Any) -> None:
-        self.clock = GivenClock()
+    `outputs` are those of all steps, and `messages` what a recorder would have received, each a
+    nanosecond later than the one before.
+    """
+
+    def __init__(self, *, clock: GivenClock | None = None, **kwargs: Any) -> None:
+        self.clock = clock or GivenClock()
         self.outputs: list[Outputs] = []
-        self.lines: list[str] = []
+        self.messages: list[Message] = []
+        self._advised: TwinConfig | None = None  # with its uncertainty
         super().__init__(system_clock=self.clock, **kwargs)
         self.ticker.run_due()  # the first step
+
+    def create_publisher(self, kind: Any, topic: str, *args: Any, **kwargs: Any) -> Publisher:
+        publisher = super().create_publisher(kind, topic, *args, **kwargs)
+        return publisher if topic == '/parameter_events' else self.keep(publisher)
+
+    def keep(self, publisher: Publisher) -> Publisher:
+        """Keep all that a publisher of this or another node publishes."""
+        kind, publish, numbers = publisher.msg_type, publisher.publish, itertools.count(1)
+        kept = channel(
+            publisher.topic_name, f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
+        )
+
+        def keep_and_publish(message: Any) -> None:
+            data = message if isinstance(message, bytes) else serialize_message(message)
+            time = self.clock.time + len(self.messages)
+            self.messages.append(Message(kept, data, time, time, next(numbers)))
+            publish(message)
+
+        publisher.publish = keep_and_publish
+        return publisher
+
+    def of(self, topic: Topic) -> list[Message]:
+        """Return the messages of a topic."""
+        name = topic.at(self.get_fully_qualified_name()).name
+        return [message for message in self.messages if message.channel.topic == name]
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         self.outputs.append(outputs)
         super().on_step(outputs, due)
 
-    def on_entry(self, line: str) -> None:
-        self.lines.append(line)
-        super().on_entry(line)
+    def advance(self, time_ns: int) -> None:
+        """Advance the clock, and run the due ticks and the jobs of the executor."""
+        self.clock.time += time_ns
+        self.ticker.run_due()
+        self._run_jobs()
 
-    def go(self, milliseconds: int) -> None:
-        """Advance the clock in steps of 10 ms and run the due ticks."""
-        end = self.clock.time + milliseconds * MILLISECOND
-        while self.clock.time < end:
-            self.clock.time = min(end, self.clock.time + 10 * MILLISECOND)
-            self.ticker.run_due()
+    def go(self, milliseconds: int) -> DrivenTwin:
+        """Advance in steps of a millisecond."""
+        for _ in range(milliseconds):
+            self.advance(MILLISECOND)
+        return self
+
+    def change(self, **request: Any) -> None:
+        """Change parameters together (`a__b` is a.b)."""
+        self.parameters.apply({name.replace('__', '.'): value for name, value in request.items()})
+
+    def settle(self) -> RecommendationState:
+        """Wait until the recommendation is for the present settings, and return it."""
+        wait_until(self._is_settled, TIMEOUT)
+        assert self.recommendation is not None
+        return self.recommendation
+
+    def _is_settled(self) -> bool:
+        self._run_jobs()
+        state = self.recommendation
+        is_present = state is not None and state.is_for(self.parameters.settings)
+        return is_present and state.config is self._advised
+
+    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
+        super()._recommend(config, cancelled)
+        self._advised = config
+
+    def finish(self) -> None:
+        """End the session, and publish the last lines of its journal."""
+        self.session.close()
+        self._run_jobs()
 
     @property
     def results(self) -> list[ThrowResult]:
@@ -275,17 +304,15 @@ class Listener(Node):
         self._ros.spin_until(lambda: len(heard) >= count, f'{count} messages on {topic.name}')
         return heard
 
+    def statuses(self, topic: Topic, task: str) -> list[Any]:
+        """Return the statuses of a task so far."""
+        statuses = [item for message in self.heard[topic.name] for item in message.status]
+        return [status for status in statuses if status.name == f'{self._name}: {task}']
+
     def status(self, topic: Topic, task: str, done: Any = lambda _status: True) -> Any:
         """Wait for a status of a task that meets a condition, and return the latest."""
-        matching: list[Any] = []
-
-        def is_published() -> bool:
-            statuses = [item for message in self.heard[topic.name] for item in message.status]
-            matching[:] = [s for s in statuses if s.name == f'{self._name}: {task}' and done(s)]
-            return bool(matching)
-
-        self._ros.spin_until(is_published, task)
-        return matching[-1]
+        self._ros.spin_until(lambda: any(map(done, self.statuses(topic, task))), task)
+        return list(filter(done, self.statuses(topic, task)))[-1]
 
     def trigger(self, service: Service) -> Trigger.Response:
         """Call a service of the twin."""
@@ -312,19 +339,24 @@ class Listener(Node):
 class Sensors(Node):
     """Sensors of a rig, which wait until a twin in this process has received their samples."""
 
-    def __init__(self, ros: Ros, twin: DrivenTwin | None, **kwargs: Any) -> None:
+    def __init__(self, ros: Ros, twin: DrivenTwin | None = None, **kwargs: Any) -> None:
         super().__init__('sensors', **kwargs)
         self._ros = ros
         self._twin = twin
         self._sent = 0
         name = TWIN_TOPICS.measured_joint_states.at('/twin').name
         self.publisher = self.create_publisher(JointState, name, QoSProfile(depth=1000))
+        if twin is not None:
+            twin.keep(self.publisher)
         ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
 
     def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
-        """Publish a sample."""
-        message = JointState(name=list(names), position=[sample.plate, sample.projectile])
-        message.header.stamp = time_to_msg(sample.stamp_ns)
+        """Publish a sample as the heights of two joints."""
+        encoder = JointStateEncoder(FRAME, names, series=1)
+        self.publish(encoder.encode(sample.stamp_ns, (sample.plate, sample.projectile)))
+
+    def publish(self, message: JointState | bytes) -> None:
+        """Publish a message."""
         self.publisher.publish(message)
         self._sent += 1
 
@@ -353,19 +385,17 @@ class Sensors(Node):
                 self.send(sample._replace(stamp_ns=sample.stamp_ns - behind_ns))
             del waiting[:count]
             self.wait()
-            twin.clock.time = until
-            twin.ticker.run_due()
-
-
-@pytest.fixture(scope='session', autouse=True)
-def _kernels() -> None:
-    """Compile all kernels before the tests, so that no node compiles during a test."""
-    load_kernels()
+            twin.advance(step_ns)
 
 
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
-    """Lock a ROS domain that no other test process uses; child processes inherit the domain."""
+    """
+    Lock a ROS domain that no other test process uses; child processes inherit the domain.
+
+    All kernels are compiled before, so that no node compiles during a test.
+    """
+    load_kernels()
     folder = Path(tempfile.gettempdir()) / f'soft_throw_ros_domains_{os.getuid()}'
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
@@ -395,26 +425,14 @@ module_ros = pytest.fixture(_make_ros, name='module_ros', scope='module')
 
 
 @pytest.fixture
-def given_clock() -> Callable[..., GivenClock]:
-    """Return the class of clocks set by the test."""
-    return GivenClock
-
-
-@pytest.fixture
 def twin(ros: Ros) -> DrivenTwin:
     """Start a twin that throws only on request."""
-    return ros.start_twin('-p', 'throw.period:=0.0')
+    return ros.start_twin(throw__period=0.0)
 
 
 @pytest.fixture
 def listener(ros: Ros, twin: DrivenTwin) -> Listener:
     return ros.listen_to(twin)
-
-
-@pytest.fixture
-def sensors_of(ros: Ros) -> Callable[..., Sensors]:
-    """Return a function that makes the sensors of a twin, or of none that takes the samples."""
-    return lambda twin=None: ros.node(Sensors, ros, twin)
 
 
 @pytest.fixture
@@ -475,7 +493,7 @@ class Process:
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            if not OF_FAST_DDS.match(COLOURS.sub('', line)):
+            if not _OF_FAST_DDS.match(re.sub(r'\x1b\[[0-9;]*m', '', line)):
                 self.lines.append(line.rstrip())
 
 
